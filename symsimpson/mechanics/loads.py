@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
 from sympy.integrals.manualintegrate import manualintegrate
+from sympy.integrals.risch import risch_integrate
 
 from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.expressions import SMOOTH
@@ -107,7 +109,21 @@ def added(forces: Iterable[Force]) -> Force:
         for q, f in force.items():
             terms.setdefault(q, []).append(f)
     totals = {q: sp.Add(*parts) for q, parts in terms.items()}
-    return {q: sp.expand(f) if f.count_ops() < TOO_LONG else f for q, f in totals.items()}
+    return {q: _multiplied_out(f) for q, f in totals.items()}
+
+
+def _multiplied_out(f: sp.Expr) -> sp.Expr:
+    """Multiply out a short sum, but not what roots, inverses and functions are taken of."""
+    if f.count_ops() >= TOO_LONG:
+        return f
+    kept = {part: sp.Dummy() for part in (*f.atoms(sp.Function), *_roots_and_inverses(f))}
+    outer = f.xreplace(kept)
+    return sp.expand(outer).xreplace({dummy: part for part, dummy in kept.items()})
+
+
+def _roots_and_inverses(f: sp.Expr) -> list[sp.Pow]:
+    """Return the powers in an expression that are no products."""
+    return [x for x in f.atoms(sp.Pow) if not (x.exp.is_Integer and x.exp.is_positive)]
 
 
 def _integrated(
@@ -127,11 +143,50 @@ def _integrated(
     for x, part in zip(plain.values(), f, strict=True):
         slope = part + V.diff(x)
         if not vanish([slope.xreplace(back)]):
-            terms = sp.Add.make_args(sp.expand(slope)) if slope.count_ops() < TOO_LONG else [slope]
-            pairs = [term.as_independent(x, as_Add=False) for term in terms]
-            V -= sp.Add(*(factor * manualintegrate(rest, x) for factor, rest in pairs))
+            terms = sp.Add.make_args(_multiplied_out(slope))
+            V -= sp.Add(*(_integral(group, x) for group in _by_distance(terms, x)))
             if V.has(sp.Integral, sp.nan) or {g.func for g in V.atoms(sp.Function)} - ALLOWED:
                 return None
     V = V.xreplace(back)
     exact = vanish(force.get(q, sp.S.Zero) + V.diff(q) for q in coordinates)
     return V if exact else None
+
+
+def _by_distance(terms: Iterable[sp.Expr], x: sp.Dummy) -> list[sp.Expr]:
+    """Add up the terms that are made of the same distances: of each alone there may be no V."""
+    groups: dict[frozenset[sp.Expr], list[sp.Expr]] = {}
+    for term in terms:
+        groups.setdefault(_distances(term, x), []).append(term)
+    return [sp.Add(*group) for group in groups.values()]
+
+
+def _distances(term: sp.Expr, x: sp.Dummy) -> frozenset[sp.Expr]:
+    """Return the sums of which roots, inverses and functions are taken, as far as x is in them."""
+    inner = [a for f in term.atoms(sp.Function) for a in f.args]
+    inner += [power.base for power in _roots_and_inverses(term)]
+    inner = [a.base if a.is_Pow and a.exp.is_Rational else a for a in inner]
+    return frozenset(a for a in inner if a.is_Add and a.has(x) and a.is_polynomial(x))
+
+
+def _integral(group: sp.Expr, x: sp.Dummy) -> sp.Expr:
+    """Integrate terms: by a distance of which they are a function times its slope, else by x."""
+    distances = _distances(group, x)
+    s, r = sp.Dummy("s", positive=True), sp.Dummy("r", positive=True)
+    for distance in distances:
+        rate = sp.cancel(group.xreplace({distance: s}) / sp.expand(distance.diff(x)))
+        if not rate.has(x):
+            V = _elementary(sp.expand(2 * r * rate.xreplace({s: r**2})), r)
+            return V.xreplace({r: sp.sqrt(distance)})
+    if any(len(distance.free_symbols & distance.atoms(sp.Dummy)) > 1 for distance in distances):
+        return sp.Integral(group, x)  # SymPy may take for ever
+    return _elementary(group, x)
+
+
+def _elementary(f: sp.Expr, x: sp.Dummy) -> sp.Expr:
+    """Integrate terms one by one; all of them at once where exponentials are divided by x."""
+    pairs = [term.as_independent(x, as_Add=False) for term in sp.Add.make_args(f)]
+    V = sp.Add(*(factor * manualintegrate(rest, x) for factor, rest in pairs))
+    if f.has(sp.exp) and {g.func for g in V.atoms(sp.Function)} - ALLOWED:
+        with suppress(NotImplementedError):
+            return risch_integrate(f, x)
+    return V

@@ -94,6 +94,41 @@ def test_potentials_are_found():
     assert sp.expand(system.forces["loads"][x] - left) == 0
 
 
+PAIRS = {
+    "gravity": lambda r: -1 / r,
+    "spring": lambda r: (r - 1) ** 2 / 2,
+    "Lennard-Jones": lambda r: r**-12 - r**-6,
+    "Morse": lambda r: (1 - sp.exp(-r)) ** 2,
+    "Yukawa": lambda r: sp.exp(-r) / r,
+    "Gauss": lambda r: sp.exp(-(r**2)),
+}
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_potentials_of_distances_are_found(name):
+    q, u = ss.coordinates("x1 y1 x2 y2 x3 y3"), ss.coordinates("a1 b1 a2 b2 a3 b3")
+    frame, places = me.ReferenceFrame("N"), [(q[k], q[k + 1]) for k in (0, 2, 4)]
+
+    def distance(i, j):
+        return sp.sqrt(sum((a - b) ** 2 for a, b in zip(places[i], places[j], strict=True)))
+
+    V = sum(PAIRS[name](distance(i, j)) for i, j in ((0, 1), (0, 2), (1, 2)))
+    points = [me.Point(f"P{k}") for k in range(3)]
+    for k, point in enumerate(points):
+        point.set_vel(frame, u[2 * k] * frame.x + u[2 * k + 1] * frame.y)
+    kane = me.KanesMethod(frame, q, u, [a.diff() - b for a, b in zip(q, u, strict=True)])
+    loads = [
+        (point, -V.diff(x) * frame.x - V.diff(y) * frame.y)
+        for point, (x, y) in zip(points, places, strict=True)
+    ]
+    kane.kanes_equations([me.Particle(f"b{k}", point, 1) for k, point in enumerate(points)], loads)
+    system = ss.MechanicalSystem.from_kanes_method("three", kane, {})
+    assert not system.forces
+    at = dict(zip(q, (0.1, 0.3, 1.2, -0.4, -0.5, 0.9), strict=True))
+    slopes = [(system.potential - V).diff(x).xreplace(at) for x in q]
+    assert max(abs(float(slope)) for slope in slopes) < 1e-12
+
+
 def test_what_is_given_stands_beside_the_loads():
     kane, _ = moved([-u])
     system = read(kane, forces={"pull": {x: 1}}, units={"x": "m"}, invariants={"place": x})
