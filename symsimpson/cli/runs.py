@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import time
 import warnings
 from pathlib import Path
@@ -105,7 +106,8 @@ def _steps(options: argparse.Namespace) -> int:
     if options.steps is not None:
         return int(options.steps)
     end = END if options.t_end is None else options.t_end
-    return round(abs(end / options.h)) if options.h else 0
+    steps = abs(end / options.h) if options.h else 0.0
+    return round(steps) if math.isfinite(steps) else 0
 
 
 def _inputs(options: argparse.Namespace, stepper: Stepper, steps: int) -> dict[str, Any]:

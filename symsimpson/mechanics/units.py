@@ -39,7 +39,12 @@ def read_units(
     known = [*names, *(f"{x}_{q}" for x in "vp" for q in names), *map(spelled, others), "t"]
     known += [x.name for x in SCALARS]
     units: dict[str, str] = {}
-    for key, unit in dict(given or {}).items():
+    if given is not None and not isinstance(given, Mapping):
+        raise ModelError(
+            f"system '{name}': units is {type(given).__name__}, no mapping.\n"
+            "Units are labels: units={'x': 'm', 't': 's'}."
+        )
+    for key, unit in (given or {}).items():
         quantity = spelled(key)
         if quantity not in known:
             raise ModelError(

@@ -15,6 +15,7 @@ from symsimpson.support.names import did_you_mean
 
 __all__ = ["explained", "explaining", "warn"]
 
+VARIADIC, KEYWORDS = inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD
 P = ParamSpec("P")
 Result = TypeVar("Result")
 Kind = TypeVar("Kind", bound=type)
@@ -164,5 +165,15 @@ def _problem(
             f"{name} is given {count} arguments without a name, and takes at most {len(placed)}: "
             f"{', '.join(placed)}.\nName the others: "
             f"{name.rpartition('.')[2]}({', '.join([*placed, *(f'{key}=...' for key in others)])})."
+        )
+    needed = [key for key in arguments if known[key].default is inspect.Parameter.empty]
+    filled = {*placed[:count], *named}
+    missing = [
+        key for key in needed if key not in filled and known[key].kind not in (VARIADIC, KEYWORDS)
+    ]
+    if missing:
+        return (
+            f"{name.rpartition('.')[2]} is not given {', '.join(f'{key}=' for key in missing)}.\n"
+            f"It takes {', '.join(f'{key}=' for key in arguments)}."
         )
     return None

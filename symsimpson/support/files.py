@@ -80,7 +80,8 @@ def written_beside(place: Path, what: str, trajectory: Any = None) -> Iterator[P
             trajectory=trajectory,
         ) from error
     finally:
-        _remove(whole)
+        with contextlib.suppress(OSError):  # its name may be too long for a file
+            _remove(whole)
 
 
 def write_text(path: str | os.PathLike[str], text: str, what: str) -> Path:

@@ -31,6 +31,8 @@ WRONG = {
     "gradient": (lambda s: s.gradient(**START, h=0.1, steps=1, costs="theta", wrt="q"), "cost="),
     "certify": (lambda s: s.certify(dt=0.1), "mean h="),
     "choose": (lambda s: ss.choose(ss.systems.pendulum(), **START, t_end=1, tol=1), "mean error="),
+    "missing": (lambda s: s.integrate([1.0], v0=[0.0], steps=3), "is not given h=.\nIt takes q0="),
+    "missing two": (lambda s: s.gradient([1.0], v0=[0.0], steps=3), "is not given h=, wrt=."),
     "compile": (lambda s: ss.compile(ss.systems.pendulum(), method="simpson"), "mean scheme="),
     "events": (lambda s: s.integrate(**START, h=0.1, steps=1).events("theta", wraps=1), "wrap="),
 }
@@ -55,8 +57,8 @@ def test_declarations_name_their_keywords():
 
 
 def test_what_python_says_well_is_left_to_it(stepper):
-    with pytest.raises(TypeError, match="missing 1 required keyword-only argument: 'h'"):
-        stepper.integrate([1.0], v0=[0.0], steps=3)
+    with pytest.raises(TypeError, match="multiple values for argument 'q0'"):
+        stepper.integrate([1.0], q0=[1.0], v0=[0.0], h=0.1, steps=3)
 
 
 def test_an_error_from_within_is_left_as_it_is():
