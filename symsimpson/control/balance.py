@@ -20,6 +20,8 @@ Floats = NDArray[np.float64]
 #: part of what forces do. Measured: motions that no finer step has come to 0.06 to 0.4, ten steps
 #: of a swing-up to 0.01 to 0.03, a single switch in three steps to 0.03.
 MORE, OFF = 4, 0.05
+#: Forces below this part of momenta are rounding: none act where the best inputs are none.
+NOTHING = 1e-10
 
 
 def balanced(layout: Any, x: Floats) -> bool:
@@ -45,7 +47,10 @@ def _rows(
     weights: Floats,
     inputs: Floats,
 ) -> tuple[Floats, Floats]:
-    """Return sums over nodes in the equations of steps, (N, d + 1, n), and the sizes of forces."""
+    """Return sums over nodes in the equations of steps, (N, d + 1, n), and the sizes of forces.
+
+    Forces that are rounding of momenta have the size of that.
+    """
     read, q = layout.read, x[layout.points]
     sizes, (N, s, n) = layout.sizes(x), (layout.steps, len(places), layout.n)
     h = sizes[layout.grid.phase]
@@ -62,4 +67,4 @@ def _rows(
     F = F * h[:, None]
     rows = np.einsum("i,ij,aki->kja", weights, values, F)
     rows += np.einsum("i,ij,aki->kja", weights, slopes, P)
-    return rows, np.einsum("i,aki->ka", weights, np.abs(F))
+    return rows, np.einsum("i,aki->ka", weights, np.abs(F) + NOTHING * np.abs(P))

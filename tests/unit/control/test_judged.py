@@ -127,3 +127,11 @@ def test_inputs_may_be_given_by_the_state(scheme):
     moving = ss.OptimalControl(CART, **given, path=[(-9, u + x.diff(), 9)])
     names = moving.solve("lobatto6", steps=10).layout.names
     assert names.count("u + Derivative(x(t), t)") == 40
+
+
+@pytest.mark.parametrize("scheme", ["midpoint", "gauss6"])
+def test_no_inputs_may_be_the_best(scheme):
+    ends = {"start": {x: 0, x.diff(): 1}, "end": {x: 1}, "duration": 1}
+    result = ss.OptimalControl(CART, cost=u**2, **ends).solve(scheme, steps=5)
+    assert result.status is ss.ControlStatus.SOLVED
+    assert abs(result.cost) < 1e-20
