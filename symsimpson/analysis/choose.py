@@ -34,6 +34,8 @@ WITH_EXPLICIT = ("simpson", "blanes_moan4", "blanes_moan6", "gauss12", "gauss16"
 ADAPTING = ("gauss8", "gauss12", "gauss16")
 #: A pilot run is at most so many of the steps long with which Simpson's scheme follows the motion.
 PILOT = 1000
+#: Of a number in double precision, relative to it.
+ROUNDING = 2.0**-52
 
 Floats = NDArray[np.float64]
 
@@ -147,6 +149,11 @@ def choose(
     for name, value in (("t_end", t_end), ("error", error)):
         if not (isinstance(value, (int, float)) and 0 < value < math.inf):
             raise InputError(f"{name} is {value!r}.\nPass a positive number.")
+    if error < ROUNDING:
+        raise InputError(
+            f"error is {error:g}, and double precision rounds each number by more, {ROUNDING:.1g}.\n"
+            "Ask for a larger error; ss.compile(..., precision=30) computes with more digits."
+        )
     if error > 1:
         what = "the energy's scale" if on == "energy" else "the largest coordinate and momentum"
         raise InputError(

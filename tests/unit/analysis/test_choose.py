@@ -101,7 +101,7 @@ def test_the_fastest_oscillation_bounds_the_step():
         ({"t_end": -1.0}, "t_end is -1.0"),
         ({"t_end": "long"}, "t_end is 'long'"),
         ({"on": "momentum"}, "on is 'momentum'"),
-        ({"error": 1e-17}, "none of simpson"),
+        ({"error": 1e-17}, "double precision rounds each number by more"),
         ({"p0": None}, "exactly one of v0 and p0"),
         ({"q0": [1.0]}, "q0 has shape"),
     ],
