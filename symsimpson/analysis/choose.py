@@ -151,7 +151,7 @@ def choose(
             raise InputError(f"{name} is {value!r}.\nPass a positive number.")
     if error < ROUNDING:
         raise InputError(
-            f"error is {error:g}, and double precision rounds each number by more, {ROUNDING:.1g}.\n"
+            f"error is {error:g}, and double precision rounds each number by more: 2e-16.\n"
             "Ask for a larger error; ss.compile(..., precision=30) computes with more digits."
         )
     if error > 1:

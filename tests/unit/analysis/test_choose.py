@@ -102,6 +102,7 @@ def test_the_fastest_oscillation_bounds_the_step():
         ({"t_end": "long"}, "t_end is 'long'"),
         ({"on": "momentum"}, "on is 'momentum'"),
         ({"error": 1e-17}, "double precision rounds each number by more"),
+        ({"error": 2.3e-16}, "none of simpson"),
         ({"p0": None}, "exactly one of v0 and p0"),
         ({"q0": [1.0]}, "q0 has shape"),
     ],
