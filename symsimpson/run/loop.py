@@ -11,6 +11,7 @@ from symsimpson.run.integrate import begin_run, look_at_step, new_run, raise_fai
 from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.request import of_a_step
 from symsimpson.stepping.spec import RunSpec
+from symsimpson.support.calling import explaining
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
@@ -22,6 +23,7 @@ __all__ = ["ControlLoop"]
 Reals = NDArray[Any]
 
 
+@explaining()
 class ControlLoop:
     """A run under way; made by :meth:`Stepper.start`.
 

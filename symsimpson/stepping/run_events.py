@@ -223,7 +223,8 @@ def _check_restitution(program: Program, event: Event) -> None:
 
 def _of_gap(program: Program, event: Event, place: Any) -> tuple[int, int]:
     """Return where the rate of a gap stands, and the first of its slopes."""
-    from sympy.core.function import AppliedUndef  # SymPy is slow to import, and is there by now
+    from sympy import Abs, Dummy, sign  # SymPy is slow to import, and is there by now
+    from sympy.core.function import AppliedUndef
 
     gap = event.expression
     if hasattr(gap, "lhs") and hasattr(gap, "rhs"):
@@ -247,10 +248,16 @@ def _of_gap(program: Program, event: Event, place: Any) -> tuple[int, int]:
             f"the gap of an impact is a function of positions and t, and {event.key!r} contains "
             f"the velocity of {spelled(moving[0].expr)}.\nUse Change for what is to happen there."
         )
-    slopes = [
-        place(gap.diff(coordinates[k]) if k in coordinates else 0 * t) for k in range(program.n)
-    ]
-    return place(gap.diff(t)), slopes[0]
+    real = {q: Dummy(real=True) for q in coordinates.values()}  # |q| has a slope then
+    flat, back = gap.xreplace(real), {x: q for q, x in real.items()}
+
+    def slope(x: Any) -> Any:
+        return flat.diff(x).replace(sign, lambda a: a / Abs(a)).xreplace(back)
+
+    slopes = {k: slope(real[q]) for k, q in coordinates.items()}
+    first, *_ = [place(slopes.get(k, 0 * t)) for k in range(program.n)]
+    rate = slope(t) + sum(slopes[k] * q.diff(t) for k, q in coordinates.items())
+    return place(rate), first
 
 
 def _changes(program: Program, event: Event, place: Any) -> tuple[tuple[str, int, int], ...]:

@@ -315,3 +315,12 @@ def test_an_event_at_a_kink_of_a_force_is_found(scheme):
         kink = ss.Event(x, name="kink", action=ss.Switch())
         passed = stepper.integrate([1.0], events=[kink], **given)
         assert passed.events("kink").t == pytest.approx(end.t[-1:], abs=1e-12)
+
+
+def test_two_walls_may_be_one_gap():
+    ball = ss.compile(
+        ss.MechanicalSystem("free", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=0 * x)
+    )
+    walls = ss.Event(0.5 - sp.Abs(x - 0.2), name="walls", action=ss.Impact(1))
+    run = ball.integrate([0.2], v0=[1.0], h=0.03, t_end=3, events=[walls])
+    assert run.events("walls").t == pytest.approx([0.5, 1.5, 2.5], abs=1e-12)
