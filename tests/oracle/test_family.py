@@ -138,6 +138,7 @@ def test_stages_look_at_the_velocities_of_cyclic_coordinates(momentum):
         module.start_stages(h, 0.0, W)
         for _ in range(20):
             module.iterate(h, 0.0, W)
+        W[module.ACTIVE, 0] = 1
         module.advance_stages(h, 0.0, W)
         jumps.append(W[module.CYCLIC_JUMP_SQUARED, 0])
     if momentum:
@@ -175,6 +176,7 @@ def test_stages_solve_the_equations(system, scheme):
                 if W[module.ACTIVE, 0] != 1:
                     break
             assert W[module.ACTIVE, 0] == 0
+            W[module.ACTIVE, 0] = 1
             module.advance_stages(mpmath.mpf(h), 0, W)
         run = newton.integrate(**system.reference_state, h=h, steps=3, every=None)
         n = system.n

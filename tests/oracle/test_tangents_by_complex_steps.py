@@ -19,7 +19,9 @@ def take_steps(module, W, *, by_stages, behind=None):
     for step in range(STEPS):
         for _ in range(50 if by_stages else 8):
             if iterate is not None:
+                W[module.ACTIVE, 0] = 1  # imaginary parts need as many iterations as real ones
                 iterate(H, H * step, W)
+        W[module.ACTIVE, 0] = 1
         (module.advance_stages if by_stages else module.advance)(H, H * step, W)
         if behind is not None:
             behind(H, H * step, W)
