@@ -2,7 +2,6 @@
 
 import hashlib
 import signal
-import threading
 import warnings
 
 import numpy as np
@@ -234,18 +233,23 @@ def test_a_start_at_a_singular_point_has_its_status():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2])
-def test_interrupt_keeps_what_is_done(stepper, threads):
-    """Ctrl-C while threads work; the whole of it would take many seconds."""
-    given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 20_000, "threads": threads}
-    many = np.tile(ANGLES, (600, 1))
-    stepper.ensemble(many, **given | {"steps": 2})  # compiles
-    threading.Timer(0.3, signal.raise_signal, (signal.SIGINT,)).start()
+def test_interrupt_keeps_what_is_done(stepper, threads, monkeypatch):
+    """Ctrl-C when a thread asks for more blocks, and again in another call."""
+    given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 200, "threads": threads}
+    many, plain, asked = np.tile(ANGLES, (20, 1)), module._Queue.next, []
+
+    def next_one(queue):
+        asked.append(queue)
+        if asked.count(queue) == threads + 1:
+            signal.raise_signal(signal.SIGINT)
+        return plain(queue)
+
+    monkeypatch.setattr(module._Queue, "next", next_one)
     with pytest.raises(ss.Interrupted) as caught:
         stepper.ensemble(many, **given)
     partial = caught.value.trajectory
     assert isinstance(partial, ss.Ensemble)
     assert {ss.Status.SUCCESS, ss.Status.INTERRUPTED} == set(partial.status)
-    threading.Timer(0.3, signal.raise_signal, (signal.SIGINT,)).start()
     partial = stepper.ensemble(many, **given, on_failure="return")
     assert "INTERRUPTED" in partial.message
 
