@@ -77,7 +77,11 @@ PROBLEMS = {
         "bounds": {u: (-20, 20), x: (-1, 2), x.diff(): (-1, 0.8)},
     },
     "a free start": {"start": {x: 0, theta: 0}, "bounds": {theta: (-1, 1)}},
-    "phases": {"phases": [{u: (0, 5)}, {u: (-5, 0)}], "duration": (1, 3), "cost": 1},
+    "phases": {  # the time alone has many minima that are nearly as low
+        "phases": [{u: (0, 5)}, {u: (-5, 0)}],
+        "duration": (1, 3),
+        "cost": 1 + u**2 / 10,
+    },
     "an unknown": {"unknowns": {l: (0.2, 1.0)}},
 }
 
