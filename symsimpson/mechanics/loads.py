@@ -177,7 +177,8 @@ def _integral(group: sp.Expr, x: sp.Dummy) -> sp.Expr:
         if not rate.has(x):
             V = _elementary(sp.expand(2 * r * rate.xreplace({s: r**2})), r)
             return V.xreplace({r: sp.sqrt(distance)})
-    if any(len(distance.free_symbols & distance.atoms(sp.Dummy)) > 1 for distance in distances):
+    bases = {power.base for power in _roots_and_inverses(group)}
+    if any(len(base.atoms(sp.Dummy)) > 1 for base in bases & distances):
         return sp.Integral(group, x)  # SymPy may take for ever
     return _elementary(group, x)
 
