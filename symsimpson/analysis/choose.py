@@ -20,6 +20,7 @@ from symsimpson.api.stepper import Stepper
 from symsimpson.errors import InputError
 from symsimpson.mechanics.retimed import RetimedSystem, attracts, not_retimed, retimed
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.program.numbers import FLOAT64
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.ahead import late
 from symsimpson.support.calling import explained
@@ -34,8 +35,6 @@ WITH_EXPLICIT = ("simpson", "blanes_moan4", "blanes_moan6", "gauss12", "gauss16"
 ADAPTING = ("gauss8", "gauss12", "gauss16")
 #: A pilot run is at most so many of the steps long with which Simpson's scheme follows the motion.
 PILOT = 1000
-#: Of a number in double precision, relative to it.
-ROUNDING = 2.0**-52
 
 Floats = NDArray[np.float64]
 
@@ -149,7 +148,7 @@ def choose(
     for name, value in (("t_end", t_end), ("error", error)):
         if not (isinstance(value, (int, float)) and 0 < value < math.inf):
             raise InputError(f"{name} is {value!r}.\nPass a positive number.")
-    if error < ROUNDING:
+    if error < FLOAT64.epsilon:
         raise InputError(
             f"error is {error:g}, and double precision rounds each number by more: 2e-16.\n"
             "Ask for a larger error; ss.compile(..., precision=30) computes with more digits."

@@ -105,14 +105,9 @@ def _energies_left(
     """Return how far energies are from those at the start, in units of the kinetic energy."""
     if not some.size:
         return np.zeros(0)
-    nothing: dict[str, Any] = {
-        "steps": 0,
-        "every": 0,
-        "reductions": (),
-        "tangents": None,
-        "t_end": None,
-    }
-    part = replace(task.part(some), threads=1, **nothing)
+    part = replace(
+        task.part(some), steps=0, every=0, reductions=(), tangents=None, t_end=None, threads=1
+    )
     begun, _ = run_blocks(program, part, lambda done: None)
     last = (slice(None), -1) if task.every else (slice(None),)
     ends: list[Any] = [np.asarray(x[:][some])[last] for x in (ensemble.q, ensemble.p)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -158,11 +157,17 @@ class EventActions:
             down, up = span * rates[0], span * rates[1]
             low = lowest_of_cubic.py_func(*ends, down, up) if down < 0 < up else np.inf
             if low < NEAR * min(ends):
-                rate = partial(lambda place, x: float(row(x)[place]), place)
-                x = ridders(rate, 0.0, span, rates, LOWEST * abs(span))
+                x = self._still(row, place, span, rates)
                 if x == x and (there := row(x))[k] < -small[k]:
                     lowest[k] = x, there
         return lowest
+
+    @staticmethod
+    def _still(
+        row: Callable[[float], Floats], place: int, span: float, rates: tuple[float, float]
+    ) -> float:
+        """Return where from 0 to a span a rate is zero, between ends of both signs."""
+        return ridders(lambda x: float(row(x)[place]), 0.0, span, rates, LOWEST * abs(span))
 
     def root(
         self,

@@ -97,16 +97,16 @@ def read_run_events(program: Program, request: Request) -> RunEvents | None:
             f"{program.system}: events that act do not go with {why}.\nLeave one of them out; "
             "events without an action are found behind a run, by run.events(expression)."
         )
-    known = program.findings.events
+    known, key = program.findings.events, tuple(given) if isinstance(given, list) else given
     try:
-        key = tuple(given) if isinstance(given, (list, tuple)) else given
-        if key not in known:
-            if len(known) == MOST_KNOWN:
-                known.clear()
-            known[key] = read_events(program, given)
-        return known[key]
+        events = known.get(key)
     except TypeError:  # mappings of a Change have no hash
         return read_events(program, given)
+    if events is None:
+        if len(known) == MOST_KNOWN:
+            known.clear()
+        events = known[key] = read_events(program, given)
+    return events
 
 
 def read_events(program: Program, given: Any) -> RunEvents:

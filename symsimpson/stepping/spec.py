@@ -140,8 +140,8 @@ def _reductions(
     program: Program, given: Any, event_names: tuple[str, ...]
 ) -> tuple[Reduction, ...]:
     """Read what values of the states of one run are reduced to."""
-    if isinstance(given, tuple):  # read for all members of an ensemble
-        return given
+    if isinstance(given, tuple) and all(isinstance(x, Reduction) for x in given):
+        return given  # read for all members of an ensemble
     reductions = read_reductions(program, given, event_names)
     for reduction in reductions:
         if reduction.of_variations:

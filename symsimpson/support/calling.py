@@ -146,6 +146,7 @@ def _problem(
     placed = [
         key for key in arguments if known[key].kind is inspect.Parameter.POSITIONAL_OR_KEYWORD
     ]
+    takes = f"It takes {', '.join(f'{key}=' for key in arguments)}."
     for key in named:
         if key not in arguments:
             here = ELSEWHERE.get(key, "")
@@ -156,7 +157,7 @@ def _problem(
             return (
                 f"{name} has no argument {key}=.{hint}\n"
                 + (f"{'; '.join(times).capitalize()}.\n" if about else "")
-                + f"It takes {', '.join(f'{other}=' for other in arguments)}."
+                + takes
             )
     count = len(given) - int(method)
     if count > len(placed):
@@ -169,11 +170,10 @@ def _problem(
     needed = [key for key in arguments if known[key].default is inspect.Parameter.empty]
     filled = {*placed[:count], *named}
     missing = [
-        key for key in needed if key not in filled and known[key].kind not in (VARIADIC, KEYWORDS)
+        f"{key}="
+        for key in needed
+        if key not in filled and known[key].kind not in (VARIADIC, KEYWORDS)
     ]
     if missing:
-        return (
-            f"{name.rpartition('.')[2]} is not given {', '.join(f'{key}=' for key in missing)}.\n"
-            f"It takes {', '.join(f'{key}=' for key in arguments)}."
-        )
+        return f"{name.rpartition('.')[2]} is not given {', '.join(missing)}.\n{takes}"
     return None

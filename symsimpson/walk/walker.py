@@ -70,26 +70,18 @@ class Walker(Assigning):
         env: Env = {"h": h, "t": t, "LANES": lanes}
         self._frames.append(Frame(self._text.functions[name]))
         body = self._text.functions[name].body
+        match body[-1]:
+            case ast.For(target=ast.Name(id="lane"), body=[*_, ast.If(body=rest, orelse=[])]):
+                self._rest = rest if vector else None
         for k, statement in enumerate(body):
             self._ahead.append(self._ahead_of(body, k))
             match statement:
                 case ast.Assign(targets=[ast.Name(id="W")]):
                     env["W"] = workspace
-                case ast.For(target=ast.Name(id="lane")) if vector:
-                    match statement.body[-1]:
-                        case ast.If(body=rest, orelse=[]) if statement is body[-1]:
-                            self._rest = rest
-                    self._all_lanes(statement, env)
                 case _:
                     self._statement(statement, env)
             self._ahead.pop()
         self._frames.pop()
-
-    def _all_lanes(self, loop: ast.For, env: Env) -> None:
-        """Walk a loop over lanes once, with vectors."""
-        self._width = self._side_by_side
-        self._last(loop.body, env | {"lane": Along(0)})
-        self._width = 0
 
     def _ahead_of(self, body: Sequence[ast.stmt], k: int) -> Ahead:
         """Return what scratch is named in a statement of a block, and in those behind it."""
@@ -205,7 +197,9 @@ class Walker(Assigning):
     def _for(self, node: ast.For, env: Env) -> None:
         match node:
             case ast.For(target=ast.Name(id="lane")) if self._side_by_side and not self._width:
-                self._all_lanes(node, env)
+                self._width = self._side_by_side
+                self._last(node.body, env | {"lane": Along(0)})
+                self._width = 0
                 return
             case ast.For(
                 target=ast.Name(id=name), iter=ast.Call(func=ast.Name(id="range"), args=arguments)

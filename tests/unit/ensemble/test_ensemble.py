@@ -276,6 +276,7 @@ WRONG = {
     "memory": ({"every": 1, "steps": 10**12}, "do not fit into memory"),
     "reduce": ({"reduce": ["max"]}, "not a mapping"),
     "kind": ({"reduce": {"x": ("median", "q1")}}, "median"),
+    "reduce by a tuple": ({"reduce": ("max", "q1")}, "not a mapping"),
     "pair": ({"reduce": {"x": "q1"}}, "Pass a pair"),
     "name": ({"reduce": {"x": ("max", "q3")}}, "it contains 'q3'"),
     "import": ({"reduce": {"x": ("max", "__import__('os').system('id')")}}, "it contains"),
