@@ -20,6 +20,7 @@ from symsimpson.control.points import lagrange
 from symsimpson.control.saving import write_solution
 from symsimpson.control.status import ControlStatus
 from symsimpson.errors import InputError
+from symsimpson.stepping.driving import driven
 
 if TYPE_CHECKING:
     from symsimpson.results.trajectory import Trajectory
@@ -249,6 +250,7 @@ class ControlResult:
         values = np.array([*layout.parameter_values(self.x).values()])
         for phase, h in zip(layout.grid.slices, sizes, strict=True):
             ends = slice(phase.start, phase.stop + 1)
+            inputs = self.input_values[None, phase]
             trajectories.append(
                 Trajectory(
                     t=t[ends],
@@ -262,7 +264,8 @@ class ControlResult:
                     message=self.message,
                     program=program,
                     parameter_values=values,
-                    input_values=self.input_values[None, phase],
+                    input_values=inputs,
+                    driven=driven(inputs, t[phase.start], h, phase.stop - phase.start),
                 )
             )
         return tuple(trajectories)

@@ -22,6 +22,7 @@ from symsimpson.results.saving import RECORDED
 from symsimpson.results.states import States, with_units
 from symsimpson.results.tables import dataframe, write
 from symsimpson.results.work import WORK, named_parts
+from symsimpson.stepping.driving import Driven
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
 
@@ -109,6 +110,8 @@ class Ensemble(Quantities, Differentiated):
     tau: Floats | None = None
     recorded: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
     ended_at: Floats | None = None
+    #: How inputs went, where that is known.
+    driven: Driven | None = field(default=None, repr=False)
 
     @overload
     def __getitem__(self, key: str) -> NDArray[Any]: ...
@@ -140,7 +143,12 @@ class Ensemble(Quantities, Differentiated):
             t = self.t[member].reshape(-1)
             t, q, p = (x[: np.isfinite(t).sum()] for x in (t, q, p))
         return States(
-            t=t, q=q, p=p, program=self.program, parameter_values=self.parameter_values[member]
+            t=t,
+            q=q,
+            p=p,
+            program=self.program,
+            parameter_values=self.parameter_values[member],
+            driven=self.driven.of_member(member) if self.driven is not None else None,
         )
 
     #: Iterating over quantities or over members: neither is what everybody expects.
@@ -157,10 +165,16 @@ class Ensemble(Quantities, Differentiated):
         columns = [self.parameters[name] for name in self.program.parameters]
         return np.column_stack(columns) if columns else np.zeros((len(self), 0))
 
-    def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
+    def _evaluated(
+        self, kernel: str, block: str, count: int, *, driven: bool = False
+    ) -> NDArray[Any]:
+        program, values = self.program, self.parameter_values
         q, p = np.asarray(self.q), np.asarray(self.p)
         t = np.zeros(1) if self.tau is not None else self.t  # where retimed, no time matters
-        return evaluate_members(self.program, kernel, block, count, t, q, p, self.parameter_values)
+        if driven and program.inputs:
+            members = [self[k]._evaluated(kernel, block, count, driven=True) for k in range(len(q))]
+            return np.reshape(members, (*q.shape[:-1], count))
+        return evaluate_members(program, kernel, block, count, t, q, p, values)
 
     def _where(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         values = self.parameter_values

@@ -20,7 +20,7 @@ from symsimpson.stepping.held import project_start
 from symsimpson.stepping.inputs import read_every, read_given, read_times
 from symsimpson.stepping.recording import read_record
 from symsimpson.stepping.request import Request
-from symsimpson.stepping.run_events import read_run_events
+from symsimpson.stepping.run_events import check_variations, read_run_events
 from symsimpson.stepping.variations import read_tangents
 
 __all__ = ["read_task"]
@@ -71,6 +71,8 @@ def read_task(
             f"{program.system} is retimed: the mean over its steps is no mean over the time.\n"
             "Store states, every=..., and take the mean of them."
         )
+    if run_events is not None and request.varied:
+        check_variations(program, driving)
     workers = _threads(threads)
     lanes = lanes_for(program.header.rows, members)
     stored = count // stride + 1 if stride and end is None else 1

@@ -14,6 +14,7 @@ from symsimpson.module.interface import MET
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder, ordered, split
 from symsimpson.program.status import Status
+from symsimpson.stepping.driving import driven
 from symsimpson.stepping.recording import recorders_of
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec
@@ -144,5 +145,6 @@ def ensemble_of(program: Program, task: Task, **columns: Any) -> Ensemble:
         parameters=dict(zip(program.parameters, task.parameters.T, strict=True)),
         initial={"q0": task.q0, task.given: task.other0},
         program=program,
+        driven=driven(task.inputs, task.t0, task.h, task.steps),
         **columns,
     )

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from symsimpson.errors import InputError
-from symsimpson.export.expressions import Expressions, number
+from symsimpson.export.expressions import HELPERS, Expressions, number
 from symsimpson.export.kinds import INT, KERNEL, POINTER, REAL, SET, Kinds
 from symsimpson.export.single import Functions, Source
 from symsimpson.export.statements import WIDTH, WORDS, comment, written_function
@@ -35,7 +35,7 @@ from symsimpson.stepping.run import FALLBACK_STRETCH
 from symsimpson.walk.functions import read_functions
 from symsimpson.walk.text import Text, read_text
 
-__all__ = ["HELPERS", "written_c"]
+__all__ = ["written_c"]
 
 #: Outcomes of runs that are no outcomes of a step.
 OF_RUNS = (
@@ -45,15 +45,6 @@ OF_RUNS = (
     Status.FILE_ERROR,
     Status.RATE_NOT_POSITIVE,
 )
-#: Functions of our own, written where they are called.
-HELPERS = {
-    "smaller": "static double smaller(double a, double b)\n{\n    return b < a ? b : a;\n}\n",
-    "larger": "static double larger(double a, double b)\n{\n    return b > a ? b : a;\n}\n",
-    "smaller_int": "static int smaller_int(int a, int b)\n{\n    return b < a ? b : a;\n}\n",
-    "larger_int": "static int larger_int(int a, int b)\n{\n    return b > a ? b : a;\n}\n",
-    "abs_int": "static int abs_int(int a)\n{\n    return a < 0 ? -a : a;\n}\n",
-    "square": "static double square(double a)\n{\n    return a * a;\n}\n",
-}
 #: Copies of a workspace stand on the stack, of which programs have 8 MB.
 MOST_STACK = 2**22
 #: What other files see, behind the prefix.

@@ -11,7 +11,7 @@ import numpy as np
 from symsimpson.errors import InputError
 from symsimpson.export.kinds import INT, REAL, Kinds, constant_of
 
-__all__ = ["Expressions", "number"]
+__all__ = ["CALLED", "HELPERS", "Expressions", "number"]
 
 #: How tightly operators bind: what is looser stands in parentheses.
 CHOICE, OR, AND, EQUAL, LESS, SUM, PRODUCT, SIGN, WHOLE = range(9)
@@ -35,6 +35,18 @@ OPERATORS: dict[type, tuple[str, int]] = {
 }
 #: Powers that are written as products, where a name is raised.
 SHORT = 4
+
+#: Functions of our own, written where they are called.
+HELPERS = {
+    "smaller": "static double smaller(double a, double b)\n{\n    return b < a ? b : a;\n}\n",
+    "larger": "static double larger(double a, double b)\n{\n    return b > a ? b : a;\n}\n",
+    "smaller_int": "static int smaller_int(int a, int b)\n{\n    return b < a ? b : a;\n}\n",
+    "larger_int": "static int larger_int(int a, int b)\n{\n    return b > a ? b : a;\n}\n",
+    "abs_int": "static int abs_int(int a)\n{\n    return a < 0 ? -a : a;\n}\n",
+    "square": "static double square(double a)\n{\n    return a * a;\n}\n",
+}
+#: Functions that are called by these names: no variable of a text may hide one.
+CALLED = frozenset([*HELPERS, "fabs", "pow"])
 
 
 def number(value: Any) -> str:

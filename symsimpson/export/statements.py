@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import groupby
 
 from symsimpson.errors import InputError
-from symsimpson.export.expressions import Expressions
+from symsimpson.export.expressions import CALLED, Expressions
 from symsimpson.export.kinds import INT, constant_of
 from symsimpson.export.scopes import Scopes, used, with_lengths
 from symsimpson.export.single import Function
@@ -71,7 +71,9 @@ class _Body:
         name, write = self.function.name, self.expressions
         signature, kinds = write.kinds.signatures[name], write.kinds.names[name]
         body = used(with_lengths(self.function.body))
-        write.renamed = {x: f"{x}_" for x in kinds if x in WORDS or MACRO.fullmatch(x)}
+        write.renamed = {
+            x: f"{x}_" for x in kinds if x in WORDS or x in CALLED or MACRO.fullmatch(x)
+        }
         self.scopes = Scopes(body, set(self.function.arguments))
         read = {x.id for statement in body for x in ast.walk(statement) if isinstance(x, ast.Name)}
         arguments = [_declared(kinds[x], self._name(x)) for x in self.function.arguments]

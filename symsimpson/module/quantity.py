@@ -50,6 +50,8 @@ class Quantity:
         axis; "" if no expression may contain it.
     like : str
         The quantity whose unit it has, unless it is given one.
+    driven : bool
+        Whether it depends on the inputs at the state.
     """
 
     name: str
@@ -60,6 +62,7 @@ class Quantity:
     prefix: str = ""
     symbol: str = ""
     like: str = ""
+    driven: bool = False
 
     def places(self, names: Any) -> Mapping[str, int]:
         """Return the place of each name that a user may give; of a single number there is none."""
@@ -87,6 +90,7 @@ _TABLE = (
         by("multipliers"),
         axis="constraints",
         prefix="lambda_",
+        driven=True,
     ),
     Quantity("energy", "energy H", "ENERGY", by("energy"), symbol="energy"),
     Quantity(

@@ -17,6 +17,7 @@ from symsimpson.results.records import Record
 from symsimpson.results.saving import EVENTS, RECORDED, digest_of
 from symsimpson.results.tables import TABLES, check_kind
 from symsimpson.results.trajectory import Trajectory
+from symsimpson.stepping.driving import driven
 from symsimpson.support.extras import library
 from symsimpson.support.files import read_path
 
@@ -155,7 +156,8 @@ def _trajectory(dataset: Any, program: Program) -> Trajectory:
     inputs = NO_INPUTS
     if program.inputs:
         inputs = np.ascontiguousarray(dataset["inputs"], dtype=np.float64)[None]
-        if inputs.shape[1] not in (1, steps) or inputs.shape[3] != len(program.inputs):
+        given = inputs.shape[1]  # more than steps where the run ended before
+        if 1 != given < max(steps, 1) or inputs.shape[3] != len(program.inputs):
             raise ValueError(f"inputs have shape {inputs.shape[1:]}")
         if inputs.shape[2] not in (1, len(program.header.input_places)):
             raise ValueError(f"inputs have {inputs.shape[2]} nodes")
@@ -175,6 +177,8 @@ def _trajectory(dataset: Any, program: Program) -> Trajectory:
     for name, rows in recorded:
         if name not in NAMED or rows.ndim != 2 or len(rows) != stored:
             raise ValueError(f"{name} is not recorded, or has shape {rows.shape}")
+    ended = told["ended_by"]
+    begin = t[0] if every else t[0] - h * steps
     return Trajectory(
         t=t,
         q=q,
@@ -188,6 +192,7 @@ def _trajectory(dataset: Any, program: Program) -> Trajectory:
         program=program,
         parameter_values=values,
         input_values=inputs,
+        driven=driven(inputs, begin, h, steps, ended) if every or ended is None else None,
         tau_values=tau if retimed else None,
         variations=ways,
         varied_by=varied,

@@ -136,6 +136,7 @@ def gather(run: Stored, wanted: Zeros, crossings: Sequence[tuple[Floats, ...]]) 
         message=run.message,
         program=run.program,
         parameter_values=run.parameter_values,
+        driven=run.driven,
     )
 
 

@@ -87,6 +87,7 @@ def part_of(run: Stored, places: NDArray[np.int64], key: Any) -> Part:
         p=run.p[some],
         program=run.program,
         parameter_values=run.parameter_values,
+        driven=run.driven,
         _run=run,
         _places=some,
     )

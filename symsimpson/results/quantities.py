@@ -25,8 +25,16 @@ class Quantities:
     p: Any
     program: Program
 
-    def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
-        """Return a block of rows at all states, shape (..., count)."""
+    def _evaluated(
+        self, kernel: str, block: str, count: int, *, driven: bool = False
+    ) -> NDArray[Any]:
+        """Return a block of rows at all states, shape (..., count).
+
+        Raises
+        ------
+        InputError
+            If it is ``driven`` by inputs, and those at the states are not known.
+        """
         raise NotImplementedError
 
     def _of_table(self, name: str) -> NDArray[Any]:
@@ -36,7 +44,8 @@ class Quantities:
         shown = quantity.shown(self.program.names)
         if not shown:
             return np.zeros((*np.shape(self.q)[:-1], 0))
-        values = self._evaluated(quantity.kernel(self.program.header), quantity.block, len(shown))
+        kernel = quantity.kernel(self.program.header)
+        values = self._evaluated(kernel, quantity.block, len(shown), driven=quantity.driven)
         return values if quantity.axis else values[..., 0]
 
     @cached_property
@@ -89,7 +98,13 @@ class Quantities:
 
         They are those that keep the acceleration of a state on the constraints; not the ones of a
         step, which are of low order (Hairer, Lubich and Wanner, VII.1). Those of velocity
-        constraints, which pull by -A^T lambda, stand last.
+        constraints, which pull by -A^T lambda, stand last. Where inputs jump between two steps,
+        they are those of the step that begins.
+
+        Raises
+        ------
+        InputError
+            If the system has inputs, and those at the states are not known.
         """
         return self._of_table("multipliers")
 
@@ -113,7 +128,8 @@ class Quantities:
         """The generalised forces -Phi^T lambda of all constraints, in the shape of q."""
         if not self.program.header.constraints:
             return 0 * self.q
-        return -self._evaluated("multipliers", "CONSTRAINT_FORCE", self.program.n)
+        block, count = "CONSTRAINT_FORCE", self.program.n
+        return -self._evaluated("multipliers", block, count, driven=True)
 
     def _held(self, block: str) -> NDArray[Any]:
         """Return a block of what constraints have, a row for each."""

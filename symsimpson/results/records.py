@@ -81,7 +81,12 @@ class Actions(Events):
         """The states behind the actions."""
         program, values = self.program, self.parameter_values
         return States(
-            t=self.t, q=self.q_after, p=self.p_after, program=program, parameter_values=values
+            t=self.t,
+            q=self.q_after,
+            p=self.p_after,
+            program=program,
+            parameter_values=values,
+            driven=self.driven,
         )
 
     def _further(self) -> dict[str, Any]:
@@ -112,6 +117,7 @@ def actions_of(run: Any, name: str) -> Actions:
         message=run.message,
         program=run.program,
         parameter_values=run.parameter_values,
+        driven=run.driven,
         q_after=rows("q_after"),
         p_after=rows("p_after"),
         impulse=np.array([record.impulse for record in records]),
@@ -131,6 +137,7 @@ def energies_given(run: Any) -> Floats:
             p=np.array([getattr(record, p) for record in run.records]),
             program=program,
             parameter_values=values,
+            driven=None,
         ).energy
         for q, p in sides
     )

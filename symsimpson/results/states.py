@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from symsimpson.module.quantity import SCALARS, VECTORS
 from symsimpson.program.program import Program
+from symsimpson.program.workspace import NO_INPUTS
 from symsimpson.results.quantities import Quantities
 from symsimpson.results.tables import dataframe
+from symsimpson.stepping.driving import Driven, inputs_there
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
 
@@ -78,6 +80,8 @@ class States(Quantities):
     p: NDArray[Any]
     program: Program = field(repr=False)
     parameter_values: NDArray[Any] = field(repr=False)
+    #: How inputs went, where that is known.
+    driven: Driven | None = field(repr=False)
 
     def __init__(self, **fields: Any) -> None:
         self.__dict__.update(fields)  # a quarter of the time that setting each takes
@@ -127,6 +131,7 @@ class States(Quantities):
             p=self.p[some],
             program=self.program,
             parameter_values=self.parameter_values,
+            driven=self.driven,
         )
 
     def __getstate__(self) -> dict[str, Any]:
@@ -298,11 +303,14 @@ class States(Quantities):
     def _where(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         return self.t, self.q, self.parameter_values
 
-    def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
+    def _evaluated(
+        self, kernel: str, block: str, count: int, *, driven: bool = False
+    ) -> NDArray[Any]:
         from symsimpson.program.evaluating import evaluate
 
-        states = self.t, self.q, self.p
-        return evaluate(self.program, kernel, block, count, states, self.parameter_values)
+        states, values = (self.t, self.q, self.p), self.parameter_values
+        inputs = inputs_there(self.program, self.driven, self.t) if driven else NO_INPUTS
+        return evaluate(self.program, kernel, block, count, states, values, inputs)
 
     def __len__(self) -> int:
         return self.t.size

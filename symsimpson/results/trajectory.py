@@ -158,8 +158,9 @@ class Trajectory(Energies, Differentiated):
         with numbers.working():
             times = np.atleast_1d(numbers.result(read_array("t", t, numbers)))
         q, p = self.sol.states(times)
+        program, values = self.program, self.parameter_values
         return States(
-            t=times, q=q, p=p, program=self.program, parameter_values=self.parameter_values
+            t=times, q=q, p=p, program=program, parameter_values=values, driven=self.driven
         )
 
     def events(self, expression: Any, *, direction: int = 0, wrap: Any = ()) -> Events:

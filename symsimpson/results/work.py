@@ -13,7 +13,7 @@ from symsimpson.program.program import Program
 from symsimpson.program.recorders import told, work
 from symsimpson.program.workspace import workspace
 from symsimpson.results.stored import Stored
-from symsimpson.stepping.driving import at_places, since
+from symsimpson.stepping.driving import inputs_there, since
 from symsimpson.stepping.run import FALLBACK_STRETCH
 
 __all__ = ["TOTAL", "WORK", "integrals", "named_parts", "parts_of_work", "powers", "rough_parts"]
@@ -45,21 +45,8 @@ def _powers_at(run: Stored, *, arriving: bool = False) -> Reals:
         run.program.header.powers,
         (run.t, run.q, run.p),
         run.parameter_values,
-        _at_states(run, arriving),
+        inputs_there(run.program, run.driven, run.t, arriving=arriving),
     )
-
-
-def _at_states(run: Stored, arriving: bool) -> Reals:
-    """Return the inputs at stored states, which stand in the places of steps."""
-    numbers = run.program.numbers
-    last = max(run.steps - 1, 0)
-    number = np.arange(len(run)) * run.every if run.every else np.array([run.steps])
-    ended = (number > 0) if arriving else (number > last)
-    with numbers.working():
-        inputs = numbers.read(run.input_values)
-        place = numbers.read(ended.astype(int))[:, None]
-        step = number - 1 if arriving else np.minimum(number, last)
-        return at_places(run.program, inputs, np.maximum(step, 0), place)
 
 
 def named_parts(program: Program, parts: Reals) -> dict[str, Reals]:

@@ -285,6 +285,7 @@ def _trajectory(
         program=program,
         parameter_values=asked.values,
         input_values=NO_INPUTS,
+        driven=None,
         variations=None,
         tau_values=tau,
     )

@@ -16,6 +16,7 @@ from symsimpson.results.states import States
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.integrate import raise_failure
 from symsimpson.run.pieces import SLACK, Taken, by_pieces
+from symsimpson.stepping.driving import driven
 from symsimpson.stepping.inputs import read_failure, read_step
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec
@@ -67,7 +68,7 @@ def chosen_run(
     result: Sampled | Saved
     if names is None:
         t, q, p = columns
-        result = Sampled(t=t, q=q, p=p, **about)
+        result = Sampled(t=t, q=q, p=p, driven=last.driven, **about)
     else:
         values = dict(zip(names, columns[1:], strict=True))
         result = Saved(t=columns[0], values=values, **about)
@@ -139,7 +140,10 @@ def _read_names(save: Any) -> list[str]:
 def _check_names(program: Program, spec: RunSpec, names: list[str]) -> None:
     """Refuse names of quantities that states do not have."""
     q, t = spec.q0[None], np.array([spec.t0])
-    states = States(t=t, q=q, p=0 * q, program=program, parameter_values=spec.parameters)
+    begin = driven(spec.inputs, spec.t0, spec.h, spec.steps)
+    states = States(
+        t=t, q=q, p=0 * q, program=program, parameter_values=spec.parameters, driven=begin
+    )
     for name in names:
         quantity(states, name)
 

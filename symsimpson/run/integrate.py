@@ -20,6 +20,7 @@ from symsimpson.run.checkpoint import Checkpoint, asked, buffered
 from symsimpson.run.resolution import check_forces, check_start, each, finer_stride, sampling_stride
 from symsimpson.run.verdict import verdict
 from symsimpson.stepping.arrival import ROOM, STRIDE, Collected, last_part, with_end
+from symsimpson.stepping.driving import driven
 from symsimpson.stepping.inputs import read_failure, refused_start
 from symsimpson.stepping.recording import recorders_of
 from symsimpson.stepping.run import Run
@@ -279,7 +280,7 @@ def trajectory_of(
         )
         if isinstance(keeper, Checkpoint) and status is Status.INTERRUPTED:
             message += f" Go on with symsimpson.resume({os.fspath(keeper.path)!r})."
-    result = program.numbers.result
+    result, single = program.numbers.result, program.numbers.single
     t, q, p, values = result(t), result(q), result(p), result(run.parameters)
     return Trajectory(
         t=t,
@@ -294,6 +295,7 @@ def trajectory_of(
         program=program,
         parameter_values=values,
         input_values=result(spec.inputs),
+        driven=driven(result(spec.inputs), single(run.t0), single(run.h), done, run.ended_by),
         **run.beside(recorded, result),
         reduced_values=run.reduced(spec.reductions),
         tau_values=result(tau) if run.header.retimed else None,

@@ -14,7 +14,7 @@ from symsimpson.run.integrate import begin_run, look_at_step, new_run, trajector
 from symsimpson.run.resolution import sampling_stride
 from symsimpson.run.verdict import verdict
 from symsimpson.stepping.arrival import STRIDE
-from symsimpson.stepping.driving import since
+from symsimpson.stepping.driving import driven, since
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec
 
@@ -86,6 +86,7 @@ def _piece(program: Program, run: Run, spec: RunSpec, end: Trajectory | None = N
         ends = end.t, end.tau, end.q, end.p
         columns = tuple(np.concatenate([x[-1:], y]) for x, y in zip(columns, ends, strict=True))
     t, tau, q, p = columns
+    inputs = since(spec.inputs, run.first)
     first = run.step if end is not None else run.first
     acted = (record.since(first) for record in run.records if record.step >= first)
     return Trajectory(
@@ -100,7 +101,8 @@ def _piece(program: Program, run: Run, spec: RunSpec, end: Trajectory | None = N
         message="",
         program=program,
         parameter_values=run.parameters,
-        input_values=since(spec.inputs, run.first),
+        input_values=inputs,
+        driven=driven(inputs, t[0], run.h, len(t) - 1),
         tau_values=tau if run.header.retimed else None,
         records=tuple(acted),
         ended_by=None if end is None else end.ended_by,

@@ -14,11 +14,12 @@ import numpy as np
 from mpmath import workdps
 from numpy.typing import NDArray
 
-from symsimpson.errors import InputError, ResolutionWarning
+from symsimpson.errors import ResolutionWarning
 from symsimpson.program.recorders import tangents
 from symsimpson.run.jumps import DIGITS, Jumps, slope
 from symsimpson.stepping.driving import since
 from symsimpson.stepping.run import Run
+from symsimpson.stepping.run_events import check_variations
 from symsimpson.stepping.variations import varied_program
 from symsimpson.support.calling import warn
 
@@ -66,16 +67,7 @@ class Saltation:
     def __init__(
         self, program: Program, run_events: RunEvents, parameters: Floats, h: float, inputs: Floats
     ) -> None:
-        if program.declared is None:
-            raise InputError(
-                f"{program.system}: derivatives of a run with events need the energies of the "
-                "system, and a module has none.\nMake the stepper with symsimpson.compile."
-            )
-        if inputs.size and inputs.shape[2] > 1:
-            raise InputError(
-                f"{program.system}: derivatives of a run with events do not go with inputs that "
-                "vary within a step.\nGive one value for each step."
-            )
+        check_variations(program, inputs)
         varied = program.header.varied_by or ()
         by = ("h",) if program.header.autonomous else ("h", "t")
         self._program, self._by = varied_program(program, (*varied, *by)), by

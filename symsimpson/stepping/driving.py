@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from typing import TYPE_CHECKING, Any
 
@@ -19,12 +19,25 @@ if TYPE_CHECKING:
     from symsimpson.program.numbers import Numbers
     from symsimpson.program.program import Program
 
-__all__ = ["Samples", "at_places", "given_inputs", "places", "read_driving", "samples", "since"]
+__all__ = [
+    "Driven",
+    "Samples",
+    "at_places",
+    "driven",
+    "given_inputs",
+    "inputs_there",
+    "places",
+    "read_driving",
+    "samples",
+    "since",
+]
 
 Reals = NDArray[Any]
 
 #: A period may miss a whole number of steps by so much of a step.
 STEP_FRACTION = 1e-6
+#: Times are the same that differ by so much of themselves, in steps.
+SAME_TIME = 2.0**-48
 
 
 @dataclass(frozen=True)
@@ -242,6 +255,75 @@ def at_places(program: Program, inputs: Reals, step: NDArray[np.int64], at: Real
                 basis = basis * (at - c[i]) / (c[j] - c[i])
         values = values + basis[:, :, None] * node_values[:, j : j + 1]
     return values[None]
+
+
+@dataclass(frozen=True)
+class Driven:
+    """Inputs by step, as a run was given them, and when its steps are.
+
+    Attributes
+    ----------
+    values : ndarray, shape (1, N, s, m)
+        Of an ensemble, (K, N, s, m) where each member has its own.
+    begin, h : number
+        Time at which the first step begins, and the step.
+    steps : int
+        Number of steps, one that ended within itself included.
+    """
+
+    values: Reals
+    begin: Any
+    h: Any
+    steps: int
+
+    def of_member(self, member: int) -> Driven:
+        """Return those of a member of an ensemble."""
+        return self if len(self.values) == 1 else replace(self, values=self.values[[member]])
+
+    def at(self, program: Program, t: Reals, *, arriving: bool = False) -> Reals:
+        """Return the inputs at times, shape (1, len(t), 1, m).
+
+        Where a step ends, they are those of the next one, or of that which arrives there.
+        """
+        numbers, last = program.numbers, max(self.steps - 1, 0)
+        with numbers.working():
+            times, begin, h = map(numbers.read, (t, self.begin, self.h))
+            passed = (times - begin) / h
+            rough, whole = (f(passed.astype(np.float64)) for f in (np.asarray, np.rint))
+            far = max(abs(x.astype(np.float64)).max(initial=0.0) for x in (times, begin))
+            at_end = abs(rough - whole) <= SAME_TIME * (1 + far / abs(float(h)))
+            step = np.where(at_end, whole - arriving, np.floor(rough))
+            step = np.where(np.isfinite(step), step, 0).astype(np.int64).clip(0, last)
+            exact = numbers.read(whole - step)
+            place = np.where(at_end, exact, passed - numbers.read(step))
+            return at_places(program, numbers.read(self.values), step, place[:, None])
+
+
+def driven(
+    inputs: Reals, begin: Any, h: Any, steps: int, ended_by: str | None = None
+) -> Driven | None:
+    """Return how inputs went over whole steps, and over that in which an event ended them."""
+    return Driven(inputs, begin, h, steps + (ended_by is not None)) if inputs.size else None
+
+
+def inputs_there(
+    program: Program, driven: Driven | None, t: Reals, *, arriving: bool = False
+) -> Reals:
+    """Return the inputs at times of a run, as :meth:`Driven.at` does.
+
+    Raises
+    ------
+    InputError
+        If the system has inputs, and it is not known how they went.
+    """
+    if not program.inputs:
+        return NO_INPUTS
+    if driven is None:
+        raise InputError(
+            f"{program.system}: the inputs {', '.join(program.inputs)} at these states are not "
+            "known.\nTake what depends on them of the run itself, or of run.at(times)."
+        )
+    return driven.at(program, t, arriving=arriving)
 
 
 def node_times(program: Program, h: Any, steps: Any, t0: Any) -> Reals:

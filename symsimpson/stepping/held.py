@@ -26,6 +26,9 @@ MISSED = 1e-9
 DEPENDENT = 1e-10
 #: Newton's method from a start that misses by less needs so many iterations, with many digits too.
 MOST = 12
+#: A constraint is flat whose slope is made of what q misses it by: it doubles over so much of q,
+#: which is more than a start may miss by.
+FLAT = 4 * MISSED
 #: What rounding leaves of a constraint, in units of it, where terms cancel.
 ROUNDED = 1e4
 #: What rounding leaves of terms that are large against q, in units of it, where they cancel.
@@ -88,9 +91,11 @@ def project_start(
 
     rest = 0 * q
     slopes = slopes_at(q)
-    _check_rank(program, q, slopes, at("INDEPENDENCE", 1, rest)[:, 0])
     size = np.linalg.norm(slopes, axis=2)
     reach = np.abs(q.astype(np.float64)).max(axis=1)
+    beside = slopes_at(q + FLAT * reach[:, None])
+    flat = (size == 0) | (np.linalg.norm(beside - slopes, axis=2) > size)
+    _check_rank(program, q, slopes, flat, at("INDEPENDENCE", 1, rest)[:, 0])
 
     def missed_by(phi: Reals, noise: Reals | float = 0.0) -> Reals:
         return _relative(np.abs(phi.astype(np.float64)) - noise, size, reach)
@@ -146,31 +151,32 @@ def _relative(miss: Reals, size: Reals, reach: Reals) -> Reals:
     return off
 
 
-def _check_rank(program: Program, q: Reals, slopes: Reals, independence: Reals) -> None:
+def _check_rank(
+    program: Program, q: Reals, slopes: Reals, flat: NDArray[np.bool_], independence: Reals
+) -> None:
     """Refuse a start where gradients of constraints are not finite, zero or dependent."""
     finite = np.isfinite(slopes).all()
-    worst = int(np.argmin(independence.astype(np.float64)))
-    if finite and independence[worst] >= DEPENDENT:
+    worst = int(np.argmin(np.where(flat.any(axis=1), 0.0, independence.astype(np.float64))))
+    if finite and independence[worst] >= DEPENDENT and not flat.any():
         return
     names = program.names.constraints.shown
     rolling = len(program.header.velocity_constraints)
-    rows = slopes[worst]
-    size = np.linalg.norm(rows, axis=1)
+    rows, none = slopes[worst], flat[worst]
     where = f"q0={[float(x) for x in q[worst]]}"
     if not np.isfinite(rows).all():
         raise InputError(
             f"{program.system}: constraints have no finite slope at {where}.\nBegin elsewhere."
         )
-    if (size == 0).any():
-        flat = ", ".join(repr(names[c]) for c in np.flatnonzero(size == 0))
-        if (size[len(rows) - rolling :] == 0).any():
+    if none.any():
+        which = ", ".join(repr(names[c]) for c in np.flatnonzero(none))
+        if none[len(rows) - rolling :].any():
             raise ModelError(
-                f"{program.system}: the constraint {flat} asks for nothing at {where}: all its "
+                f"{program.system}: the constraint {which} asks for nothing at {where}: all its "
                 "factors of velocities are zero there, so its force has no direction.\nBegin "
                 "elsewhere, or look at the parameters in it."
             )
         raise ModelError(
-            f"{program.system}: the constraint {flat} has no slope at {where}: its gradient is "
+            f"{program.system}: the constraint {which} has no slope at {where}: its gradient is "
             "zero there, so the constraint force has no direction.\nWrite phi so that its gradient "
             "does not vanish where phi = 0, as x**2 + y**2 - 1 and not its square."
         )

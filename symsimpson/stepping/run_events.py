@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from numpy.typing import NDArray
+
 from symsimpson.errors import InputError
 from symsimpson.program.observed import Observed, read_expression, refuse_constant, watchers
 from symsimpson.stepping.event import CHANGED, Change, Event, Impact
@@ -101,12 +103,36 @@ def read_run_events(program: Program, request: Request) -> RunEvents | None:
     try:
         events = known.get(key)
     except TypeError:  # mappings of a Change have no hash
-        return read_events(program, given)
-    if events is None:
+        key = None
+    if key is not None and events is not None:
+        return events
+    events = read_events(program, given)
+    if key is not None:
         if len(known) == MOST_KNOWN:
             known.clear()
-        events = known[key] = read_events(program, given)
+        known[key] = events
     return events
+
+
+def check_variations(program: Program, inputs: NDArray[Any]) -> None:
+    """Refuse derivatives of a run with events where they are not known.
+
+    Raises
+    ------
+    InputError
+        If the system is not known, or inputs vary within a step.
+    """
+    if program.declared is None:
+        raise InputError(
+            f"{program.system}: derivatives of a run with events need the energies of the system, "
+            "and a module has none.\nMake the stepper with symsimpson.compile; a run in a "
+            "checkpoint goes on by the call that began it, integrate(..., checkpoint=...)."
+        )
+    if inputs.size and inputs.shape[2] > 1:
+        raise InputError(
+            f"{program.system}: derivatives of a run with events do not go with inputs that vary "
+            "within a step.\nGive one value for each step."
+        )
 
 
 def read_events(program: Program, given: Any) -> RunEvents:

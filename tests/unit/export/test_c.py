@@ -194,6 +194,23 @@ def test_words_of_c_and_whatever_symbols_hold(tmp_path):
     assert np.abs(found - run.q).max() < 1e-14
 
 
+def test_functions_of_the_file_are_not_hidden_by_symbols(tmp_path):
+    square, fabs, power = sp.symbols("square fabs pow", positive=True)
+    x, y = ss.coordinates("x y")
+    system = ss.MechanicalSystem(
+        "functions",
+        coordinates=(x, y),
+        kinetic=(square * x.diff() ** 2 + fabs * (1 + x**2) ** 2 * y.diff() ** 2) / 2,
+        potential=power * sp.cos(x - y) + (1 + x**2 + y**2) ** sp.Rational(7, 3),
+        parameters={square: 1.0, fabs: 2.0, power: 3.0},
+    )
+    stepper = ss.compile(system)
+    made = InC(stepper, tmp_path)
+    assert made.begin(0.1, [0.1, 0.2], v=[0.0, 0.1]) == 0
+    run = stepper.integrate([0.1, 0.2], v0=[0.0, 0.1], h=0.1, steps=5)
+    assert np.abs(made.run(0.1, 5)[0] - run.q).max() < 1e-14
+
+
 @pytest.mark.slow
 def test_nothing_is_asked_for_but_mathematics(tmp_path):
     tool = shutil.which("nm") or pytest.skip("there is no nm")

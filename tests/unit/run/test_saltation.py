@@ -167,6 +167,8 @@ def test_what_is_refused_and_what_is_warned_of():
     ramps = {"u": np.linspace(0, 1, 180).reshape(60, 3)}
     with pytest.raises(ss.InputError, match="inputs that vary within a step"):
         driven.integrate([1.0], v0=[0.0], events=[floor], inputs=ramps, **given)
+    with pytest.raises(ss.InputError, match="inputs that vary within a step"):
+        driven.ensemble([[1.0], [2.0]], v0=[0.0], events=[floor], inputs=ramps, **given)
     held = {"u": np.linspace(0, 1, 60)}
     run = driven.integrate([1.0], v0=[0.0], events=[floor], inputs=held, sensitivities="u", **given)
     assert np.isfinite(run.sensitivity["u"]).all()

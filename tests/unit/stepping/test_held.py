@@ -50,6 +50,34 @@ def test_starts_that_miss_are_refused_with_what_would_do(stepper):
         stepper.integrate([0, 0, 0], START["v0"], h=0.01, steps=1)
 
 
+@pytest.mark.parametrize("angle", [0.0, 0.3, 1.0, 2.0])
+@pytest.mark.parametrize("off", [0.0, 1e-13, 1e-9])
+def test_a_square_has_no_slope_where_rounding_gives_it_one(angle, off):
+    x, y = ss.coordinates("x y")
+    circle = (1000 * x) ** 2 + y**2 - 1  # in kilometres and metres
+    place = [(1 + off) * np.cos(angle) / 1000, (1 + off) * np.sin(angle)]
+    system = {"coordinates": (x, y), "kinetic": (x.diff() ** 2 + y.diff() ** 2) / 2}
+    squared, plain = (
+        ss.MechanicalSystem("wire", **system, potential=y, constraints=[phi])
+        for phi in (circle**2, circle)
+    )
+    with pytest.raises(ss.ModelError, match="has no slope"):
+        ss.compile(squared).integrate(place, [0, 0], h=0.01, steps=1)
+    assert ss.compile(plain).integrate(place, [0, 0], h=0.01, steps=1).success
+
+
+def test_a_short_rod_far_away_has_a_slope():
+    x, y = ss.coordinates("x y")
+    system = ss.MechanicalSystem(
+        "far",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=10 * y,
+        constraints=[(x - 6371000) ** 2 + y**2 - sp.Rational(1, 100)],
+    )
+    assert ss.compile(system).integrate([6371000.0, -0.1], [0, 0], h=0.01, steps=1).success
+
+
 def test_starts_that_nearly_do_are_mended(stepper):
     run = stepper.integrate([0.6, 0, -0.8 + 3e-10], START["v0"], h=0.01, steps=1)
     assert abs(run.constraint_error[0, 0]) < 3e-16

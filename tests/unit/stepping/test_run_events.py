@@ -1,6 +1,7 @@
 """Events are read once, whatever they are."""
 
 import pytest
+import sympy as sp
 from support.impacts import BALL, floor, z
 
 import symsimpson as ss
@@ -38,6 +39,13 @@ def test_so_many_are_remembered_and_no_more(reads, monkeypatch):
         asked = Request([1.0], events=[ss.Event(z - height, name="half", terminal=True)])
         assert run_events.read_run_events(program, asked).events[0].expression == z - height
         assert len(program.findings.events) <= 2
+
+
+def test_what_is_wrong_with_them_is_said_once():
+    lifted = ss.Event(z + sp.Symbol("unknown"), name="floor", action=ss.Change(positions={z: 1.0}))
+    with pytest.raises(ss.SymsimpsonError) as caught:
+        ss.compile(BALL).integrate([1.0], v0=[0.0], h=0.1, steps=2, events=[lifted])
+    assert caught.value.__context__ is None
 
 
 def test_changes_are_read_each_time(reads):
