@@ -29,7 +29,6 @@ from symsimpson.program.numbers import Numbers
 from symsimpson.program.sets import KernelSets
 from symsimpson.program.values import whole_number
 from symsimpson.support.extras import library
-from symsimpson.support.signals import undisturbed
 
 __all__ = ["read_precision"]
 
@@ -232,10 +231,6 @@ class Digits(Numbers):
 
     def _call(self, kernel: Callable[..., None], h: Any, t: Any, W: NDArray[Any]) -> None:
         kernel(h, t, W)
-
-    def undisturbed(self) -> AbstractContextManager[None]:
-        """Put off Ctrl-C to the end of a step, which would be lost half done."""
-        return undisturbed()
 
 
 class Arb(Digits):

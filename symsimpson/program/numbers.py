@@ -118,9 +118,5 @@ class Numbers:
         """Return the context in which these numbers are computed with."""
         return NOTHING
 
-    def undisturbed(self) -> AbstractContextManager[None]:
-        """Put off Ctrl-C; what is compiled hears it only afterwards anyway."""
-        return NOTHING
-
 
 FLOAT64 = Numbers()

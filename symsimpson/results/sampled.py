@@ -153,6 +153,7 @@ class Saved(WithEvents, Outcome):
     message: str
     program: Program
     parameter_values: Any = None
+    driven: Any = None
     records: tuple[Record, ...] = ()
     event_names: tuple[str, ...] = ()
 

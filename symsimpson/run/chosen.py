@@ -63,12 +63,13 @@ def chosen_run(
     columns = [np.concatenate(parts) for parts in zip(*taken, strict=True)]
     about: dict[str, Any] = {name: getattr(last, name) for name in ("h", "steps", "status")}
     about |= {"message": last.message, "program": program}
-    about |= {"parameter_values": last.parameter_values, "records": tuple(run.records)}
+    about |= {"parameter_values": last.parameter_values, "driven": last.driven}
+    about["records"] = tuple(run.records)
     about["event_names"] = spec.run_events.names if spec.run_events else ()
     result: Sampled | Saved
     if names is None:
         t, q, p = columns
-        result = Sampled(t=t, q=q, p=p, driven=last.driven, **about)
+        result = Sampled(t=t, q=q, p=p, **about)
     else:
         values = dict(zip(names, columns[1:], strict=True))
         result = Saved(t=columns[0], values=values, **about)

@@ -36,6 +36,8 @@ Floats = NDArray[np.float64]
 #: So many actions within one step are too many; a start may be so far behind a wall, relative to
 #: its size; where an expression is zero behind an action, its sign is that after so much of a step.
 MOST_ACTIONS, BEHIND, AHEAD = 500, 1e-9, 1e-6
+#: So many steps are taken at first before Ctrl-C is heard.
+FEW_STEPS = 16
 
 
 class EventRun(Run):
@@ -64,6 +66,7 @@ class EventRun(Run):
         side, size, self._value, self._earlier = rows.reshape(-1, WATCHED).T
         self.sides = Sides(side, size, self._actions, signs)
         self._code, self._saltation = 0, cast("Saltation | None", None)
+        self._stretch = FEW_STEPS
         if spec.tangents is not None:
             from symsimpson.run.saltation import Saltation  # few runs need it
 
@@ -109,20 +112,15 @@ class EventRun(Run):
                 known[candidate.name] = float(names.count(candidate.expression))
         return tuple((reduction.name, known[reduction.name]) for reduction in reductions)
 
-    def advance(self, stop: int) -> None:
-        """Take steps until ``stop``, failure, or an event that ends the run."""
-        before = self.step
-        super().advance(stop)
-        if before < self.step == self._steps and self.alive:
-            self._finish()
-
     def take(self, stop: int) -> None:
         """Take steps with the same kernels, in parts where there is an event."""
         while True:
             super().take(stop)
             if self._column[self._status] != MET:
-                return
+                break
             self._split_step()
+        if self.step == self._steps and self.alive:
+            self._finish()
 
     @property
     def hopeful(self) -> bool:

@@ -273,7 +273,7 @@ def trajectory_of(
     message = run.reason or status.message
     if status is not Status.SUCCESS:
         of = f" of {count}" if spec.t_end is None else ""
-        time, h = float(t[-1] if run.header.retimed else run.t0 + run.h * done), float(run.h)
+        time, h = float(run.now), float(run.h)
         message = (
             f"{program.system}, {program.scheme}: step {done}{of} at t={time:g} with h={h:g} was "
             f"not taken. {message}"

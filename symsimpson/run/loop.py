@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.program.numbers import NOTHING
 from symsimpson.run.integrate import begin_run, look_at_step, new_run, raise_failure, trajectory_of
 from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.request import of_a_step
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.calling import explaining
+from symsimpson.support.signals import undisturbed
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
@@ -53,6 +55,8 @@ class ControlLoop:
             # one step's inputs: the driver takes them for all steps, and they change in between
             self._inputs = numbers.zeros((1, 1, nodes or 1, count))
             self._run = new_run(program, spec, 0, 1, self._inputs)
+            #: Whether a step is that of compiled code, in which nobody hears Ctrl-C.
+            self._at_once = numbers.compiled and spec.run_events is None
             begin_run(program, self._run, spec)
             look_at_step(program, self._run, spec)
 
@@ -84,7 +88,8 @@ class ControlLoop:
             before = run.step
             if run.arrived:
                 raise InputError(f"the loop is at its end: {run.reason}\nBegin another one.")
-            run.advance(before + 1)
+            with NOTHING if self._at_once else undisturbed():
+                run.advance(before + 1)
             if not (run.alive or run.arrived):
                 ended = self._trajectory(before + 1)
                 raise_failure(run, ended, ended)
@@ -123,8 +128,7 @@ class ControlLoop:
         run = self._run
         if run.end_within is not None:
             return self.program.numbers.single(run.end_within[0])
-        t = run.value("TIME") if run.header.retimed else run.t0 + run.h * run.step
-        return self.program.numbers.single(t)
+        return self.program.numbers.single(run.now)
 
     @property
     def q(self) -> Reals:

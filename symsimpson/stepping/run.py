@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.module.interface import ARRIVED, RATE_NOT_POSITIVE
+from symsimpson.program.numbers import NOTHING
 from symsimpson.program.observed import Reduction
 from symsimpson.program.recorders import Recorder, ordered, split, told
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import NO_INPUTS, workspace
 from symsimpson.support.progress import Watcher
+from symsimpson.support.signals import listening
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
@@ -35,8 +37,6 @@ HOPELESS = (Status.COORDINATE_SINGULARITY, Status.RATE_NOT_POSITIVE)
 #: After a step that only slower and more robust kernels could take, so many more are taken with
 #: them.
 FALLBACK_STRETCH = 64
-
-
 #: What stops a run behind a step that is not taken then.
 BEHIND_A_STEP = (ARRIVED, RATE_NOT_POSITIVE)
 
@@ -63,7 +63,7 @@ class Run:
         self.header, self.kernels, self.h, self.t0, self.every = header, kernels, h, t0, every
         self._declared, self._tools = program.declared, program.tools
         self._parameters, self._inputs = parameters, inputs
-        self._driver, self._undisturbed = numbers.driver, numbers.undisturbed
+        self._driver = numbers.driver
         self._recorders = ordered(header, recorders)
         self.told = told(header, self._recorders)
         if any(recorder.renewed for recorder in recorders):
@@ -71,11 +71,10 @@ class Run:
         self.W = workspace(
             header, numbers, parameters, sum(recorder.room for recorder in recorders)
         )
-        self._column = self.W[:, 0]
-        self._status = header.layout["STATUS"]
+        self._column, self._status = self.W[:, 0], header.layout["STATUS"]
         self._watcher: Watcher | None = None
         self._fallbacks = kernels.fallbacks if fallbacks is None else fallbacks
-        self._stretch = numbers.stretch
+        self._stretch = self._longest = numbers.stretch
         self.q, self.p = numbers.zeros((2, stored, header.n, 1))
         #: What recorders left beside them, of one behind the other.
         self.recorded = numbers.zeros(
@@ -85,7 +84,8 @@ class Run:
         self._stores = self.q, self.p, self.recorded, self.iterations
         #: Steps before those whose states stand in the arrays; and what was done since.
         self.first, self._progress = 0, np.zeros(4, dtype=np.int64)
-        self._interrupted = False
+        #: Ctrl-C, as it is pressed; and whether it has ended the run.
+        self._heard, self._interrupted = list[int](), False
         #: What events did, in the order of time.
         self.records: list[Any] = []
         #: What is said of how it ended, in place of what its status says of all runs; the event
@@ -93,7 +93,7 @@ class Run:
         self.reason = ""
         self.ended_by: str | None = None
         self.end_within: tuple[Any, Any, Any] | None = None
-        self._set, self._set_until = 0, -1
+        self._set, self._set_until, self._still = 0, -1, 0
 
     def begin(
         self,
@@ -113,7 +113,8 @@ class Run:
         if any_angle:
             self._set, self._set_until = len(self._fallbacks) - 1, FALLBACK_STRETCH
         legendre = self.kernels.address("legendre", any_angle=any_angle) if velocity else 0
-        self._begin_anew(self._kernels(), legendre, self._setting, (self._parameters, q, other))
+        begin_anew, start = self._driver("begin_anew"), (self._parameters, q, other)
+        begin_anew(self._kernels(), legendre, self._setting, start)
         if self.header.retimed:
             if not onward:
                 self.apply("retime")
@@ -125,10 +126,6 @@ class Run:
     @property
     def _setting(self) -> tuple[Any, ...]:
         return self.h, self.t0, self.W, self.told
-
-    @cached_property
-    def _begin_anew(self) -> Any:
-        return self._driver("begin_anew")
 
     @cached_property
     def _take_steps(self) -> Any:
@@ -187,15 +184,14 @@ class Run:
     @contextmanager
     def watched(self, steps: int, progress: bool | None) -> Iterator[None]:
         """Count the steps that are taken inside on a bar; Ctrl-C ends them, as the status tells."""
-        self._watcher = None if progress is False else Watcher(steps, progress)
+        bar = NOTHING if progress is False else closing(Watcher(steps, progress))
         try:
-            yield
+            with bar as self._watcher, listening() as self._heard:
+                yield
         except KeyboardInterrupt:
             self._interrupted = True
-        finally:
-            if self._watcher is not None:
-                self._watcher.close()
-            self._watcher = None
+        self._interrupted |= bool(self._heard)
+        self._watcher = None
 
     def rows(self, block: str, count: int) -> NDArray[Any]:
         """Return rows of the workspace."""
@@ -221,6 +217,11 @@ class Run:
     def step(self) -> int:
         """Number of steps done."""
         return self.first + self._progress.item(0)
+
+    @property
+    def now(self) -> Any:
+        """The time that has come, which is not that of the steps if the system is retimed."""
+        return self.value("TIME") if self.header.retimed else self._time()
 
     @property
     def status(self) -> Status:
@@ -286,26 +287,34 @@ class Run:
     def advance(self, stop: int) -> None:
         """Take steps until ``stop`` or failure; leaves the compiled loop now and then."""
         while self.step < stop and self.alive:
-            until = min(stop, self.step + self._stretch)
-            if self._set:
-                until = min(until, self._set_until)
-            before, start, passed = self.step, time.perf_counter(), self._passed()
-            with self._undisturbed():
-                self.take(until)
-            spent = time.perf_counter() - start
-            if self.step - before >= STANDSTILL and passed is not None and passed == self._passed():
-                self._column[self._status] = RATE_NOT_POSITIVE
-            if self._watcher is not None:
-                self._watcher(self.step - before)
-            if self.step > before and spent > PATIENCE / 8:
-                self._stretch = max(1, int(PATIENCE / spent * (self.step - before)))
-            if self.hopeful and self._expect_rounding():
-                self._change_to(self._set)
-            elif self.hopeful and self._set + 1 < len(self._fallbacks):
-                self._set_until = self.step + FALLBACK_STRETCH
-                self._change_to(self._set + 1)
-            elif self._set and self.step == self._set_until:
-                self._change_to(0)
+            self._take_some(stop)
+            if self._heard:  # before, it would have left a step half done
+                raise KeyboardInterrupt
+
+    def _take_some(self, stop: int) -> None:
+        """Take so many steps as are over soon; change to other kernels if one failed."""
+        until = min(stop, self.step + self._stretch)
+        if self._set:
+            until = min(until, self._set_until)
+        before, start, now = self.step, time.perf_counter(), self.now
+        self.take(until)
+        spent, done = time.perf_counter() - start, self.step - before
+        self._still = self._still + done if now == self.now else 0
+        if self._still >= STANDSTILL:
+            self._column[self._status] = RATE_NOT_POSITIVE
+        if self._watcher is not None:
+            self._watcher(done)
+        if done and spent > PATIENCE / 8:
+            self._stretch = max(1, int(PATIENCE / spent * done))
+        else:
+            self._stretch = min(2 * self._stretch, self._longest)
+        if self.hopeful and self._expect_rounding():
+            self._change_to(self._set)
+        elif self.hopeful and self._set + 1 < len(self._fallbacks):
+            self._set_until = self.step + FALLBACK_STRETCH
+            self._change_to(self._set + 1)
+        elif self._set and self.step == self._set_until:
+            self._change_to(0)
 
     def _expect_rounding(self) -> bool:
         """Let corrections be as large as rounding makes them where the terms of forces cancel.
@@ -326,10 +335,6 @@ class Run:
         if larger:
             self._column[-1:] = size
         return larger
-
-    def _passed(self) -> Any:
-        """Return the time of the user, if it is not that of the steps."""
-        return self.value("TIME") if self.header.retimed else None
 
     def _kernels(self) -> Any:
         return self.kernels.set(self._fallbacks[self._set], self._recorders)

@@ -13,12 +13,21 @@ __all__ = ["listening", "undisturbed"]
 
 @contextmanager
 def listening() -> Iterator[list[int]]:
-    """Let Ctrl-C put its number into a list, for what looks at that and stops by itself."""
+    """Let Ctrl-C put its number into a list, for what looks at that and stops by itself.
+
+    A second one stops it at once.
+    """
     heard: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
+    if not _disturbed():
         yield heard
         return
-    before = signal.signal(signal.SIGINT, lambda number, frame: heard.append(number))
+
+    def hear(number: int, frame: FrameType | None) -> None:
+        if heard:
+            raise KeyboardInterrupt
+        heard.append(number)
+
+    before = signal.signal(signal.SIGINT, hear)
     try:
         yield heard
     finally:
@@ -28,7 +37,7 @@ def listening() -> Iterator[list[int]]:
 @contextmanager
 def undisturbed() -> Iterator[None]:
     """Put off Ctrl-C to the end of what must not be left half done."""
-    if threading.current_thread() is not threading.main_thread():  # others are not disturbed
+    if not _disturbed():
         yield
         return
     heard: list[tuple[int, FrameType | None]] = []
@@ -39,3 +48,9 @@ def undisturbed() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
     if heard and callable(before):
         before(*heard[0])
+
+
+def _disturbed() -> bool:
+    """Return whether Ctrl-C is heard here: in the main thread, unless another program hears it."""
+    alone = threading.current_thread() is threading.main_thread()
+    return alone and signal.getsignal(signal.SIGINT) is not None

@@ -1,6 +1,8 @@
 """Results, files, checkpoints, ensembles and records of runs in which events act."""
 
+import itertools
 import pickle
+import signal
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from support.impacts import BALL, FALL, drop, floor, z
 import symsimpson as ss
 from symsimpson.ensemble import singles
 from symsimpson.run import pieces
+from symsimpson.run.event_actions import EventActions
 from symsimpson.run.event_run import EventRun
 
 
@@ -51,6 +54,29 @@ def test_a_run_that_was_cut_off_is_resumed(tmp_path, monkeypatch):
     again = drop(floor(), t_end=2.0, checkpoint=file)
     assert np.array_equal(again.q, whole.q)
     assert np.array_equal(again.p, whole.p)
+    assert [one.t for one in again.records] == [one.t for one in whole.records]
+
+
+@pytest.mark.parametrize("place", ["acted", "allowed", "rates"])
+def test_ctrl_c_while_an_event_acts_is_heard_behind_the_step(tmp_path, monkeypatch, place):
+    swung = ss.Event(z - 0.5, name="turn", action=ss.Change(velocities={z: -z.diff() / 2}))
+    events, file = [floor(), swung], tmp_path / "run.ckpt"
+    whole = drop(*events, tangents=2)
+    plain, calls = getattr(EventActions, place), itertools.count(1)
+
+    def disturbed(*given):
+        if next(calls) == 3:
+            signal.raise_signal(signal.SIGINT)
+        return plain(*given)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(EventActions, place, disturbed)
+        with pytest.raises(ss.Interrupted) as caught:
+            drop(*events, tangents=2, checkpoint=file)
+    assert 0 < caught.value.trajectory.steps < whole.steps
+    again = drop(*events, tangents=2, checkpoint=file)
+    assert np.array_equal(again.q, whole.q)
+    assert np.array_equal(again.tangent, whole.tangent)
     assert [one.t for one in again.records] == [one.t for one in whole.records]
 
 

@@ -162,8 +162,10 @@ def test_time_that_does_not_go_on_is_a_failure(stepper):
     assert np.array_equal(run.end(), (q, p))
 
 
-def test_time_that_stands_still_is_a_failure(monkeypatch, stepper):
+@pytest.mark.parametrize("patience", [1.0, 0.0])
+def test_time_that_stands_still_is_a_failure(monkeypatch, stepper, patience):
     monkeypatch.setattr("symsimpson.stepping.run.STANDSTILL", 2)
+    monkeypatch.setattr("symsimpson.stepping.run.PATIENCE", patience)  # 0: steps one by one
     run = begun(stepper, 1.0)
     run.rows("PARAMETER", len(stepper.parameters))[-1] = 1e300
     run.advance(5000)
