@@ -145,7 +145,14 @@ def read_parameters(
     values: dict[sp.Symbol, float] = {}
     names = {q.func.__name__: "a coordinate" for q in coordinates}
     for symbol, value in parameters.items():
-        if not isinstance(symbol, sp.Symbol) or symbol == time:
+        if symbol == time:
+            raise fail(
+                system,
+                f"the parameter {spell(symbol)!r} is the time, on which coordinates depend.",
+                "Give the parameter another name. The time needs no value: symsimpson.time may "
+                "stand in energies and forces as it is.",
+            )
+        if not isinstance(symbol, sp.Symbol):
             raise fail(
                 system,
                 f"the parameter {spell(symbol)!r} is not a SymPy symbol.",

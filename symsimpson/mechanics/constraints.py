@@ -295,6 +295,8 @@ def _check_positions(name: str, key: str, expression: Any, symbols: Symbols) -> 
         raise fail(
             name,
             f"the constraint {key!r} depends on the time.",
-            "Constraints that move are not integrated here. Choose a coordinate that follows the "
-            "prescribed motion, and write it into T and V, where t may stand.",
+            "Constraints that move are not integrated to rounding. Choose a coordinate that "
+            "follows the prescribed motion, and write it into T and V, where t may stand; or give "
+            f"velocity_constraints={{{key!r}: phi.diff(symsimpson.time)}}, which keeps phi to the "
+            "error of the scheme.",
         )

@@ -16,13 +16,15 @@ time: sp.Symbol = sp.Symbol("t")
 approach: sp.Symbol = sp.Symbol("approach", nonnegative=True)
 
 
-def coordinates(names: str) -> tuple[AppliedUndef, ...]:
+def coordinates(names: str, *more: str) -> tuple[AppliedUndef, ...]:
     """Make generalized coordinates: functions of time whose velocities are ``q.diff()``.
 
     Parameters
     ----------
     names : str
         Names separated by spaces or commas; ``"q:3"`` stands for q0, q1, q2.
+    *more
+        Nothing: all names stand in one text.
 
     Returns
     -------
@@ -41,9 +43,10 @@ def coordinates(names: str) -> tuple[AppliedUndef, ...]:
     >>> q1.diff()
     Derivative(q1(t), t)
     """
-    if not (isinstance(names, str) and names.replace(",", " ").split()):
+    if more or not (isinstance(names, str) and names.replace(",", " ").split()):
+        given = ", ".join(map(repr, (names, *more)))
         raise ModelError(
-            f"coordinates are named by a text with their names, not by {names!r}.\n"
+            f"coordinates are named by one text with their names, not by {given}.\n"
             "Write q1, q2 = symsimpson.coordinates('q1 q2')."
         )
     functions = sp.symbols(names, cls=sp.Function)

@@ -82,6 +82,13 @@ def read_energies(
         linear = s.graph.add([linear, *s.graph.products(parts.a, s.numbers(s.v))])
     elif not all(map(Findings(s.graph, left).vanishes, left)):
         leftover = s.graph.add([*s.graph.products(parts.a, s.numbers(s.v)), parts.rest])
+        if not parts.M and not any(c for c, _ in parts.a):
+            raise fail(
+                name,
+                f"the kinetic energy {spell(given.kinetic)} contains no velocity.",
+                f"A velocity is the derivative of a coordinate: write {s.back[s.v[0]].expr}.diff() "
+                f"for that of {s.back[s.v[0]].expr}.",
+            )
         raise fail(
             name,
             f"the kinetic energy is not a quadratic form in the velocities: it contains "

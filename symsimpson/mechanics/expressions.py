@@ -326,7 +326,17 @@ def check_declared(
             "SymPy holds them apart, so the value would not arrive. "
             "Make the symbol once and use it everywhere.",
         )
+    functions = {x.func.__name__: x for x in known if isinstance(x, AppliedUndef)}
+    if symbol.name in functions:
+        raise fail(
+            system,
+            f"the {what} contains a symbol {symbol.name}, which is not the coordinate of that "
+            f"name: that is a function of time, {functions[symbol.name]}.",
+            "Write the coordinate in its place, as symsimpson.coordinates made it.",
+        )
     hint = did_you_mean(symbol.name, declared)
+    if what == "kinetic energy":
+        hint += " A velocity is the derivative of a coordinate, q.diff()."
     raise fail(
         system,
         f"the {what} contains the unknown symbol {symbol.name}: it is neither a coordinate "

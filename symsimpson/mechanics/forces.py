@@ -8,11 +8,13 @@ from typing import Any
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
+from symsimpson.errors import ModelWarning
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import ZERO, Value
 from symsimpson.mechanics.checks import fail, spell
 from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.plain import Symbols
+from symsimpson.support.calling import warn
 
 __all__ = ["DISSIPATION", "TOTAL", "check_used", "read_forces", "read_inputs"]
 
@@ -87,6 +89,13 @@ def read_forces(
                 "Write R = c*q.diff()**2/2 for f = -c v, or a constant force in forces=.",
             )
         components[DISSIPATION] = [(-c, n) for c, n in slopes]
+        if value[0] and sp.sympify(dissipation).xreplace(symbols.replace).is_extended_nonpositive:
+            warn(
+                f"system '{name}': the dissipation {spell(dissipation)} is negative, so that its "
+                "forces -dR/dv drive the motion and do not damp it.\nWrite R = c*q.diff()**2/2 "
+                "with c > 0 for f = -c v; or give forces that drive by forces={...}.",
+                ModelWarning,
+            )
     rows = {key: tuple(row) for key, row in components.items()}
     return {key: row for key, row in rows.items() if any(c for c, _ in row)}
 
@@ -176,10 +185,14 @@ def _components(
             if key in taken or key in (*OTHERS, DISSIPATION):
                 raise _taken(name, key)
             if not isinstance(value, Mapping):
+                names = [q.func.__name__ for q in coordinates]
+                way = f"forces={{{key!r}: {{q: ...}}}}, with the coordinate itself for q"
+                if key in names:
+                    way = f"forces={{{key}: ...}}, with the coordinate itself, not its name"
                 raise fail(
                     name,
                     f"the force {key!r} is {spell(value)}, not a mapping from coordinates.",
-                    f"Say on which coordinates it acts: forces={{{key!r}: {{q: ...}}}}.",
+                    f"Say on which coordinates it acts: {way}.",
                 )
             taken.add(key)
             yield from ((key, coordinate, part) for coordinate, part in value.items())

@@ -128,6 +128,8 @@ def warn_of_integrable(
     names = (
         list(rows) if whole else [key for key in rows if _integrable({key: rows[key]}, (), symbols)]
     )
+    # with b the time stands in the equation of positions, which cannot be asked for
+    names = [key for key in names if not rows[key][-1][0]]
     if not names:
         return
     which = ", ".join(map(repr, names))

@@ -45,7 +45,7 @@ DAMPED = {
         },
         c / 2,
     ),
-    "anti-damping": (flat, {"dissipation": -c * flat}, -c / 2),
+    "anti-damping": (flat, {"forces": {x: c * m * x.diff(), y: c * m * y.diff()}}, -c / 2),
 }
 NOT = {
     "none": (flat, {}),

@@ -24,6 +24,12 @@ V_MISSING = k * x**2 / 2 + g * x
 WRONG = {
     "unknown symbol": ({"potential": V_MISSING}, "unknown symbol g"),
     "close name": ({"potential": sp.Symbol("kk") * x}, "unknown symbol kk.*Did you mean k"),
+    "a coordinate's name": (
+        {"potential": k * sp.Symbol("x")},
+        r"not the coordinate of that name.*function of time, x\(t\).*Write the coordinate",
+    ),
+    "velocity as a symbol": ({"kinetic": m * sp.Symbol("v") ** 2}, r"symbol v.*derivative.*q.diff"),
+    "no velocity in T": ({"kinetic": m * x**2}, r"contains no velocity.*write x\(t\).diff\(\)"),
     "a set": ({"coordinates": {x, y}}, "are a set, not a sequence"),
     "a mapping": ({"coordinates": {x: 1.0}}, "are a dict, not a sequence"),
     "momentum's name": (
@@ -52,6 +58,10 @@ WRONG = {
     "no coordinates": ({"coordinates": ()}, "there are no coordinates"),
     "duplicate": ({"coordinates": (x, x)}, "coordinate x is declared 2 times"),
     "velocity in V": ({"potential": V + x.diff()}, "potential depends on the velocity x'"),
+    "time as a parameter": (
+        {"potential": t * x, "parameters": {m: 1.0, t: 2.0}},
+        "the parameter 't' is the time.*symsimpson.time may stand",
+    ),
     "cubic T": ({"kinetic": m * x.diff() ** 3}, "not quadratic in the velocities"),
     "quartic T": ({"kinetic": T + x.diff() ** 4}, "not quadratic in the velocities"),
     "root in T": ({"kinetic": m * sp.sqrt(1 + x.diff() ** 2)}, "not quadratic in the velocities"),

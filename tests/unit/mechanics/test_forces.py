@@ -35,6 +35,7 @@ WRONG = {
     "linear": ({"dissipation": x.diff() * x}, "linear in velocities"),
     "text": ({"forces": {x: "-c*v"}}, "the force on x is the string"),
     "without coordinates": ({"forces": {"drag": -x.diff()}}, "not a mapping from coordinates"),
+    "by name": ({"forces": {"x": -x.diff()}}, r"forces=\{x: ...\}, with the coordinate itself"),
     "taken": ({"forces": {"total": {x: 1}}}, "two forces would have the name 'total'"),
     "twice": ({"forces": {x: 1, "x": {y: 1}}}, "two forces would have the name 'x'"),
     "two dissipations": ({"forces": {"dissipation": {x: 1}}}, "the name 'dissipation'"),
@@ -62,6 +63,13 @@ def test_message(name):
     given, message = WRONG[name]
     with pytest.raises(ss.ModelError, match=message):
         declared(**given)
+
+
+def test_a_dissipation_that_drives_is_told():
+    with pytest.warns(ss.ModelWarning, match="negative(.|\n)*c > 0") as found:
+        declared(dissipation=-c * x.diff() ** 2 / 2)
+    assert found[0].filename == __file__
+    declared(dissipation=(x**2 - 1) * x.diff() ** 2)  # one that may do either is left alone
 
 
 def test_forces_by_coordinate_and_by_name():
