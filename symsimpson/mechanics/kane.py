@@ -18,6 +18,7 @@ from symsimpson.graph.rebuild import rebuilt
 from symsimpson.mechanics.checks import fail, spell
 from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.expressions import read_expression
+from symsimpson.mechanics.independence import vanishes
 from symsimpson.mechanics.loads import Force, added, generalised, potential_of
 from symsimpson.mechanics.plain import Symbols
 from symsimpson.mechanics.quadratic import rank
@@ -116,8 +117,14 @@ class _Identities:
 
     def vanish(self, expressions: Iterable[sp.Expr]) -> bool:
         """Return whether all of some expressions are zero."""
+        expressions = list(expressions)
         graph, values = self.read(expressions)
-        return all(map(Findings(graph, values).vanishes, values))
+        known = Findings(graph, values)
+        return all(
+            known.vanishes(value)  # roots of squares and the like, SymPy knows
+            or (known.opaque(value) and sp.count_ops(x) < TOO_LONG and vanishes(x))
+            for x, value in zip(expressions, values, strict=True)
+        )
 
     def idle(self, force: Sequence[sp.Expr]) -> bool:
         """Return whether a force does nothing that the constraints allow, looked at in doubles."""

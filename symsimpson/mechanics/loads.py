@@ -134,12 +134,14 @@ def _integrated(
 ) -> sp.Expr | None:
     """Return V with f = -dV/dq; None if there is none, or it is not found."""
     plain = {q: sp.Dummy(q.func.__name__, real=True) for q in coordinates}
-    f = [sp.sympify(force.get(q, 0)).xreplace(plain) for q in coordinates]
+    # the root of a square would become an absolute value, which has no slope: it stays a distance
+    nothing = sp.Dummy("nothing", positive=True)
+    f = [_apart(sp.sympify(force.get(q, 0)), nothing).xreplace(plain) for q in coordinates]
     driven = [x.atoms(AppliedUndef) | (x.free_symbols & {time, *inputs}) for x in f]
     if any(driven) or any(x.has(sp.nan, sp.zoo) for x in f):
         return None
     V = sp.S.Zero
-    back = {dummy: q for q, dummy in plain.items()}
+    back = {dummy: q for q, dummy in plain.items()} | {nothing: sp.S.Zero}
     for x, part in zip(plain.values(), f, strict=True):
         slope = part + V.diff(x)
         if not vanish([slope.xreplace(back)]):
@@ -150,6 +152,13 @@ def _integrated(
     V = V.xreplace(back)
     exact = vanish(force.get(q, sp.S.Zero) + V.diff(q) for q in coordinates)
     return V if exact else None
+
+
+def _apart(f: sp.Expr, nothing: sp.Dummy) -> sp.Expr:
+    """Add nothing to squares of which roots are taken."""
+    roots = [x for x in _roots_and_inverses(f) if not x.exp.is_Integer]
+    squares = {x.base for x in roots if x.base.is_Pow and x.base.exp == 2}
+    return f.xreplace({square: square + nothing for square in squares})
 
 
 def _by_distance(terms: Iterable[sp.Expr], x: sp.Dummy) -> list[sp.Expr]:
@@ -172,15 +181,28 @@ def _integral(group: sp.Expr, x: sp.Dummy) -> sp.Expr:
     """Integrate terms: by a distance of which they are a function times its slope, else by x."""
     distances = _distances(group, x)
     s, r = sp.Dummy("s", positive=True), sp.Dummy("r", positive=True)
-    for distance in distances:
+    for distance in (d for d in distances if not d.diff(x).is_Number):
         rate = sp.cancel(group.xreplace({distance: s}) / sp.expand(distance.diff(x)))
+        if sp.cancel(rate - rate.xreplace({x: -x})) == 0:  # on a line, from the origin
+            rate = rate.xreplace({x: sp.sqrt(s)})
         if not rate.has(x):
             V = _elementary(sp.expand(2 * r * rate.xreplace({s: r**2})), r)
             return V.xreplace({r: sp.sqrt(distance)})
+    for line in _lines(group, x):  # on a line, from one to the other
+        z, slope = sp.Dummy("z", real=True), line.diff(x)
+        moved = _multiplied_out(group.xreplace({x: (z - line.xreplace({x: sp.S.Zero})) / slope}))
+        if len(moved.free_symbols) < len(group.free_symbols):
+            return _integral(moved / slope, z).xreplace({z: line})
     bases = {power.base for power in _roots_and_inverses(group)}
     if any(len(base.atoms(sp.Dummy)) > 1 for base in bases & distances):
         return sp.Integral(group, x)  # SymPy may take for ever
     return _elementary(group, x)
+
+
+def _lines(group: sp.Expr, x: sp.Dummy) -> list[sp.Expr]:
+    """Return the sums of coordinates that stand in powers, linear in x."""
+    sums = {power.base for power in group.atoms(sp.Pow) if power.base.is_Add}
+    return sorted((a for a in sums if a.diff(x).is_Number and a.has(x)), key=sp.default_sort_key)
 
 
 def _elementary(f: sp.Expr, x: sp.Dummy) -> sp.Expr:

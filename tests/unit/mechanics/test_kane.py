@@ -129,6 +129,25 @@ def test_potentials_of_distances_are_found(name):
     assert max(abs(float(slope)) for slope in slopes) < 1e-12
 
 
+@pytest.mark.parametrize("name", PAIRS)
+@pytest.mark.parametrize("alone", [True, False])
+def test_potentials_of_distances_on_a_line_are_found(name, alone):
+    """The distance is the root of a square, which SymPy writes as an absolute value of reals."""
+    (x, y), (u, w) = q, v = ss.coordinates("x y"), ss.coordinates("u w")
+    frame, points = me.ReferenceFrame("N"), [me.Point("P"), me.Point("Q")]
+    V = PAIRS[name](sp.sqrt((x if alone else x - y) ** 2))
+    for point, speed in zip(points, v, strict=True):
+        point.set_vel(frame, speed * frame.x)
+    kane = me.KanesMethod(frame, q, v, [x.diff() - u, y.diff() - w])
+    loads = [(point, -V.diff(z) * frame.x) for point, z in zip(points, q, strict=True)]
+    kane.kanes_equations([me.Particle(f"b{k}", point, 1) for k, point in enumerate(points)], loads)
+    system = ss.MechanicalSystem.from_kanes_method("line", kane, {})
+    assert system.forces is None or not system.forces
+    for at in ({x: 1.3, y: 0.4}, {x: -0.7, y: 0.6}):
+        slopes = [float((system.potential - V).diff(z).xreplace(at)) for z in q]
+        assert np.abs(slopes).max() < 1e-12
+
+
 def test_what_is_given_stands_beside_the_loads():
     kane, _ = moved([-u])
     system = read(kane, forces={"pull": {x: 1}}, units={"x": "m"}, invariants={"place": x})
