@@ -23,6 +23,12 @@ __all__ = ["consistent"]
 Reals = NDArray[np.float64]
 #: Iterations for positions; what is left of constraints, relative to their slopes and to q.
 MOST, NEAR = 200, 1e-15
+#: What may be left of constraints of positions, likewise.
+MET = 1e-12
+#: Steps along the constraints; as small a part of a state, or of what is missed, is none.
+SLIDES, STILL = 100, 1e-9
+#: M with a diagonal of ones is singular where its least eigenvalue is below this.
+SINGULAR = 1e-9
 #: What rounding leaves of terms that cancel, in units of them.
 CANCELLED = 1e-14
 #: What may be left of constraints of velocities, relative to their rows and to v.
@@ -65,12 +71,15 @@ def consistent(
         values, slopes, _ = at(q)
         return values[:m], slopes[:m]
 
-    # the nearest of all; where the way to it does not settle, one that Newton's method reaches
+    # the nearest of all; where the way to it does not settle, from one that Newton's method
+    # reaches along the constraints
     for nearest in (True, False):
         configuration, left = _followed(of_positions, q, free, metric, nearest=nearest)
-        met = left <= 1e-12 or _rounded(of_positions, configuration)
+        met = left <= MET or _rounded(of_positions, configuration)
         if met:
             break
+    if met:
+        configuration = _slid(of_positions, configuration, q[free], free, metric)
     if not met:
         raise InputError(
             f"{system.name}: there is no state near q0={_shown(start)} "
@@ -142,6 +151,35 @@ def _followed(
     return q, best
 
 
+def _slid(
+    at: Callable[[Reals], tuple[Reals, Reals]],
+    q: Reals,
+    goal: Reals,
+    free: Sequence[int],
+    metric: Reals,
+) -> Reals:
+    """Go along the constraints, from a state that satisfies them, as near to a goal as may be."""
+
+    def away(q: Reals) -> float:
+        miss = q[free] - goal
+        return float(miss @ metric @ miss)
+
+    for _ in range(SLIDES):
+        slopes, share = at(q)[1][:, free], 1.0
+        step = _nearest(metric, slopes, goal - q[free], np.zeros(len(slopes)))
+        while share > STILL and not np.abs(share * step).max() <= STILL * np.abs(q).max():
+            moved = q.copy()
+            moved[free] += share * step
+            there, left = _followed(at, moved, free, metric, nearest=False)
+            if left <= MET and away(there) < (1 - STILL) * away(q):
+                break
+            share /= 2
+        else:
+            return q
+        q = there
+    return q
+
+
 def _relative(miss: Reals, slopes: Reals, reach: float) -> Reals:
     """Return by how much constraints are missed, in units of their slopes and of a state.
 
@@ -167,7 +205,10 @@ def _shown(numbers: Reals) -> list[float]:
 
 
 def _positive(mass: Reals, slopes: Reals) -> Reals:
-    """Return M, with something added where constraints ask for none of it."""
+    """Return M, or where that is singular M with weights of what constraints take."""
+    units = np.sqrt(np.where(np.diag(mass) > 0, np.diag(mass), 1.0))
+    if np.linalg.eigvalsh(mass / np.outer(units, units))[0] > SINGULAR:
+        return mass
     squares = (slopes**2).sum(axis=1)
     return mass + np.trace(mass) * slopes.T @ (slopes / np.where(squares > 0, squares, 1)[:, None])
 

@@ -126,8 +126,8 @@ class Described(Declared):
         Returns
         -------
         q0, v0 : ndarray, shape (n,)
-            They satisfy phi(q) = 0, dphi/dq.v = 0 and A v = b to rounding. The change is the
-            smallest in the norm of M, or merely small where that does not converge.
+            They satisfy phi(q) = 0, dphi/dq.v = 0 and A v = b to rounding. No state near
+            them is nearer to the given ones, in the norm of M(q0).
 
         Raises
         ------

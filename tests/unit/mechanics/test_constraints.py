@@ -121,6 +121,24 @@ def test_the_nearest_state():
     assert free.consistent([1, 2, 3], [4, 5, 6])[1].tolist() == [4, 5, 6]
 
 
+@pytest.mark.parametrize("place", [(1.2, 0.2, -1.2), (0.5, 0.9, -1.9), (1.7, -0.3, -1.4)])
+def test_no_state_along_the_constraints_is_nearer(place):
+    """Of a linkage whose bars go their ways: looked at all along these."""
+    bars, way = ss.systems.four_bar(), np.linspace(-0.7, 0.7, 401)
+    q, _ = bars.consistent(place, [0, 0, 0])
+    values = dict(zip(bars.coordinates, place, strict=True)) | dict(bars.parameters)
+    mass = np.array(bars.mass_matrix.subs(values), dtype=float)
+
+    def away(q):
+        return (q - place) @ mass @ (q - place)
+
+    near = [
+        bars.consistent([q[0] + turn, *q[1:]], [0, 0, 0], fixed=["t1"])[0] for turn in 0.05 * way
+    ]
+    assert away(q) <= min(map(away, near)) * (1 + 1e-6)
+    assert min(away(near[0]), away(near[-1])) > away(q) + 1e-5
+
+
 def test_a_state_where_the_nearest_is_not_found():
     """A loop of three bars in angles between them: the way to the nearest goes to and fro."""
     angles = ss.coordinates("a b c")
