@@ -73,14 +73,18 @@ def _force(system: MechanicalSystem) -> Any:
 def _nodes(s: Subject, scheme: Scheme, j: int) -> tuple[Vector, Vector, Vector]:
     """Solve the equations of a step once more; return q, v and t at its nodes."""
     context, d, n = s.precise.context, scheme.degree, s.n
+    m = len(s.precise.program.header.constraints)
+    pulls = np.array([context.mpf(0)] * d * m, dtype=object).reshape(d, m) if m else None
     q, p, t = s.path.q[j], s.path.p[j], j * context.mpf(s.h)
     share = np.array([context.mpf(k) / d for k in range(1, d + 1)])
     points = q + share[:, None] * (s.path.q[j + 1] - q)
     for _ in range(ITERATIONS):
-        at = At(q, points, s.h, s.precise.parameters, t)
+        at = At(q, points, s.h, s.precise.parameters, t, multipliers=pulls)
         left, slope = evaluate_equations(s.precise.program, at, p)
-        change = context.lu_solve(context.matrix(slope.tolist()), context.matrix(left.tolist()))
-        points = points - np.array(list(change), dtype=object).reshape(d, n)
+        solved = context.lu_solve(context.matrix(slope.tolist()), context.matrix(left.tolist()))
+        change = np.array(list(solved), dtype=object)
+        points = points - change[: d * n].reshape(d, n)
+        pulls = None if pulls is None else pulls - change[d * n :].reshape(d, m)
     moved = points - q
 
     def combined(table: Any) -> Vector:

@@ -328,7 +328,7 @@ def _rounding(s: Subject) -> Iterator[Check]:
 
 def _iterations(s: Subject) -> Iterator[Check]:
     """iterations: for each step, of Newton's method or over stages."""
-    most = 16.0 if s.stepper.program.header.by_stages else 4.0
+    most = 16.0 if s.stepper.program.header.by_stages else 6.0
     run = s.compiled(1000, every=None)
     yield Check.at_most(
         "iterations",

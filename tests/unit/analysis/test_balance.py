@@ -35,6 +35,27 @@ def test_forces_give_what_the_quadrature_says(scheme):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["simpson", "gauss6"])
+def test_constraints_pull_beside_the_forces(scheme):
+    z, u = ss.coordinates("z")[0], sp.Symbol("u")
+    system = ss.MechanicalSystem(
+        "sphere",
+        coordinates=(x, y, z),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2 + z.diff() ** 2) / 2,
+        potential=9.81 * z,
+        parameters={c: 0.1},
+        forces={"torque": {x: -u * y, y: u * x}},
+        dissipation=c * (x.diff() ** 2 + y.diff() ** 2 + z.diff() ** 2) / 2,
+        inputs=(u,),
+        constraints=[x**2 + y**2 + z**2 - 1],
+    )
+    certificate = ss.compile(system, scheme).certify([0.6, 0.0, -0.8], v0=[0.0, 1.0, 0.0], h=0.05)
+    assert certificate["momenta"].measured < 1e-45
+    assert "p_x*y" in certificate["momenta"].what
+    assert certificate.passed, certificate
+
+
+@pytest.mark.slow
 def test_other_forces_would_be_seen(monkeypatch):
     exact = balance._force
 
