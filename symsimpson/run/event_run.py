@@ -86,7 +86,8 @@ class EventRun(Run):
         state, t = self._state(), float(self.t0)
         row = self._actions.row(t, state)
         sides, values = self.sides, row[: len(self._value)]
-        sides.size[:] = np.maximum(np.abs(values), self._actions.sizes(row, state[0]))
+        moved, sizes = self.h * self._actions.rates(row), self._actions.sizes(row, state[0])
+        sides.size[:] = np.max([abs(values), abs(moved), sizes], axis=0)
         small = sides.small_at(t, state)
         sides.side[:] = sides.of(values, small, 0 * values)  # a zero there is no event
         for k, event in enumerate(self._events.events):

@@ -241,11 +241,11 @@ def at_places(program: Program, inputs: Reals, step: NDArray[np.int64], at: Real
     Returns
     -------
     ndarray, shape (1, k, r, m)
-        With r = 1 where inputs are held.
+        With r = 1 where all inputs are held.
     """
     node_values = inputs[0, np.minimum(step, inputs.shape[1] - 1)]
-    if inputs.shape[2] == 1 or inputs.shape[3] == 0:
-        return node_values[None]
+    if (node_values == node_values[:, :1]).all():  # held
+        return node_values[None, :, :1]
     c = places(program)
     values = 0 * at[:, :, None] * node_values[:, :1]
     for j in range(c.size):

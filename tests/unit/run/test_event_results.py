@@ -80,6 +80,28 @@ def test_ctrl_c_while_an_event_acts_is_heard_behind_the_step(tmp_path, monkeypat
     assert [one.t for one in again.records] == [one.t for one in whole.records]
 
 
+def test_a_loop_with_inputs_has_the_bits_of_a_run():
+    x, u = ss.coordinates("x")[0], sp.Symbol("u")
+    system = ss.MechanicalSystem(
+        "cart",
+        coordinates=(x,),
+        kinetic=x.diff() ** 2 / 2,
+        potential=x**4 / 4,
+        forces={x: u},
+        inputs=(u,),
+    )
+    wall = ss.Event(sp.Rational(1, 2) - x, name="wall", action=ss.Impact(1))
+    given = {"h": 0.1, "events": [wall]}
+    stepper = ss.compile(system)
+    run = stepper.integrate([0.1], [3.0], steps=200, inputs={"u": 0.3}, **given)
+    loop = stepper.start([0.1], [3.0], **given)
+    for _ in range(200):
+        loop.step(0.3)
+    assert len(run.events("wall")) > 5
+    assert (loop.q == run.q[-1]).all()
+    assert (loop.p == run.p[-1]).all()
+
+
 def test_observed_values_and_counts():
     reduce = {"high": ("max", "z"), "hits": ("count", "floor"), "end": ("max", "t")}
     run = drop(floor(), reduce=reduce, every=None)

@@ -113,6 +113,15 @@ def test_a_start_on_a_wall():
     assert len(away.events("floor")) == 0
 
 
+def test_a_run_goes_on_from_where_it_met_a_wall():
+    """Rounding may have the gap behind it, and there is nothing else to tell its size."""
+    stepper, given = ss.compile(BALL), {"h": 0.01, "steps": 20, "events": [floor()]}
+    for gap in (-1e-18, -1e-17, -1e-13):
+        assert stepper.integrate([gap], [3.0], **given).q[1:].min() > 0
+    with pytest.raises(ss.InputError, match="behind the wall 'floor'"):
+        stepper.integrate([-1e-9], [3.0], **given)
+
+
 @pytest.mark.slow
 def test_impacts_with_constraints_keep_to_them():
     """A pendulum of Cartesian coordinates against a wall: M v jumps along what the rod allows."""

@@ -6,6 +6,7 @@ import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
+from symsimpson.stepping.driving import at_places
 
 H, STEPS = 0.02, 60
 START = {"q0": [0.0, 0.1], "v0": [0.0, 0.0]}
@@ -35,6 +36,13 @@ def stepper(scheme="simpson", **options):
 
 def at_nodes(made, h=H, steps=STEPS):
     return np.sin(3 * made.node_times(h, steps))
+
+
+def test_inputs_that_are_held_are_not_rounded_between_nodes():
+    program = ss.compile(driven_chain(), "gauss6").program
+    values, at = rng.normal(size=(1, 4, 1, 2)), rng.uniform(0, 1, (4, 5))
+    found = at_places(program, np.repeat(values, 3, axis=2), np.arange(4), at)
+    assert (found == values).all()
 
 
 def test_node_times():
