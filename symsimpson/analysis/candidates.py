@@ -176,8 +176,8 @@ class Wanted:
         what, retimed = f"{self.on} error", best.stepper.program.header.retimed
         count = "the first step; then they adapt" if retimed else f"{steps} steps"
         lines = [
-            f"{best.stepper.scheme} with h = {self.t_end / steps:.6g} ({count}): the {what} "
-            f"measured{part} is {best.error:.1e}, {self.error:.1e} is asked for."
+            f"{best.stepper.scheme} with h = {self.t_end / steps:.6g} ({count}): the relative "
+            f"{what} measured{part} is {best.error:.1e}, {self.error:.1e} is asked for."
         ]
         fixed = [
             candidate for candidate in candidates if not candidate.stepper.program.header.retimed

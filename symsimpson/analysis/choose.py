@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from textwrap import wrap
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.analysis.candidates import Wanted
+from symsimpson.analysis.candidates import Found, Wanted
 from symsimpson.analysis.pilot import choose_state, choose_step, without_step_warnings
 from symsimpson.analysis.stability.frequency import largest_frequency
 from symsimpson.analysis.variants import in_tau
@@ -31,8 +31,9 @@ __all__ = ["Choice", "choose"]
 #: Schemes that are tried, from low to high order; and where explicit steps are possible.
 CANDIDATES = ("simpson", "gauss8", "gauss12", "gauss16")
 WITH_EXPLICIT = ("simpson", "blanes_moan4", "blanes_moan6", "gauss12", "gauss16")
-#: Those that are tried in the time of a retimed system.
-ADAPTING = ("gauss8", "gauss12", "gauss16")
+#: Those that are tried in the time of a retimed system, unless so few fixed steps do; where one
+#: takes so many times as long as fixed steps, no others are.
+ADAPTING, FEW_STEPS, FAR_SLOWER = ("gauss12", "gauss8", "gauss16"), 1000, 2.0
 #: A pilot run is at most so many of the steps long with which Simpson's scheme follows the motion.
 PILOT = 1000
 
@@ -97,8 +98,8 @@ def choose(
     Parameters
     ----------
     system : MechanicalSystem
-        If V is a sum of attracting inverse distances, ``retimed(system, "encounters")`` is tried,
-        too: its steps in t adapt to close encounters.
+        If V is a sum of attracting inverse distances, ``retimed(system, "encounters")`` is tried
+        where many fixed steps are needed: its steps in t adapt to close encounters.
     q0, v0, p0 : array_like, shape (n,)
         The initial state: velocities or momenta.
     t_end : float
@@ -167,11 +168,7 @@ def choose(
     q, p = choose_state(first, {"q0": q0, "v0": v0, "p0": p0}, values)
     # of longer ones a pilot run would go beyond the end
     h0 = choose_step(first, q, p, values, 64, longest=t_end / PILOT)
-    span, tau0 = PILOT * h0, 0.0
-    if retimed is not None:
-        tau0, reached = _first_step(retimed, q, p, known)
-        span = max(span, reached)
-    pilot = min(float(t_end), span)
+    pilot = min(float(t_end), PILOT * h0)
     frequency = largest_frequency(original, q, values.values())
     fixed = schemes
     if schemes is None:
@@ -179,20 +176,37 @@ def choose(
         fixed = WITH_EXPLICIT if straight else CANDIDATES
     fixed = () if original is not system else fixed or ()
     problem = Wanted(q, p, known, pilot, float(t_end), float(error), on, frequency, bool(fixed), [])
-    tried = [(compile_system(system, scheme), h0) for scheme in fixed]
-    tried += [(compile_system(retimed, scheme), tau0) for scheme in adapting if retimed]
-    candidates = [solution for stepper, h in tried if (solution := problem.solve(stepper, h))]
+    steppers = [compile_system(system, scheme) for scheme in fixed]
+    candidates = _solved(problem, steppers, h0)
+    fewest = min((x.steps for x in candidates), default=math.inf) * t_end / pilot
+    if retimed is not None and fewest > FEW_STEPS:
+        tau0, reached = _first_step(retimed, q, p, known)
+        if reached > pilot < t_end:  # as long a part of the motion for both
+            problem = replace(problem, pilot=min(float(t_end), reached))
+            candidates = _solved(problem, steppers, h0)
+        limit = FAR_SLOWER * min((x.seconds for x in candidates), default=math.inf)
+        for scheme in adapting:
+            others = _solved(problem, [compile_system(retimed, scheme)], tau0)
+            candidates += others
+            if any(x.seconds > limit for x in others):
+                break  # the next would not be faster by so much, and take long to compile
     if not candidates:
+        names = [getattr(scheme, "name", str(scheme)) for scheme in (*fixed, *adapting)]
         raise InputError(
-            f"none of {', '.join(dict.fromkeys(stepper.scheme for stepper, _ in tried))} comes to "
+            f"none of {', '.join(dict.fromkeys(names))} comes to "
             f"an error of {error:g} at t_end={t_end:g} from this state.\n"
             "Rounding errors in double precision are larger, or the motion is too sensitive to its "
             "initial state: ask for a larger error, or a shorter time."
             + "".join(f"\nA run with small steps failed: {x}" for x in problem.failures[-1:])
         )
     best = min(candidates, key=lambda candidate: candidate.seconds)
-    steps = math.ceil(best.steps * t_end / pilot)
+    steps = math.ceil(best.steps * t_end / problem.pilot)
     return Choice(best.stepper, float(t_end) / steps, problem.reason(best, candidates, steps))
+
+
+def _solved(problem: Wanted, steppers: Iterable[Stepper], h: float) -> list[Found]:
+    """Return what comes to the error, of these steppers from steps of this size on."""
+    return [found for stepper in steppers if (found := problem.solve(stepper, h))]
 
 
 def _in_other_time(

@@ -18,6 +18,7 @@ from symsimpson.run.requested import tangent_of_step
 from symsimpson.stepping.request import Request, of_a_step
 from symsimpson.stepping.variations import read_varied
 from symsimpson.support.calling import explaining
+from symsimpson.support.names import spelled
 
 if TYPE_CHECKING:
     from symsimpson.api.evaluator import Parameters
@@ -79,7 +80,8 @@ class Differentiating(Stepping):
         >>> D.shape, round(float(np.linalg.det(D[:, :2])), 12)
         ((2, 3), 1.0)
         """
-        n, given = self.n, (wrt,) if isinstance(wrt, str) else tuple(wrt)
+        n, given = self.n, tuple(wrt) if isinstance(wrt, (list, tuple)) else (wrt,)
+        given = tuple(map(spelled, given))
         varied = [name for name in given if name not in ("q", "p")]
         names = read_varied(self.program, varied, of_steps=True)
         request = Request(

@@ -179,8 +179,8 @@ class Stepper(Examining):
         record : "work", optional
             Adds up ``run.work`` while the run goes on: for runs that store few states, or one.
         reduce : mapping from str to (kind, expression), optional
-            Quantities to evaluate behind each step, stored or not, as for :meth:`ensemble`; gives
-            ``run.reduced``.
+            Quantities to evaluate at the start and behind each step, stored or not, as for
+            :meth:`ensemble`; gives ``run.reduced``.
         events : sequence of Event, optional
             Events that act on the run: impacts, changes of the state, ends; ``run.events(name)``
             has the record of each. Stored states are those of the grid of times.
@@ -274,9 +274,10 @@ class Stepper(Examining):
             As for :meth:`integrate`.
         reduce : mapping from str to (kind, expression) or kind, optional
             Quantities to evaluate without storing states. The kinds "min", "max" and "mean" are
-            taken over the states after each step. "first" is the time at which the expression first
-            becomes positive, by linear interpolation over a step, and NaN if it never does; zeros
-            to rounding are found by :meth:`Trajectory.events`, which says what expressions may be.
+            taken over the start and the states after each step. "first" is the time at which the
+            expression first becomes positive, by linear interpolation over a step, and NaN if it
+            never does; zeros to rounding are found by :meth:`Trajectory.events`, which says what
+            expressions may be.
             "lyapunov", "megno" and "sali" take no expression: they measure how variations of each
             motion grow, as :meth:`lyapunov` does. ("count", name) tells how often an event acted.
         tangents, sensitivities, record

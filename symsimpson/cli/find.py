@@ -47,7 +47,9 @@ def state_of(system: MechanicalSystem, options: argparse.Namespace) -> dict[str,
     asked = {k: x for k, x in given.items() if x is not None}
     state = asked or dict(getattr(system, "reference_state", {}))
     if "q0" not in state:
-        raise InputError(f"{system.name} has no reference state.\nPass --q0 and --v0 or --p0.")
+        what = f"{' and '.join(f'--{k}' for k in asked)} without --q0"
+        what = what if asked else f"{system.name} has no reference state"
+        raise InputError(f"{what}.\nPass --q0 and --v0 or --p0.")
     return state
 
 
@@ -69,6 +71,11 @@ def named(name: str) -> MechanicalSystem:
             return system
     path, separator, attribute = name.rpartition(":")
     if not separator:
+        if name.endswith(".py") and Path(name).is_file():
+            raise InputError(
+                f"{name} is a file, of which this command needs a system.\nName the variable that "
+                f"holds it: {name}:system. Generated modules are taken by symsimpson certify alone."
+            )
         raise InputError(
             f"there is no system {name!r} in the catalogue.{did_you_mean(name, EVERY)}\n"
             "Run symsimpson list to see the catalogue. For your own system give "

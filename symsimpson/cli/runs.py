@@ -32,7 +32,7 @@ def run(options: argparse.Namespace) -> int:
 
     if options.out:
         check_kind(Path(options.out))
-        check_folder(Path(options.out), "table")
+        check_folder(Path(options.out), "file")
     system = find(options.system, options.retimed)  # loads SymPy, which is not what is timed
     begin = time.perf_counter()
     stepper, given = _made(system, options)
@@ -60,6 +60,11 @@ def run(options: argparse.Namespace) -> int:
 def plot(options: argparse.Namespace) -> int:
     """Draw a run to a file."""
     check_figure("out", options.out)
+    if options.names and options.kind not in ("time", "phase"):
+        raise InputError(
+            f"--kind {options.kind} draws no {', '.join(options.names)}.\nLeave the names out, or "
+            "draw them by --kind time or --kind phase."
+        )
     trajectory = _integrated(options, *_made(find(options.system, options.retimed), options))
     if options.kind == "time":
         ax = trajectory.plot(options.names or None)
@@ -122,10 +127,15 @@ def _inputs(options: argparse.Namespace, stepper: Stepper, steps: int) -> dict[s
         return {}
     path = Path(options.inputs)
     try:
-        table = np.genfromtxt(path, delimiter=",", names=True, deletechars="", ndmin=1)
-    except (OSError, ValueError) as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", UserWarning)  # of a file in which there is nothing
+            table = np.genfromtxt(
+                path, delimiter=",", names=True, deletechars="", ndmin=1, encoding="utf-8-sig"
+            )
+    except (OSError, ValueError, UserWarning) as error:
+        why = str(error).rstrip(".")
         raise InputError(
-            f"--inputs {path}: it cannot be read: {error}.\nThe first line names the inputs, "
+            f"--inputs {path}: it cannot be read: {why}.\nThe first line names the inputs, "
             "each further line has their values over a step, with commas between."
         ) from None
     names = table.dtype.names or ()
@@ -141,6 +151,13 @@ def _inputs(options: argparse.Namespace, stepper: Stepper, steps: int) -> dict[s
     return {"inputs": {name: table[name][:steps] for name in names}}
 
 
+def _end(trajectory: Trajectory) -> float:
+    """Return the time behind the last step, whose state need not be stored."""
+    if trajectory.program.header.retimed or trajectory.every is None:
+        return float(trajectory.t[-1])
+    return float(trajectory.t[0] + trajectory.h * trajectory.steps)
+
+
 def _report(trajectory: Trajectory, given: dict[str, Any]) -> None:
     program, steps = trajectory.program, max(trajectory.steps, 1)
     print(f"{program.system}, {program.scheme} (order {program.order}), h = {trajectory.h:g}")
@@ -151,7 +168,7 @@ def _report(trajectory: Trajectory, given: dict[str, Any]) -> None:
         print(f"  {name} = {value:g}")
     last = trajectory.newton_iterations.sum() / steps
     print(
-        f"  {trajectory.steps} steps to t = {trajectory.t[-1]:g}, "
+        f"  {trajectory.steps} steps to t = {_end(trajectory):g}, "
         f"{last:.2f} Newton iterations a step"
     )
     if program.header.conservative:

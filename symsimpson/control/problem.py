@@ -17,6 +17,7 @@ from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.support.calling import explaining
 from symsimpson.support.names import spelled
+from symsimpson.support.progress import read_progress
 
 if TYPE_CHECKING:
     from symsimpson.control.result import ControlResult
@@ -169,8 +170,7 @@ class OptimalControl:
             real = isinstance(value, Real) and not isinstance(value, bool) and 0 < value < 1
             if not real and (name, value) != ("error", None):
                 raise InputError(f"{name} is {value!r}.\nPass a number between 0 and 1.")
-        if progress not in (None, True, False):
-            raise InputError(f"progress is {progress!r}.\nPass True, False or None.")
+        read_progress(progress)
         if not isinstance(condensed, (bool, np.bool_)):
             raise InputError(f"condensed is {condensed!r}.\nPass True or False.")
         whole = isinstance(most_iterations, (int, np.integer))

@@ -202,6 +202,11 @@ def read_samples(
     """
     numbers, measured = program.numbers, []
     count = steps // every + 1
+    if samples is not None and not isinstance(samples, Mapping):
+        raise InputError(
+            f"samples is a {type(samples).__name__}, not a mapping.\nSay of what they are: "
+            "samples={'x': [...]}, with NaN where nothing was measured."
+        )
     for expression, given in (samples or {}).items():
         values = read_array(f"samples of {expression}", given, numbers)
         if values.shape != (count,):

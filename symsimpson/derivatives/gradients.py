@@ -66,7 +66,12 @@ def gradient_of(
     asked = [spelled(variable) for variable in (wanted.wrt if several else [wanted.wrt])]
     names = [name for name in asked if name not in STATE]
     _check(wanted, asked, velocities=request.v0 is not None)
-    program = varied_program(program, read_varied(program, names), wanted.running)
+    running = wanted.running
+    if isinstance(running, (list, tuple, set, dict, np.ndarray)):
+        raise InputError(
+            f"running is a {type(running).__name__}, not one expression.\nAdd up what costs."
+        )
+    program = varied_program(program, read_varied(program, names), running)
     spec = read_run(program, request)
     every = read_count("every", wanted.every, least=1)
     objective = Objective(

@@ -21,7 +21,7 @@ from symsimpson.run.requested import program_for
 from symsimpson.stepping.inputs import read_failure
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.variations import refuse_retimed, varied_program
-from symsimpson.support.progress import Progress
+from symsimpson.support.progress import Progress, read_progress
 
 __all__ = ["run_ensemble"]
 
@@ -45,6 +45,7 @@ def run_ensemble(
         At Ctrl-C, with what is done.
     """
     read_failure(on_failure)
+    read_progress(progress)
     program = _telling(program, request, store)
     task = read_task(program, request, threads, progress, on_disk=store is not None)
     look_at_steps(program, task)

@@ -132,7 +132,7 @@ def read_energies(
     }
     invariants: dict[str, sp.Expr] = {}
     values: dict[str, Value] = {}
-    for key, quantity in (given.invariants or {}).items():
+    for key, quantity in _by_name(name, "invariants", given.invariants, "{'J': x**2}").items():
         if not isinstance(key, str):
             raise ModelError(
                 f"system '{name}': the invariant's name {key!r} is not a string.\n"
@@ -190,12 +190,23 @@ def _momenta_written_out(plain: Plain, names: Sequence[str]) -> set[str]:
     return keys
 
 
+def _by_name(name: str, what: str, given: Any, example: str) -> Mapping[Any, Any]:
+    """Return what is given by names; nothing for None."""
+    if given is not None and not isinstance(given, Mapping):
+        raise fail(
+            name,
+            f"the {what} are a {type(given).__name__}, not a mapping from names.",
+            f"Each has a name, by which runs tell it: {what}={example}.",
+        )
+    return given or {}
+
+
 def _read_positions(
     name: str, given: Declared, symbols: Symbols, read: Callable[..., Value]
 ) -> dict[str, tuple[Any, ...]]:
     """Check what is to be drawn."""
     positions: dict[str, tuple[Any, ...]] = {}
-    for key, point in (given.positions or {}).items():
+    for key, point in _by_name(name, "positions", given.positions, "{'bob': (x, y)}").items():
         nested = isinstance(point, (tuple, list))
         body = nested and all(isinstance(x, (tuple, list, sp.MatrixBase)) for x in point)
         corners = point if body else [point]

@@ -25,7 +25,7 @@ def read_vector(system: Declared, name: str, given: Any) -> NDArray[np.float64]:
     table = Named("coordinate", [spelled(q) for q in system.coordinates])
     try:
         vector = np.array(table.in_order(name, given), dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         vector = np.empty(0)
     if vector.shape != (system.n,) or not np.isfinite(vector).all():
         raise InputError(

@@ -14,6 +14,7 @@ from symsimpson.program.evaluating import watching
 from symsimpson.program.observed import Observed, read_expression, refuse_constant
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
+from symsimpson.program.values import whole_number
 from symsimpson.results.interpolate import DenseOutput
 from symsimpson.results.states import States
 from symsimpson.results.stored import Stored
@@ -86,7 +87,7 @@ def read_zeros(program: Program, expression: Any, direction: int, wrap: Any) -> 
     ------
     InputError
     """
-    if direction not in (-1, 0, 1):
+    if whole_number(direction) not in (-1, 0, 1):
         raise InputError(
             f"direction is {direction!r}.\nPass 1 for zeros on the way up, -1 for those on the "
             "way down, or 0 for both."

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.errors import InputError
 from symsimpson.module.quantity import SCALARS, VECTORS
 from symsimpson.program.program import Program
 from symsimpson.program.workspace import NO_INPUTS
@@ -116,6 +117,12 @@ class States(Quantities):
         """
         if isinstance(key, (str, bool, float)) or hasattr(key, "free_symbols"):
             return self._named(key)
+        several = isinstance(key, (list, np.ndarray)) and len(key) > 0
+        if several and np.asarray(key).dtype.kind not in "bi":
+            raise InputError(
+                f"{key!r} are no numbers of states.\nAsk for one quantity, run['energy'], for "
+                "several by run.to_pandas()[[...]], or for states by whole numbers, run[[0, 5]]."
+            )
         some: Any = key
         if not isinstance(key, (slice, np.ndarray, list)):
             try:

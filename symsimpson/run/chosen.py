@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.program import Program
-from symsimpson.program.values import read_array, read_number
+from symsimpson.program.values import MOST_STEPS, read_array, read_number
 from symsimpson.results.sampled import Sampled, Saved, quantity
 from symsimpson.results.states import States
 from symsimpson.results.trajectory import Trajectory
@@ -87,7 +87,11 @@ def last_time(program: Program, request: Request) -> tuple[Any, int | None]:
         far = (max if step > 0 else min)(times, default=start)
         if program.header.retimed:
             return far, None
-        return None, max(0, int(np.ceil(float((far - start) / step) - SLACK)))
+        with np.errstate(over="ignore"):
+            exact = float((far - start) / step)
+        if exact > MOST_STEPS:
+            raise InputError(f"{exact:.3g} steps are too many to count.\nUse a larger h.")
+        return None, max(0, int(np.ceil(exact - SLACK)))
 
 
 def _as_times(given: Any, numbers: Numbers) -> Reals:

@@ -10,10 +10,11 @@ from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.brief import brief_run
 from symsimpson.run.integrate import integrate
 from symsimpson.run.timed import timed_run
-from symsimpson.stepping.inputs import refuse_together
+from symsimpson.stepping.inputs import read_failure, refuse_together
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import read_run
 from symsimpson.stepping.variations import read_varied, varied_program
+from symsimpson.support.progress import read_progress
 
 if TYPE_CHECKING:
     from symsimpson.results.sampled import Sampled, Saved
@@ -49,7 +50,9 @@ def run(
         return _chosen(program, request, progress, on_failure)
     plain = request.inputs is None and not request.recorded and request.checkpoint is None
     plain = plain and request.events is None
-    if plain and progress is None and on_failure in ("raise", "return"):
+    read_progress(progress)
+    read_failure(on_failure)
+    if plain and progress is None:
         over = brief_run(program, request)
         if over is not None:
             return over

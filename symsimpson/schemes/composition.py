@@ -158,7 +158,7 @@ def composition(name: str) -> Composition:
     >>> ss.composition("kahan_li8")
     Composition('kahan_li8': 17 drifts, order 8)
     """
-    if name not in COMPOSITIONS:
+    if not isinstance(name, str) or name not in COMPOSITIONS:
         choices = ", ".join(repr(choice) for choice in COMPOSITIONS)
         hint = did_you_mean(name, COMPOSITIONS)
         raise SchemeError(f"there is no composition {name!r}.{hint}\nChoose one of {choices}.")

@@ -274,7 +274,7 @@ def galerkin(quadrature: str, nodes: int, degree: int) -> Scheme:
     >>> ss.galerkin("gauss", 2, 2).order
     4
     """
-    if quadrature not in _QUADRATURES:
+    if not isinstance(quadrature, str) or quadrature not in _QUADRATURES:
         raise SchemeError(
             f"there is no quadrature {quadrature!r}.\nChoose 'lobatto', 'gauss' or 'radau'."
         )

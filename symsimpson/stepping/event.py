@@ -48,7 +48,7 @@ class Impact:
         if not hasattr(given, "free_symbols") or given.is_number:
             real = isinstance(given, Real) and not isinstance(given, bool)
             real = real or bool(getattr(given, "is_real", False))
-            number = float(given) if real else float("nan")
+            number = float(given) if real and abs(given) <= 1 else float("nan")
             if not 0.0 <= number <= 1.0:
                 raise InputError(
                     f"restitution is {given!r}.\nGive a number between 0 (plastic) and 1 "

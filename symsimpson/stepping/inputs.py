@@ -56,9 +56,9 @@ def read_steps(
             f"t_end={float(end):g} is not reached from t0={float(t0):g} with h={float(h):g}.\n"
             "Use a negative h to run backwards."
         )
-    number = round(exact)
-    if number > MOST_STEPS:
+    if exact > MOST_STEPS:
         raise InputError(f"{exact:.3g} steps are too many to count.\nUse a larger h.")
+    number = round(exact)
     if abs(exact - number) > STEP_FRACTION:
         raise InputError(
             f"t_end={float(end):g} is not a whole number of steps of h={float(h):g} from "
@@ -152,7 +152,7 @@ def refuse_together(request: Request) -> None:
 
 def read_failure(on_failure: Any) -> None:
     """Check what is to be done about a failure."""
-    if on_failure not in ("raise", "return"):
+    if not (isinstance(on_failure, str) and on_failure in ("raise", "return")):
         raise InputError(f"on_failure is {shortened(on_failure)}.\nChoose 'raise' or 'return'.")
 
 

@@ -25,9 +25,10 @@ def read_record(program: Program, given: Any) -> tuple[str, ...]:
     InputError
         If there is no such thing, or the scheme does not tell it.
     """
-    names = () if given is None else (given,) if isinstance(given, str) else tuple(given)
+    names = tuple(given) if isinstance(given, (list, tuple, set)) else (given,)
+    names = () if given is None else names
     for name in names:
-        if name not in NAMED:
+        if not isinstance(name, str) or name not in NAMED:
             raise InputError(
                 f"record={name!r} is nothing that a run adds up over its steps."
                 f"{did_you_mean(str(name), NAMED)}\nPass record='work', or reduce= for values of "

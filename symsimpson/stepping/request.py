@@ -79,5 +79,8 @@ def of_a_step(inputs: Any) -> Any:
 
 
 def _first_axis(value: Any) -> Any:
-    array = np.asarray(value)
+    try:
+        array = np.asarray(value)
+    except ValueError:  # rows of several lengths: what reads them says what is wrong
+        return value
     return array[None] if array.ndim else value

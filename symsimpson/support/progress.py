@@ -36,6 +36,17 @@ def watched() -> bool:
     return "ipykernel" in sys.modules or bool(getattr(sys.stderr, "isatty", bool)())
 
 
+def read_progress(wanted: Any) -> None:
+    """Check whether a bar is wanted.
+
+    Raises
+    ------
+    InputError
+    """
+    if not (wanted is None or isinstance(wanted, bool)):
+        raise InputError(f"progress is {wanted!r}.\nPass True, False or None.")
+
+
 @contextlib.contextmanager
 def silence(wanted: bool = True) -> Iterator[None]:
     """Show no waiting inside, where that is wanted."""

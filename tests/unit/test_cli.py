@@ -90,6 +90,13 @@ ERRORS = {
     "step": (["run", "pendulum", "--h", "0"], "the step h is 0"),
     "directory": (["generate", "pendulum", "--directory", "{own}"], "cannot be written"),
     "both ends": (["run", "pendulum", "--t-end", "1", "--steps", "5"], "exactly one of"),
+    "far away": (["run", "pendulum", "--t-end", "1e308"], "too many to count"),
+    "velocity alone": (["run", "pendulum", "--v0", "1"], "--v0 without --q0"),
+    "a module": (["export", "{own}", "--out", "own"], "Name the variable that holds it"),
+    "names of energies": (
+        ["plot", "pendulum", "theta", "--kind", "energy", "--out", "run.png"],
+        "--kind energy draws no theta",
+    ),
 }
 
 
@@ -223,6 +230,13 @@ def test_parameters_and_inputs(tmp_path, capsys):
     path.write_text("v\n1\n2\n")
     assert main([*asked, "--steps", "2"]) == 1
     assert "its columns are v; the inputs of driven_cart_pole are u" in capsys.readouterr().err
+    path.write_bytes(b"\xef\xbb\xbfu\r\n1\r\n2\r\n")  # as spreadsheets write them
+    assert main([*asked, "--steps", "2"]) == 0
+    path.write_text("")
+    assert main([*asked, "--steps", "2"]) == 1
+    assert "it cannot be read" in capsys.readouterr().err
+    assert main(["run", "pendulum", "--h", "0.1", "--steps", "5", "--every", "2"]) == 0
+    assert "5 steps to t = 0.5," in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("given", ["l", "l=", "=3", "l=a"])

@@ -65,6 +65,14 @@ INTEGRATE = {
     "every checkpoint": {"checkpoint": "never", "checkpoint_every": 0},
     "part of a checkpoint": {"checkpoint": "never", "checkpoint_every": 2.5},
     "outcome": {"on_failure": None},
+    "outcomes": {"on_failure": np.array(["raise", "return"])},
+    "bar": {"progress": "no"},
+    "bars": {"progress": np.zeros(2)},
+    "end far away": {"steps": None, "t_end": 1e308, "h": 1e-3},
+    "a time far away": {"steps": None, "t_eval": [1e308], "h": 1e-3},
+    "recorded": {"record": True},
+    "recorded rows": {"record": [["work"]]},
+    "recorded symbol": {"record": m},
 }
 
 
@@ -105,6 +113,8 @@ ENSEMBLE = {
     "syntax": {"reduce": {"a": ("min", "q1 +")}},
     "call": {"reduce": {"a": ("min", "__import__('os')")}},
     "outcome": {"on_failure": 1},
+    "recorded": {"record": 1.5},
+    "bar": {"progress": np.zeros(3)},
 }
 
 
@@ -116,12 +126,38 @@ def test_ensemble(stepper, changes):
     assert "numba" not in str(caught.value).lower()
 
 
+def test_what_else_is_of_another_kind(stepper):
+    state = {"q0": RUN["q0"], "p0": RUN["p0"], "h": 0.1}
+    run = stepper.integrate(**RUN)
+    for call, message in (
+        (lambda: stepper.gradient(**state, steps=3, samples=[1.0], wrt="q"), "samples is a list"),
+        (lambda: stepper.gradient(**state, steps=3, running=["q1"], wrt="q"), "running is a list"),
+        (lambda: stepper.tangent([0.5, 0.2], p=[0, 0], h=0.1, wrt=sp.Symbol("zz")), "'zz' is no"),
+        (lambda: stepper.tangent([0.5, 0.2], p=[0, 0], h=0.1, wrt=None), "is no parameter"),
+        (lambda: stepper.start(**state).step([[0.1], [0.2, 0.3]]), "has no inputs"),
+        (lambda: run[["q1", "q2"]], "no numbers of states"),
+        (lambda: run.events("q1", direction=np.zeros(2)), "direction is"),
+        (lambda: ss.Impact(10**400), "restitution is"),
+        (lambda: PENDULUM.consistent([10**400, 0], [0, 0]), "q0 is"),
+    ):
+        with pytest.raises(ss.InputError, match=message):
+            call()
+    for call in (lambda: ss.galerkin(["lobatto"], 3, 2), lambda: ss.composition(["kahan_li8"])):
+        with pytest.raises(ss.SchemeError, match="there is no"):
+            call()
+    by_symbol = stepper.tangent([0.5, 0.2], p=[0, 0], h=0.1, wrt=sp.Symbol("m1", positive=True))
+    by_name = stepper.tangent([0.5, 0.2], p=[0, 0], h=0.1, wrt="m1")
+    assert (by_symbol[2] == by_name[2]).all()
+
+
 def declare(**changes):
     given = {"coordinates": [x], "kinetic": FREE, "potential": x**2, "parameters": {}} | changes
     return ss.MechanicalSystem("wrong", **given)
 
 
 DECLARED = {
+    "positions in a row": {"positions": [(x, 0)]},
+    "invariants in a row": {"invariants": [x]},
     "no coordinates": {"coordinates": []},
     "twice": {"coordinates": [x, x]},
     "a symbol": {"coordinates": [m]},
