@@ -346,7 +346,8 @@ def resume(
     True
     """
     asked = read_asked(read_path("the checkpoint", path))
-    stepper = Stepper(read_program(asked["source"], os.fspath(path), TOOLS))
+    program = read_program(asked["source"], os.fspath(path), TOOLS, asked.get("names"))
+    stepper = Stepper(program)
     values = dict(zip(stepper.parameters, asked["parameters"], strict=True))
     from_start = stepper.program.header.from_start
     parameters = {name: value for name, value in values.items() if name not in from_start}

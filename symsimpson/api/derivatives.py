@@ -18,7 +18,6 @@ from symsimpson.run.requested import tangent_of_step
 from symsimpson.stepping.request import Request, of_a_step
 from symsimpson.stepping.variations import read_varied
 from symsimpson.support.calling import explaining
-from symsimpson.support.names import spelled
 
 if TYPE_CHECKING:
     from symsimpson.api.evaluator import Parameters
@@ -81,8 +80,7 @@ class Differentiating(Stepping):
         ((2, 3), 1.0)
         """
         n, given = self.n, tuple(wrt) if isinstance(wrt, (list, tuple)) else (wrt,)
-        given = tuple(map(spelled, given))
-        varied = [name for name in given if name not in ("q", "p")]
+        varied = [name for name in given if not (isinstance(name, str) and name in ("q", "p"))]
         names = read_varied(self.program, varied, of_steps=True)
         request = Request(
             q, v, p, h, steps=1, t0=t, parameters=parameters, inputs=of_a_step(inputs)
@@ -93,7 +91,8 @@ class Differentiating(Stepping):
         places = {"q": range(n), "p": range(n, 2 * n)}
         columns: list[int] = []
         for name in given:
-            columns += places.get(name) or [2 * n + varied.index(name)]
+            state = places.get(name) if isinstance(name, str) else None
+            columns += state or [2 * n + varied.index(name)]
         return end.q[0], end.p[0], D[:, columns]
 
     def gradient(

@@ -108,6 +108,7 @@ def _varied(system: MechanicalSystem, names: Iterable[str]) -> tuple[sp.Symbol, 
     users = [str(symbol) for symbol in (*system.parameters, *system.inputs)]
     by_name = dict(zip((*table.parameters, *table.inputs), symbols, strict=True))
     by_name = {"h": plain.step[0], "t": plain.t} | by_name | dict(zip(users, symbols, strict=True))
+    by_name |= {"(h)": plain.step[0], "(t)": plain.t}  # whatever parameters are called
     for name in names:
         if name not in by_name:
             raise GenerationError(

@@ -176,8 +176,9 @@ class _Back:
         if cost is None:
             return
         numbers = self.program.numbers
-        t = numbers.read([spec.t0 + spec.h * spec.steps])
-        slopes = cost.slopes(t, way.q1[None], way.p1[None], spec.parameters)
+        steps = numbers.read([spec.steps])
+        ends = spec.t0 + spec.h * steps, way.q1[None], way.p1[None]
+        slopes = cost.slopes(steps, *ends, spec.parameters)
         self._value = self._value + slopes.value[0]
         self._state += slopes.state[0]
         self._parameters = self._parameters + slopes.parameters[0]
@@ -219,10 +220,11 @@ class _Back:
     def _sampled(self, places: NDArray[np.int64], q: Reals, p: Reals) -> Reals:
         """Add the samples at some states to the cost; return its derivatives by these states."""
         spec, numbers = self._spec, self.program.numbers
-        t = spec.t0 + numbers.read(places * self._objective.every) * spec.h
+        steps = numbers.read(places * self._objective.every)
+        states, some = (spec.t0 + steps * spec.h, q, p), slice(places[0], places[-1] + 1)
         by_state = numbers.zeros((len(places), 2 * self.program.n))
         for samples in self._objective.samples:
-            slopes = samples.slopes(slice(places[0], places[-1] + 1), t, q, p, spec.parameters)
+            slopes = samples.slopes(some, steps, *states, spec.parameters)
             self._value = self._value + slopes.value.sum()
             self._parameters = self._parameters + slopes.parameters.sum(axis=0)
             by_state = by_state + slopes.state

@@ -16,6 +16,7 @@ from symsimpson.program.evaluating import evaluate
 from symsimpson.program.observed import read_expression
 from symsimpson.program.values import read_array
 from symsimpson.program.workspace import workspace
+from symsimpson.stepping.variations import STEP
 
 if TYPE_CHECKING:
     from symsimpson.program.numbers import Numbers
@@ -68,7 +69,7 @@ class _Written:
 
     @cached_property
     def evaluate(self) -> Callable[..., list[Reals]]:
-        """Return its value and its derivatives by all symbols but the time."""
+        """Return its value and its derivatives by all symbols."""
         import sympy as sp
 
         class Whole(sp.Function):
@@ -78,7 +79,7 @@ class _Written:
                 return sp.S.Zero
 
         value = self._expression.replace(sp.Mod, lambda a, b: a - b * Whole(a / b))
-        every = [value, *(sp.diff(value, symbol) for symbol in self._symbols[:-1])]
+        every = [value, *(sp.diff(value, symbol) for symbol in self._symbols)]
         whole = [expression.replace(Whole, sp.floor) for expression in every]
         function: Callable[..., list[Reals]] = self._numbers.lambdified(self._symbols, whole)
         return function
@@ -120,11 +121,16 @@ class StateCost:
                 "Write it with coordinates and momenta, or as running=."
             )
         varied, parameters = program.header.varied_by or (), program.header.parameters
-        #: Which of the parameters are varied; inputs are none of them.
-        self._varied = [parameters.index(name) if name in parameters else None for name in varied]
+        #: Which of the parameters are varied, and which of h and t; inputs are none of them.
+        self._varied = [
+            parameters.index(name) if name in parameters else name if name in STEP else None
+            for name in varied
+        ]
 
-    def slopes(self, t: Reals, q: Reals, p: Reals, values: Reals) -> Slopes:
-        """Return the quantity at states, and its derivatives by q, p and what is varied.
+    def slopes(self, steps: Reals, t: Reals, q: Reals, p: Reals, values: Reals) -> Slopes:
+        """Return the quantity behind so many steps, and its derivatives by q, p and what is varied.
+
+        With h or the time of the start the time of a state is varied, too.
 
         Velocities are functions of (q, p) and the parameters: what depends on them is
         differentiated through p = L_v(q, v).
@@ -136,8 +142,10 @@ class StateCost:
         rows = [np.broadcast_to(numbers.read(row), len(q)) for row in results]
         value, state = rows[0], np.stack(rows[1 : 2 * n + 1], axis=1)
         by_velocity = np.stack(rows[2 * n + 1 : 3 * n + 1], axis=1)
-        zero = numbers.zeros(len(q))
-        by_parameter = [zero if j is None else rows[1 + 3 * n + j] for j in self._varied]
+        times = {None: numbers.zeros(len(q)), "t": rows[-1], "h": steps * rows[-1]}
+        by_parameter = [
+            rows[1 + 3 * n + j] if isinstance(j, int) else times[j] for j in self._varied
+        ]
         parameters = np.stack(by_parameter, axis=1) if by_parameter else numbers.zeros((len(q), 0))
         if self._written.moving:
             # with dp = P_q dq + M dv + P_a da: mu = M^-1 g_v is the derivative by p
@@ -176,9 +184,11 @@ class Measured:
     quantity: StateCost
     values: Reals
 
-    def slopes(self, place: slice, t: Reals, q: Reals, p: Reals, values: Reals) -> Slopes:
+    def slopes(
+        self, place: slice, steps: Reals, t: Reals, q: Reals, p: Reals, values: Reals
+    ) -> Slopes:
         """Return the squares of what the quantity differs by, at some of these states."""
-        slopes, data = self.quantity.slopes(t, q, p, values), self.values[place]
+        slopes, data = self.quantity.slopes(steps, t, q, p, values), self.values[place]
         known = data == data  # NaN differs from itself
         off = np.where(known, slopes.value - data, 0 * slopes.value)
         changed = slopes.times(2 * off)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -63,13 +64,19 @@ def gradient_of(
     """
     refuse_retimed(program, "gradients of costs")
     several = isinstance(wanted.wrt, (tuple, list, set, frozenset))
-    asked = [spelled(variable) for variable in (wanted.wrt if several else [wanted.wrt])]
-    names = [name for name in asked if name not in STATE]
-    _check(wanted, asked, velocities=request.v0 is not None)
+    variables: Sequence[Any] = list(wanted.wrt) if several else [wanted.wrt]
+    pairs = [(spelled(x), _is_state(program, x)) for x in variables]
+    names = [name for name, state in pairs if not state]
+    _check(wanted, pairs, velocities=request.v0 is not None)
     running = wanted.running
     if isinstance(running, (list, tuple, set, dict, np.ndarray)):
         raise InputError(
             f"running is a {type(running).__name__}, not one expression.\nAdd up what costs."
+        )
+    if "h" in names and _moves(running) and program.names.parameters.place("h") is None:
+        raise InputError(
+            "running= contains the time, and h moves the times of all steps of a run.\n"
+            "Leave h out of wrt, or write the cost without the time."
         )
     program = varied_program(program, read_varied(program, names), running)
     spec = read_run(program, request)
@@ -85,8 +92,8 @@ def gradient_of(
     derivatives = differentiate_back(program, spec, objective, of_inputs, progress)
     given = given_inputs(program, request.inputs) if of_inputs else {}
     n, parts = program.n, {}
-    for name in asked:
-        if name in STATE:
+    for name, state in pairs:
+        if state:
             parts[name] = derivatives.state[:n] if name == "q" else derivatives.state[n:]
             continue
         varied_name = varied[names.index(name)]
@@ -99,23 +106,46 @@ def gradient_of(
     return Gradient(derivatives.value, parts)
 
 
-def _check(wanted: Wanted, asked: Sequence[str], *, velocities: bool) -> None:
+def _moves(running: Any) -> bool:
+    """Return whether the time stands in a cost along the path."""
+    if not hasattr(running, "xreplace"):
+        return re.search(r"\bt\b", str(running)) is not None
+    from sympy import Derivative, Dummy
+    from sympy.core.function import AppliedUndef
+
+    from symsimpson.mechanics.coordinates import time  # SymPy is there by now
+
+    moved = running.xreplace({x: Dummy() for x in running.atoms(Derivative)})
+    return time in moved.xreplace({x: Dummy() for x in moved.atoms(AppliedUndef)}).free_symbols
+
+
+def _is_state(program: Program, variable: Any) -> bool:
+    """Return whether a variable is the initial state: a text, or no symbol of a parameter."""
+    names, key = program.names, spelled(variable)
+    known = names.parameters.place(key) is not None or names.inputs.place(key) is not None
+    return key in STATE and (isinstance(variable, str) or not known)
+
+
+def _check(wanted: Wanted, pairs: Sequence[tuple[str, bool]], *, velocities: bool) -> None:
     """Refuse a cost of nothing, and derivatives by a state that was not given."""
     if wanted.cost is None and wanted.running is None and not wanted.samples:
         raise InputError(
             "there is no cost to differentiate.\nPass cost= of the last state, running= along "
             "the path, or samples= that the run is to come near to."
         )
-    if not asked:
+    if not pairs:
         raise InputError("wrt is empty.\nName what to differentiate by: wrt=('q', 'l1').")
     wrong, right = ("p", "v") if velocities else ("v", "p")
-    if wrong in asked:
+    if (wrong, True) in pairs:
         raise InputError(
             f"wrt names {wrong!r}, and the run begins with {right}0.\n"
             f"Pass {wrong}0, or differentiate by {right!r}."
         )
-    if len(set(asked)) < len(asked):
-        raise InputError(f"wrt is {', '.join(asked)}.\nName each only once.")
+    if len({name for name, _ in pairs}) < len(pairs):
+        raise InputError(
+            f"wrt is {', '.join(name for name, _ in pairs)}.\nName each only once, and what has a "
+            "name of the state in a call of its own."
+        )
 
 
 def _of_input(name: str, slopes: Reals, given: Any, spec: RunSpec, numbers: Numbers) -> Reals:

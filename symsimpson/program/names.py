@@ -27,25 +27,39 @@ class Names:
     coordinates, parameters, inputs, constraints, forces, invariants : Named
     """
 
-    def __init__(self, header: Header, declared: Any, defaults: Mapping[str, Any] | None) -> None:
-        def named(what: str, identifiers: tuple[str, ...], users: Iterable[Any] | None) -> Named:
-            given = None if users is None else [spelled(key) for key in users]
-            fits = given is not None and len(given) == len(identifiers)
-            return Named(what, identifiers, given if fits else None)
+    def __init__(
+        self,
+        header: Header,
+        declared: Any,
+        defaults: Mapping[str, Any] | None,
+        users: Mapping[str, Iterable[Any]] | None = None,
+    ) -> None:
+        self._declared, given = declared, dict(users or {})
+        if declared is not None:
+            plain = declared.plain
+            given = {"coordinates": declared.coordinates, "inputs": declared.inputs}
+            given |= {"constraints": plain.held, "forces": plain.forces}
+            given |= {"invariants": plain.invariants}
+        if defaults is not None:
+            given["parameters"] = defaults
 
-        self._declared, has = declared, declared is not None
-        self.coordinates = named(
-            "coordinate", header.coordinates, declared.coordinates if has else None
-        )
-        self.parameters = named("parameter", header.parameters, defaults)
-        self.inputs = named("input", header.inputs, declared.inputs if has else None)
-        self.constraints = named(
-            "constraint", header.constraints, declared.plain.held if has else None
-        )
-        self.forces = named("force", header.forces, declared.plain.forces if has else None)
-        self.invariants = named(
-            "invariant", header.invariants, declared.plain.invariants if has else None
-        )
+        def named(attribute: str, identifiers: tuple[str, ...]) -> Named:
+            own = [spelled(key) for key in given.get(attribute, ())]
+            fits = len(own) == len(identifiers)
+            return Named(attribute.removesuffix("s"), identifiers, own if fits else None)
+
+        self.coordinates = named("coordinates", header.coordinates)
+        self.parameters = named("parameters", header.parameters)
+        self.inputs = named("inputs", header.inputs)
+        self.constraints = named("constraints", header.constraints)
+        self.forces = named("forces", header.forces)
+        self.invariants = named("invariants", header.invariants)
+
+    @property
+    def users(self) -> dict[str, list[str]]:
+        """The names that a user gave, where they are not those of the module, for files."""
+        tables = {name: x for name, x in vars(self).items() if isinstance(x, Named)}
+        return {name: [*x.shown] for name, x in tables.items() if x.shown != x.own}
 
     @cached_property
     def idle(self) -> frozenset[int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -304,17 +304,25 @@ def new_program(
     )
 
 
-def read_program(text: str, where: str, tools: Tools | None = None) -> Program:
+def read_program(
+    text: str,
+    where: str,
+    tools: Tools | None = None,
+    users: Mapping[str, Iterable[Any]] | None = None,
+) -> Program:
     """Return the program of a module from a file, once digest and structure are checked.
+
+    ``users`` are the names that stand beside it there: those that a user gave.
 
     Raises
     ------
     StaleKernelError
         If it is not a module that this version generated.
     """
-    read_header(text, where)  # compares the digest, executes nothing
+    header = read_header(text, where)  # compares the digest, executes nothing
     check_structure(text, where)
-    return new_program(text, where, tools=tools)
+    names = Names(header, None, None, users) if users else None
+    return new_program(text, where, tools=tools, names=names)
 
 
 def report_of(program: Program) -> Report:

@@ -103,7 +103,8 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
         )
     try:
         text = np.asarray(dataset["module"], dtype=np.uint8).tobytes().decode()
-        program = read_program(text, os.fspath(where))
+        users = json.loads(str(dataset.attrs.get("names", "{}")))
+        program = read_program(text, os.fspath(where), users=users)
         run = _trajectory(dataset, program)
         if digest_of(run) != dataset.attrs["sha256"]:
             raise ValueError("its content does not have the digest that it names")

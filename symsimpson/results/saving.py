@@ -50,6 +50,8 @@ def _dataset(run: Stored) -> Any:
     }
     for name, rows in run.recorded_values:
         dataset[f"{RECORDED}{name}"] = (("time", f"{name}_number"), rows)
+    if users := run.program.names.users:
+        dataset.attrs["names"] = json.dumps(users)
     if run.reduced_values:
         dataset.attrs["reduced"] = json.dumps(run.reduced_values)
     if run.variations is not None:
@@ -75,7 +77,9 @@ def digest_of(run: Stored) -> str:
     reduced = (run.reduced_values,) if run.reduced_values else ()
     outcome = run.status.name, run.message, run.program.source
     acted = (_of_events(run),) if run.event_names else ()
-    about = (float(run.h), run.steps, run.every, *outcome, *reduced, *acted)
+    users = run.program.names.users
+    named = (json.dumps(users),) if users else ()
+    about = (float(run.h), run.steps, run.every, *outcome, *reduced, *acted, *named)
     content = hashlib.sha256(repr(about).encode())
     tau = () if run.tau_values is None else (run.tau_values,)
     beside = [] if run.variations is None else [run.variations]

@@ -52,6 +52,7 @@ def asked(program: Program, run: Run, spec: RunSpec) -> dict[str, Any]:
     """Return what a run was asked for, in values of JSON; floats are written with all digits."""
     return {
         "source": program.source,
+        **({"names": program.names.users} if program.names.users else {}),
         "parameters": spec.parameters.tolist(),
         **spec.said(),
         "q0": run.rows("POSITION", program.n).tolist(),
@@ -112,12 +113,12 @@ class Checkpoint:
     def advance(self, stop: int) -> None:
         """Take steps, with a checkpoint now and then, and after the last one or Ctrl-C."""
         run = self._run
-        room = (len(run.q) - 1) * run.every if run.every else stop
+        room = len(run.q) * run.every - 1 if run.every else stop  # up to what has no place
         segment = self._every or 4096
         try:
             while run.step < stop and run.alive:
                 begin, before = time.perf_counter(), run.step
-                run.advance(min(stop, run.step + segment, run.first + max(room, 1)))
+                run.advance(min(stop, run.step + segment, run.first + room))
                 spent = time.perf_counter() - begin
                 if self._every is None and run.step - before == segment and spent < SECONDS / 2:
                     segment *= 2

@@ -349,8 +349,11 @@ def constant_restitution(program: Program, event: Event, values: Floats) -> floa
     if not isinstance(event.action, Impact):
         return None
     given = event.action.restitution
-    if "approach" in map(str, getattr(given, "free_symbols", ())):
-        return None
+    if hasattr(given, "free_symbols"):
+        from symsimpson.mechanics.coordinates import approach  # SymPy is there by now
+
+        if approach in given.free_symbols:
+            return None
     try:
         return _restitution(program, given, values)(0.0)
     except InputError:
@@ -362,21 +365,20 @@ def _restitution(program: Program, given: Any, values: Floats) -> Callable[[floa
     if not hasattr(given, "free_symbols") or given.is_number:
         number = float(given)
         return lambda _: number
-    known = dict(zip(program.parameters, map(float, values), strict=True))
-    constants = {
-        symbol: known[str(symbol)] for symbol in given.free_symbols if str(symbol) in known
-    }
-    left = given.subs(constants)
-    (speed,) = left.free_symbols or (None,)
+    from symsimpson.mechanics.coordinates import approach  # SymPy is there by now
 
-    def restitution(approach: float) -> float:
+    found = program.names.parameters.found
+    symbols = given.free_symbols - {approach}
+    left = given.subs({symbol: float(values[found(symbol)]) for symbol in symbols})
+
+    def restitution(speed: float) -> float:
         try:
-            factor = float(left if speed is None else left.subs(speed, approach))
+            factor = float(left.subs(approach, speed))
         except TypeError:  # it is not real
             factor = float("nan")
         if not 0.0 <= factor <= 1.0:
             raise InputError(
-                f"the restitution {given} is {factor:g} at a speed of approach of {approach:g}.\n"
+                f"the restitution {given} is {factor:g} at a speed of approach of {speed:g}.\n"
                 "It must be between 0 (plastic) and 1 (elastic)."
             )
         return factor

@@ -13,6 +13,7 @@ from symsimpson.errors import InputError
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import Exact
+from symsimpson.mechanics.coordinates import approach
 from symsimpson.stepping.event import Impact
 from symsimpson.stepping.run_events import RunEvents
 
@@ -58,6 +59,7 @@ class Jumps:
         plain, n = program.declared.plain, program.n
         self._n, self._events, self._plain = n, run_events, plain
         self._names, self._parameters = tuple(program.header.parameters), parameters
+        self._place = program.names.parameters.found
         graph = plain.graph
         self._texts = [
             compile(expression.text, "<event>", "eval") for expression in run_events.watched
@@ -152,15 +154,16 @@ class Jumps:
         impulse = -(1 + self._restitution(event, -rate, z)) * rate / weight
         return [p[i] + impulse * mp.fdot([full[i, j] for j in range(n)], w[:n]) for i in range(n)]
 
-    def _restitution(self, event: int, approach: Any, z: Sequence[Any]) -> Any:
+    def _restitution(self, event: int, speed: Any, z: Sequence[Any]) -> Any:
         given = self._events.events[event].action.restitution  # type: ignore[union-attr]
         if not hasattr(given, "free_symbols"):
             return mp.mpf(float(given))
-        known = dict(zip(self._names, z[1 + 2 * self._n :], strict=True)) | {"approach": approach}
-        symbols = sorted(given.free_symbols, key=str)
-        from sympy import lambdify  # slow to import, and there by now
+        from sympy import Dummy, lambdify  # slow to import, and there by now
 
-        return lambdify(symbols, given, "mpmath")(*(known[str(x)] for x in symbols))
+        values, place = z[1 + 2 * self._n :], self._place
+        symbols = {x: Dummy() for x in given.free_symbols}  # whose names may be any
+        known = [speed if x == approach else values[place(x)] for x in symbols]
+        return lambdify([*symbols.values()], given.xreplace(symbols), "mpmath")(*known)
 
     def _state(self, z: Sequence[Any]) -> tuple[Any, list[Any], list[Any]]:
         n = self._n

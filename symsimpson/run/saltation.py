@@ -20,7 +20,7 @@ from symsimpson.run.jumps import DIGITS, Jumps, slope
 from symsimpson.stepping.driving import since
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.run_events import check_variations
-from symsimpson.stepping.variations import varied_program
+from symsimpson.stepping.variations import STEP_ITSELF, varied_program
 from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ class Saltation:
     ) -> None:
         check_variations(program, inputs)
         varied = program.header.varied_by or ()
-        by = ("h",) if program.header.autonomous else ("h", "t")
+        by = STEP_ITSELF[:1] if program.header.autonomous else STEP_ITSELF
         self._program, self._by = varied_program(program, (*varied, *by)), by
         self._events, self._parameters = run_events, parameters
         self._h, self._inputs, self._own = h, inputs, varied

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.program.observed import Observed, read_expression, refuse_constant, watchers
 from symsimpson.stepping.event import CHANGED, Change, Event, Impact
+from symsimpson.stepping.variations import STEP
 from symsimpson.support.names import spelled
 
 if TYPE_CHECKING:
@@ -128,6 +129,14 @@ def check_variations(program: Program, inputs: NDArray[Any]) -> None:
             "and a module has none.\nMake the stepper with symsimpson.compile; a run in a "
             "checkpoint goes on by the call that began it, integrate(..., checkpoint=...)."
         )
+    header = program.header
+    of_steps = {*(header.varied_by or ())} & {*STEP} - {*header.parameters, *header.inputs}
+    if of_steps:
+        raise InputError(
+            f"{program.system}: derivatives of a run with events by {' and '.join(of_steps)} are "
+            "not known, as events have times of their own.\nDifferentiate by the state, by "
+            "parameters or by inputs, or a run without events."
+        )
     if inputs.size and inputs.shape[2] > 1:
         raise InputError(
             f"{program.system}: derivatives of a run with events do not go with inputs that vary "
@@ -234,12 +243,14 @@ def _check_restitution(program: Program, event: Event) -> None:
     from sympy import Derivative, Symbol  # SymPy is slow to import, and is there by now
     from sympy.core.function import AppliedUndef
 
+    from symsimpson.mechanics.coordinates import approach
+
     given: Any = getattr(event.action, "restitution", 1.0)
     if hasattr(given, "atoms"):  # coordinates and velocities by their names, not by the t in them
         for kind in (Derivative, AppliedUndef):
             given = given.xreplace({atom: Symbol(spelled(atom)) for atom in given.atoms(kind)})
-    names = {str(symbol) for symbol in getattr(given, "free_symbols", ())}
-    strange = sorted(names - {"approach", *program.parameters})
+    symbols = {*getattr(given, "free_symbols", ())} - {approach}
+    strange = sorted(str(x) for x in symbols if program.names.parameters.place(x) is None)
     if strange:
         raise InputError(
             f"the restitution {given} contains {', '.join(strange)}.\n"

@@ -16,11 +16,21 @@ if TYPE_CHECKING:
     from symsimpson.program.program import Program
     from symsimpson.stepping.run import Run
 
-__all__ = ["begin_variations", "read_tangents", "read_varied", "refuse_retimed", "varied_program"]
+__all__ = [
+    "STEP",
+    "STEP_ITSELF",
+    "begin_variations",
+    "read_tangents",
+    "read_varied",
+    "refuse_retimed",
+    "varied_program",
+]
 
 Reals = NDArray[Any]
 #: What a step has besides parameters and inputs.
 STEP = ("h", "t")
+#: The same where parameters may be called so: no name of a user's has parentheses.
+STEP_ITSELF = ("(h)", "(t)")
 
 
 def read_varied(program: Program, names: Any, *, of_steps: bool = False) -> tuple[str, ...]:

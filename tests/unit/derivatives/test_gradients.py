@@ -248,6 +248,71 @@ def test_a_run_in_many_digits_has_a_gradient():
     assert abs((values[1] - values[0]) / 1e-10 - found.parts["q"][0]) < 1e-8
 
 
+X, K = ss.coordinates("x")[0], sp.Symbol("k")
+QUARTIC = ss.MechanicalSystem(
+    "quartic",
+    coordinates=(X,),
+    kinetic=X.diff() ** 2 / 2,
+    potential=K * X**2 / 2 + X**4 / 4,
+    parameters={K: 1.0},
+)
+TIMED = ss.MechanicalSystem(
+    "timed",
+    coordinates=(X,),
+    kinetic=(2 + sp.sin(ss.time)) * X.diff() ** 2 / 2,
+    potential=K * X**2 / 2 + X * sp.sin(ss.time),
+    parameters={K: 1.0},
+)
+IN_TIME = {
+    "cost": {"cost": "v_x*t**2 + p_x"},
+    "samples": {"samples": {"t*x": np.linspace(0, 1, 5)}, "every": 5},
+    "running": {"running": ss.time * X**2},
+}
+
+
+@pytest.mark.parametrize("cost", IN_TIME)
+@pytest.mark.parametrize(("system", "by"), [(QUARTIC, "h"), (QUARTIC, "t"), (TIMED, "t")])
+def test_costs_in_which_the_time_stands(system, by, cost):
+    """With h and the start the times of states are varied, too."""
+    stepper = ss.compile(system, "gauss4")
+
+    def gradient(move=0.0):
+        given = {"h": 0.05 + move * (by == "h"), "t0": 0.3 + move * (by == "t")}
+        return stepper.gradient([0.7], [0.2], **given, steps=20, wrt=by, **IN_TIME[cost])
+
+    if (by, cost) == ("h", "running"):
+        with pytest.raises(ss.InputError, match="running= contains the time"):
+            gradient()
+        return
+    slope = differences(lambda move: gradient(float(move)).value, np.float64(0.0))
+    np.testing.assert_allclose(gradient().parts[by], slope, rtol=1e-8)
+
+
+def test_symbols_of_parameters_are_not_the_state():
+    v = sp.Symbol("v")
+    belt = ss.MechanicalSystem(
+        "belt",
+        coordinates=(X,),
+        kinetic=X.diff() ** 2 / 2,
+        potential=v * X**2 / 2,
+        parameters={v: 1.0},
+    )
+    stepper, given = ss.compile(belt), {"h": 0.05, "steps": 10, "cost": "x**2"}
+    by_start = stepper.gradient([0.7], [0.2], **given, wrt="v").parts["v"]
+    by_symbol = stepper.gradient([0.7], [0.2], **given, wrt=v).parts["v"]
+
+    def at(value):
+        return stepper.gradient([0.7], [0.2], **given, wrt="q", parameters={v: value}).value
+
+    assert by_start.shape == (1,)
+    assert by_symbol == pytest.approx((at(1.001) - at(0.999)) / 0.002, rel=1e-5)
+    by_name = stepper.tangent([0.7], [0.2], h=0.05, wrt=("q", v))[2]
+    assert by_name.shape == (2, 2)
+    assert abs(by_name[1, 1] + 0.05 * 0.7) < 1e-3
+    with pytest.raises(ss.InputError, match="in a call of its own"):
+        stepper.gradient([0.7], [0.2], **given, wrt=("v", v))
+
+
 @pytest.mark.slow
 def test_what_a_gradient_cannot_be_of_is_refused(double_pendulum):
     def gradient(**changed):

@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+import sympy as sp
 import xarray
 from support.cases import sweep
 
@@ -76,6 +77,25 @@ def test_results_that_are_no_runs_are_told(tmp_path, ending):
     opener = {"nc": "open_dataset", "zarr": "open_zarr"}[ending]
     with pytest.raises(ss.StorageError, match=rf"no run that could go on.*\n.*{opener}.*t_eval="):
         ss.open_trajectory(path)
+
+
+@pytest.mark.parametrize("ending", sweep(["nc", "zarr"]))
+def test_names_of_the_user_are_kept(tmp_path, ending):
+    theta, rate = sp.Function(r"\theta")(ss.time), sp.Symbol("lambda", positive=True)
+    system = ss.MechanicalSystem(
+        "named",
+        coordinates=(theta,),
+        kinetic=theta.diff() ** 2 / 2,
+        potential=-rate * sp.cos(theta),
+        parameters={rate: 2.0},
+    )
+    run = ss.compile(system).integrate([1.0], v0=[0.0], h=0.1, steps=20)
+    path = tmp_path / f"run.{ending}"
+    run.save(path)
+    again = ss.open_trajectory(path)
+    assert dict(again.parameters) == {"lambda": 2.0}
+    assert (again[r"\theta"] == run[r"\theta"]).all()
+    assert (again.events(theta).t == run.events(theta).t).all()
 
 
 def test_others_can_read_it(tmp_path):

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
@@ -284,6 +285,33 @@ def test_memory_does_not_grow(path, monkeypatch):
     assert max(sizes) <= 4000
     assert isinstance(run.q.base, np.memmap) or isinstance(run.q, np.memmap)
     assert same(run, ss.compile(system).integrate(**system.reference_state, h=H, steps=5000))
+
+
+@pytest.mark.parametrize(("steps", "every"), [(9, 10), (10, 10), (35, 10), (3, 1000), (1, 1)])
+def test_runs_of_which_few_states_are_stored(path, steps, every):
+    """Between two states that are stored there is room for steps."""
+    system = SYSTEMS["double_pendulum"]
+    given = {**system.reference_state, "h": H, "steps": steps, "every": every}
+    run = ss.compile(system).integrate(**given, checkpoint=path, checkpoint_every=4)
+    assert same(run, ss.compile(system).integrate(**given))
+    assert same(ss.resume(path), run)
+
+
+@pytest.mark.parametrize("name", ["lambda", r"\xi", "x'"])
+def test_names_of_the_user_are_resumed(path, name):
+    q, k = ss.coordinates("W")[0], sp.Symbol(name, positive=True)
+    system = ss.MechanicalSystem(
+        "named",
+        coordinates=(q,),
+        kinetic=q.diff() ** 2 / 2,
+        potential=k * q**2 / 2,
+        parameters={k: 2.0},
+    )
+    run = ss.compile(system).integrate([1.0], v0=[0.0], h=H, steps=20, checkpoint=path)
+    again = ss.resume(path)
+    assert dict(again.parameters) == dict(run.parameters) == {name: 2.0}
+    assert same(again, run)
+    assert (again["W"] == run["W"]).all()
 
 
 def test_many_digits_are_refused(path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from support.cases import sweep
-from support.impacts import BALL, g, k, x, y, z
+from support.impacts import BALL, floor, g, k, x, y, z
 from support.rods import ROD
 
 import symsimpson as ss
@@ -87,6 +87,55 @@ def test_changes_conditions_and_splits():
     run = compare(PLANE, [swap, kink], [0.5, 0.2], [0.1, 0.6], h=0.05)  # off the grid of times
     assert {len(run.events("swap")), len(run.events("kink"))} == {1}
     assert len(compare(PLANE, [push], [0.5, 0.2], [0.1, 0.6]).records) == 2
+
+
+@pytest.mark.parametrize("timed", [False, True])
+def test_parameters_may_be_called_as_a_step_is(timed):
+    stiff, drive = sp.symbols("h t1", positive=True)
+    lift = sp.sin(3 * ss.time) if timed else 1
+    system = ss.MechanicalSystem(
+        "named",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=stiff * x**2 / 2 + drive * y**2 / 2 + x * y / 3 + y * lift / 5,
+        parameters={stiff: 1.5, drive: 0.7},
+    )
+    run = compare(system, [WALL], [0.5, 0.2], [0.1, 0.6], by="h", near=1e-8)
+    assert len(run.records) == 1
+
+
+def test_steps_are_not_differentiated_through_events():
+    for by in ("h", "t"):
+        with pytest.raises(ss.InputError, match=f"with events by {by} are not known"):
+            ss.compile(BALL).integrate(
+                [1.0], v0=[0.0], h=0.06, steps=20, events=[floor()], sensitivities=by
+            )
+        with pytest.raises(ss.InputError, match=f"with events by {by} are not known"):
+            ss.compile(BALL).ensemble(
+                [[1.0]], v0=[0.0], h=0.06, steps=20, events=[floor()], sensitivities=by
+            )
+
+
+@pytest.mark.parametrize("name", [r"\epsilon", "lambda", "e'", "approach", "max"])
+def test_restitutions_of_parameters_of_any_name(name):
+    e = sp.Symbol(name, positive=True)
+    ball = ss.MechanicalSystem(
+        "ball", coordinates=(z,), kinetic=z.diff() ** 2 / 2, potential=9.81 * z, parameters={e: 0.8}
+    )
+    wall = ss.Event(z, name="floor", action=ss.Impact(e * (1 - ss.approach / 100)))
+    stepper = ss.compile(ball)
+
+    def end(value):
+        return stepper.integrate(
+            [1.0], v0=[0.0], h=0.05, steps=12, events=[wall], parameters={name: value}
+        ).q[-1, 0]
+
+    given = {"h": 0.05, "steps": 12, "events": [wall], "sensitivities": name}
+    run = stepper.integrate([1.0], v0=[0.0], **given)
+    speed = -run.events("floor").v[0, 0]
+    assert run.events("floor").after.v[0, 0] == pytest.approx(0.8 * (1 - speed / 100) * speed)
+    slope = (end(0.8 + 1e-4) - end(0.8 - 1e-4)) / 2e-4
+    assert run.sensitivity[name][-1, 0] == pytest.approx(slope, rel=1e-6)
 
 
 def test_a_wall_that_moves_and_a_system_that_depends_on_time():
