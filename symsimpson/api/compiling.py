@@ -83,11 +83,12 @@ def compile(
         :func:`symsimpson.galerkin`.
     exploit : "all" or iterable of str
         Structure that the generator may exploit: "decoupled", "cyclic", "constant_mass", "linear",
-        "sparse", "conformal" (see :attr:`MechanicalSystem.structure`). All but the last give the
-        same trajectory up to rounding. "conformal" treats damping f = -2 gamma p by weights that
-        grow in time: the step is conformally symplectic, and areas of phase space shrink by
-        exactly exp(-2 gamma t); as a force, damping does this to the order of the scheme. ``()``
-        keeps the general path, for comparison.
+        "sparse" (see :attr:`MechanicalSystem.structure`). The trajectory is the same up to
+        rounding; ``()`` keeps the general path, for comparison. ``("all", "conformal")`` treats
+        damping f = -2 gamma p by weights that grow in time, which is another scheme: the step is
+        conformally symplectic, and areas of phase space shrink by exactly exp(-2 gamma t). As a
+        force, damping does this to the order of the scheme. Such steps must resolve the damping,
+        gamma h < 0.1; others stay accurate where it is strong.
     precision : int, optional
         Decimal digits. The same module then runs in Python, states are numbers of mpmath, and
         Newton's method goes on to all digits. Numbers can be given as strings (``"0.1"``), as

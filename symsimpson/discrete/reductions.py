@@ -57,8 +57,9 @@ __all__ = [
 
 #: Mass matrices with entries of more nodes than this are not factorised in symbols.
 LONGEST_ENTRY = 500
-#: What ``exploit`` can name.
-EXPLOITABLE = ("decoupled", "cyclic", "constant_mass", "linear", "sparse", "conformal")
+#: What ``exploit`` can name: "all", which leaves the trajectory what it is, and what changes it.
+ALL = ("decoupled", "cyclic", "constant_mass", "linear", "sparse")
+EXPLOITABLE = (*ALL, "conformal")
 
 
 class BasePart:
@@ -184,7 +185,7 @@ Part = Coupled | Separable | Routh | Linear | Affine | Constrained | Composed
 
 
 def read_exploit(exploit: str | Iterable[str]) -> frozenset[str]:
-    """Read what is to be exploited: "all", or some of :data:`EXPLOITABLE`.
+    """Read what is to be exploited: some of :data:`EXPLOITABLE`; "all" stands for those of ALL.
 
     Raises
     ------
@@ -192,17 +193,17 @@ def read_exploit(exploit: str | Iterable[str]) -> frozenset[str]:
         If something else is named.
     """
     if isinstance(exploit, str):
-        exploit = EXPLOITABLE if exploit == "all" else (exploit,)
+        exploit = (exploit,)
     wanted = tuple(exploit) if isinstance(exploit, Iterable) else (exploit,)
     for name in wanted:
-        if name not in EXPLOITABLE:
+        if not isinstance(name, str) or name not in ("all", *EXPLOITABLE):
             choices = ", ".join(repr(choice) for choice in EXPLOITABLE)
             raise GenerationError(
                 f"exploit names {name!r}, which is nothing that can be exploited."
                 f"{did_you_mean(name, EXPLOITABLE)}\n"
                 f"Choose 'all', () for the general path, or some of {choices}."
             )
-    return frozenset(wanted)
+    return frozenset(wanted) - {"all"} | frozenset(ALL if "all" in wanted else ())
 
 
 def reduce(structure: Structure, scheme: Scheme, exploit: frozenset[str]) -> tuple[Part, ...]:

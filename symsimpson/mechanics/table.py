@@ -77,7 +77,7 @@ def rows(structure: Any) -> list[Row]:
                 "damping",
                 "f = -2 gamma p",
                 "all forces are in proportion to the momenta",
-                "the forces: weights of the nodes grow by exp(2 gamma c_i h)",
+                "nothing, but for exploit=('all', 'conformal'): weights that grow in time",
             )
         )
     if not structure.autonomous:

@@ -1,5 +1,7 @@
 """Momenta damped in proportion: areas of phase space shrink by exp(-2 gamma h) exactly."""
 
+import warnings
+
 import mpmath as mp
 import numpy as np
 import pytest
@@ -24,6 +26,10 @@ def damped():
         parameters={k: GAMMA},
         dissipation=2 * k * kinetic,
     )
+
+
+def weighted(system, scheme="simpson", **options):
+    return ss.compile(system, scheme, exploit=("all", "conformal"), **options)
 
 
 STATE = np.array([0.3, 0.2, 0.4, -0.1])
@@ -53,7 +59,7 @@ J = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.eye(2), np.zeros((2, 2))]])
 @pytest.mark.parametrize("scheme", sweep(SCHEMES))
 def test_areas_shrink_exactly(scheme):
     with mp.workdps(50):
-        made = ss.compile(damped(), scheme, precision=50)
+        made = weighted(damped(), scheme, precision=50)
         D = slope_of(made, mp.mpf("0.1"), 3, mp.mpf, mp.mpf(10) ** -16)
         whole = J.astype(int)
         defect = D.T @ whole @ D - mp.exp(-2 * mp.mpf(GAMMA) * mp.mpf("0.3")) * whole
@@ -65,7 +71,7 @@ def test_areas_shrink_exactly(scheme):
 
 
 def test_the_equations_have_the_weights_of_the_step():
-    stepper = ss.compile(damped(), "midpoint")
+    stepper = weighted(damped(), "midpoint")
     assert "grow_node(" in stepper.source
     q, _ = stepper.step(STATE[:2], p=STATE[2:], h=0.1)
     assert np.abs(stepper.residual(STATE[:2], STATE[2:], [q], 0.1)).max() < 1e-15
@@ -74,8 +80,8 @@ def test_the_equations_have_the_weights_of_the_step():
 @pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(SCHEMES, 1))
 def test_compiled_steps_agree_with_many_digits(scheme):
-    run = ss.compile(damped(), scheme).integrate(STATE[:2], p0=STATE[2:], h=0.1, steps=20)
-    exact = ss.compile(damped(), scheme, precision=30).integrate(
+    run = weighted(damped(), scheme).integrate(STATE[:2], p0=STATE[2:], h=0.1, steps=20)
+    exact = weighted(damped(), scheme, precision=30).integrate(
         STATE[:2], p0=STATE[2:], h=0.1, steps=20
     )
     assert np.abs((run.q - exact.q).astype(float)).max() < 1e-15
@@ -85,7 +91,7 @@ def test_compiled_steps_agree_with_many_digits(scheme):
 @pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(SCHEMES))
 def test_the_order_is_kept_and_work_is_counted(scheme):
-    made = ss.compile(damped(), scheme)
+    made = weighted(damped(), scheme)
     found = solve_ivp(_rates, (0, 2), STATE, rtol=1e-13, atol=1e-14, method="DOP853").y[:, -1]
 
     def errors(count):
@@ -108,7 +114,7 @@ def _rates(t, z):
 
 @pytest.mark.slow
 def test_certificates_have_the_factor():
-    certificate = ss.compile(damped()).certify(STATE[:2], p0=STATE[2:], h=0.1)
+    certificate = weighted(damped()).certify(STATE[:2], p0=STATE[2:], h=0.1)
     assert certificate.passed
     assert certificate["conformal"].measured < 1e-25
 
@@ -126,8 +132,31 @@ def test_large_systems_damp_by_forces():
         parameters={k: 0.1},
         dissipation=k * kinetic,
     )
-    made = ss.compile(system)
+    made = weighted(system)
     assert not made.program.header.conformal
     run = made.integrate(np.linspace(0, 2, 20), v0=np.ones(20), h=0.05, steps=40)
     # the sum of all momenta decays by itself
     assert abs(run.p.sum(axis=1)[-1] / 20 - np.exp(-0.2)) < 1e-8
+
+
+@pytest.mark.parametrize("scheme", sweep(["simpson", "radau5", "gauss8", "lobatto6"]))
+@pytest.mark.parametrize(("stiffness", "friction"), [(100, 2000), (4, 20), (4, 50)])
+def test_friction_that_steps_do_not_resolve_is_a_force(scheme, stiffness, friction):
+    """Weights that grow by exp(2 gamma h) would lose the slow motion."""
+    system = ss.MechanicalSystem(
+        "door",
+        coordinates=(x,),
+        kinetic=x.diff() ** 2 / 2,
+        potential=stiffness * x**2 / 2,
+        dissipation=friction * x.diff() ** 2 / 2,
+    )
+    stepper = ss.compile(system, scheme)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ss.StabilityWarning)
+        run = stepper.integrate([1.0], [0.0], h=0.1, t_end=10.0)
+        varied = stepper.integrate([1.0], [0.0], h=0.1, t_end=10.0, tangents=2)
+    assert np.abs(varied.q - run.q).max() < 1e-13
+    root = np.sqrt(friction**2 / 4 - stiffness)
+    slow, fast = -stiffness / (friction / 2 + root), -friction / 2 - root
+    exact = (fast * np.exp(10 * slow) - slow * np.exp(10 * fast)) / (fast - slow)
+    assert abs(run["x"][-1] - exact) < 2e-6

@@ -37,6 +37,8 @@ def stepper_of(case, **options):
     scheme = wanted["name"] or ss.galerkin(
         wanted["quadrature"], nodes=wanted["nodes"], degree=wanted["degree"]
     )
+    if case.get("conformal") and options.get("exploit", "all") == "all":
+        options["exploit"] = ("all", "conformal")
     return ss.compile(system_of(case), scheme, **options)
 
 

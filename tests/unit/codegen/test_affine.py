@@ -106,9 +106,10 @@ def test_friction_in_proportion_to_momenta_is_solved_at_once():
         dissipation=c * x.diff() ** 2 / 2,
         parameters={c: 0.1, k: 2.0},
     )
-    steppers = [ss.compile(system, exploit=e) for e in ("all", "conformal")]
+    steppers = [ss.compile(system, exploit=e) for e in (("all", "conformal"), "conformal")]
     assert [s.program.header.newton_unknowns for s in steppers] == [0, 2]
     assert all(s.program.header.conformal for s in steppers)
+    assert not ss.compile(system).program.header.conformal
     runs = [s.integrate([1], [0.4], h=0.05, steps=2000) for s in steppers]
     assert np.abs(runs[0].p - runs[1].p).max() < 1e-14
 
