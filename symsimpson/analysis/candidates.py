@@ -19,6 +19,8 @@ __all__ = ["Found", "Wanted"]
 
 #: What is measured may be wrong by so much: steps are chosen for the error divided by this.
 SAFETY = 2.0
+#: An error that grew like a higher power of time grew exponentially.
+POWER = 3.0
 #: More steps than this are not tried on a pilot run.
 MOST_STEPS = 2_000_000
 #: Errors closer to rounding than this cannot be told from it.
@@ -109,8 +111,14 @@ class Wanted:
         return best
 
     def _wanted(self, growth: float) -> float:
-        """Return the error that the pilot run may have."""
-        return self.error / SAFETY * (self.pilot / self.t_end) ** growth
+        """Return the error that the pilot run may have, which grew like this power of time there.
+
+        Above POWER it doubled in equal times, as in chaotic motion, and is assumed to go on so.
+        """
+        allowed, rest = self.error / SAFETY, self.t_end / self.pilot - 1
+        if growth > POWER:
+            return allowed * 2.0 ** (-2 * growth * rest)
+        return allowed * (1 + rest) ** -growth
 
     def _measure(self, stepper: Stepper, steps: int) -> tuple[float, float, int, int, float] | None:
         """Return the error, the exponent of its growth with time, work, steps, and the run time."""
@@ -133,7 +141,7 @@ class Wanted:
         share = 1 / (1 - 2.0**-stepper.order)
         middle, end = (self._distance(coarse, fine, k) * share for k in (1, 2))
         growth = math.log2(max(end, FLOOR) / max(middle, FLOOR))
-        return end, min(max(growth, 1.0), 3.0), work, coarse.steps, seconds
+        return end, max(growth, 1.0), work, coarse.steps, seconds
 
     def _run(self, stepper: Stepper, steps: int, every: int | None) -> Any:
         length = {"t_end": self.pilot} if stepper.program.header.retimed else {"steps": steps}
@@ -190,9 +198,11 @@ class Wanted:
                 beside = "; no fixed steps that were tried come to that error"
             lines.append(f"{taken}{beside}.")
         if part and self.on == "state":
+            grew = f"grew like t^{best.growth:.1f}"
+            if best.growth > POWER:
+                grew = f"doubled in each {self.pilot / 2 / best.growth:.3g} of time"
             lines.append(
-                f"It grew like t^{best.growth:.1f} there, and is assumed to go on so; in chaotic "
-                "motion it would grow faster."
+                f"It {grew} there, and is assumed to go on so; chaotic motion may be worse."
             )
         if self.frequency > 0 and math.isfinite(largest_stable(best.stepper.scheme)):
             bound = largest_stable(best.stepper.scheme) / self.frequency

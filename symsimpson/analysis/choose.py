@@ -34,8 +34,9 @@ WITH_EXPLICIT = ("simpson", "blanes_moan4", "blanes_moan6", "gauss12", "gauss16"
 #: Those that are tried in the time of a retimed system, unless so few fixed steps do; where one
 #: takes so many times as long as fixed steps, no others are.
 ADAPTING, FEW_STEPS, FAR_SLOWER = ("gauss12", "gauss8", "gauss16"), 1000, 2.0
-#: A pilot run is at most so many of the steps long with which Simpson's scheme follows the motion.
-PILOT = 1000
+#: A pilot run is so many of the steps long with which Simpson's scheme follows the motion, with
+#: fewer coordinates so many of them.
+PILOT, PILOT_COORDINATES = 1000, 20_000
 
 Floats = NDArray[np.float64]
 
@@ -168,7 +169,7 @@ def choose(
     q, p = choose_state(first, {"q0": q0, "v0": v0, "p0": p0}, values)
     # of longer ones a pilot run would go beyond the end
     h0 = choose_step(first, q, p, values, 64, longest=t_end / PILOT)
-    pilot = min(float(t_end), PILOT * h0)
+    pilot = min(float(t_end), max(PILOT, PILOT_COORDINATES // system.n) * h0)
     frequency = largest_frequency(original, q, values.values())
     fixed = schemes
     if schemes is None:

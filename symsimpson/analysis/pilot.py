@@ -79,6 +79,10 @@ def choose_state(
     )
 
 
+#: Motions that would go so many times around in the longest step are none.
+ROUNDED = 1e-9
+
+
 @without_step_warnings()
 def choose_step(
     stepper: Stepper,
@@ -126,6 +130,8 @@ def _first_step(
     fastest, scale = float(np.abs(v).max()), longest
     if 0 < fastest < np.inf and q.any():
         scale = float(np.abs(q).max() / fastest)
+        if scale < ROUNDED * longest:  # q is a rounding of zero
+            scale = longest
     if not 0 < scale < np.inf or FIRST / FAR <= scale <= FIRST * FAR:
         return FIRST
     return float(2.0 ** np.round(np.log2(scale)))

@@ -7,6 +7,7 @@ import pytest
 from support.cases import sweep
 
 import symsimpson as ss
+from symsimpson.analysis.candidates import Wanted
 from symsimpson.analysis.choose import CANDIDATES
 from symsimpson.analysis.stability.frequency import largest_frequency, largest_stable
 
@@ -55,10 +56,21 @@ def test_no_more_work_than_needed(error, scheme, monkeypatch):
 
 @pytest.mark.slow
 def test_errors_of_the_energy():
-    choice = ss.choose(PENDULUM, **STATE, t_end=300, error=1e-7, on="energy", schemes=["simpson"])
-    run = choice.stepper.integrate(**STATE, h=choice.h, t_end=300)
+    choice = ss.choose(PENDULUM, **STATE, t_end=3000, error=1e-7, on="energy", schemes=["simpson"])
+    run = choice.stepper.integrate(**STATE, h=choice.h, t_end=3000)
     assert 1e-9 < np.abs(run.energy_error).max() <= 1e-7
     assert "until t =" in choice.reason  # a part was run
+
+
+def test_chaos_beyond_rounding_is_told():
+    """The error of a double pendulum that turns over doubles 25 times in each half of this time."""
+    chaotic = ss.systems.double_pendulum()
+    with pytest.raises(ss.InputError, match="too sensitive to its initial state"):
+        ss.choose(chaotic, [2.5, 2.9], v0=[0, 0], t_end=10.0, error=1e-6, schemes=["gauss16"])
+    problem = Wanted(None, None, {}, 4.0, 10.0, 1e-6, "state", 0.0, False, [])
+    assert problem._wanted(2.0) == pytest.approx(5e-7 * (4 / 10) ** 2)
+    # from 4 to 10 are three times 2, in each of which it doubles ten times
+    assert problem._wanted(10.0) == pytest.approx(5e-7 * 2.0**-30)
 
 
 @pytest.mark.slow
