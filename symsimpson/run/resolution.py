@@ -211,6 +211,18 @@ def check_forces(program: Program, spec: RunSpec) -> None:
             "zero or a quotient 0/0 makes it so. Start beside it, or write V and forces in a form "
             "that is smooth there."
         )
+    v = spec.other0
+    if not spec.velocities:
+        start = np.array([spec.t0]), spec.q0[None], spec.other0[None]
+        v = evaluate(program, "energy", "VELOCITY", program.n, start, spec.parameters)[0]
+    bad = np.flatnonzero(~np.isfinite(tools.force_terms(system, q, values, float(spec.t0), v)))
+    if bad.size:
+        raise InputError(
+            f"{program.system}: the force on {program.coordinates[bad[0]]} has a value at the "
+            f"velocities of the start, ({', '.join(f'{x:g}' for x in v.tolist())}), but no slope.\n"
+            "A root of squares makes it so, as in -c*v*sqrt(v**2) at v = 0. Write "
+            "sqrt(v**2 + eps**2), with an eps that is small against the speeds of the motion."
+        )
 
 
 def count_looked_at(program: Program, last: int) -> int:

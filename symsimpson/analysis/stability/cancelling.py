@@ -8,6 +8,7 @@ import mpmath
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.graph.derive import gradient
 from symsimpson.graph.evaluate import evaluated, moduli
 from symsimpson.mechanics.system import MechanicalSystem
 
@@ -18,9 +19,15 @@ MOST_COORDINATES = 12
 
 
 def force_terms(
-    system: MechanicalSystem, q: Iterable[float], values: Iterable[float], t: float = 0.0
+    system: MechanicalSystem,
+    q: Iterable[float],
+    values: Iterable[float],
+    t: float = 0.0,
+    v: Iterable[float] | None = None,
 ) -> NDArray[np.float64]:
     """Return the sums of the moduli of the terms of dL/dq + f at rest, one for each coordinate.
+
+    At velocities, those of its derivatives by them.
 
     Parameters
     ----------
@@ -29,6 +36,7 @@ def force_terms(
     values : iterable of float
         Values of all parameters, in the order of the system, then those of inputs.
     t : float
+    v : iterable of float, optional
 
     Returns
     -------
@@ -40,7 +48,11 @@ def force_terms(
         return np.zeros(n)
     graph, forces = plain.graph, plain.right_sides
     names = plain.numbers([*plain.q, *plain.v, *plain.parameters, *plain.u, plain.t])
-    given = dict(zip(names, map(float, (*q, *np.zeros(n), *values, t)), strict=True))
-    roots = [m for _, m in forces]
+    speeds = np.zeros(n) if v is None else v
+    given = dict(zip(names, map(float, (*q, *speeds, *values, t)), strict=True))
+    rows = [[force] for force in forces]
+    if v is not None:
+        rows = [gradient(graph, force, plain.numbers(plain.v)) for force in forces]
+    roots = [m for row in rows for _, m in row]
     sizes = moduli(graph, roots, evaluated(graph, roots, given, mpmath.fp))
-    return np.array([abs(float(c)) * sizes[m] for c, m in forces])
+    return np.array([sum(abs(float(c)) * sizes[m] for c, m in row if c) for row in rows])
