@@ -29,7 +29,7 @@ __all__ = ["Wanted", "gradient_of"]
 
 Reals = NDArray[Any]
 #: The initial state, by what was given of it.
-STATE = ("q", "v", "p")
+STATE = {"q": "q", "v": "v", "p": "p", "q0": "q", "v0": "v", "p0": "p"}
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def gradient_of(
     n, parts = program.n, {}
     for name, state in pairs:
         if state:
-            parts[name] = derivatives.state[:n] if name == "q" else derivatives.state[n:]
+            parts[name] = derivatives.state[:n] if STATE[name] == "q" else derivatives.state[n:]
             continue
         varied_name = varied[names.index(name)]
         if varied_name in header.inputs:
@@ -123,7 +123,7 @@ def _is_state(program: Program, variable: Any) -> bool:
     """Return whether a variable is the initial state: a text, or no symbol of a parameter."""
     names, key = program.names, spelled(variable)
     known = names.parameters.place(key) is not None or names.inputs.place(key) is not None
-    return key in STATE and (isinstance(variable, str) or not known)
+    return key in STATE and not (known and (key.endswith("0") or not isinstance(variable, str)))
 
 
 def _check(wanted: Wanted, pairs: Sequence[tuple[str, bool]], *, velocities: bool) -> None:
@@ -136,12 +136,13 @@ def _check(wanted: Wanted, pairs: Sequence[tuple[str, bool]], *, velocities: boo
     if not pairs:
         raise InputError("wrt is empty.\nName what to differentiate by: wrt=('q', 'l1').")
     wrong, right = ("p", "v") if velocities else ("v", "p")
-    if (wrong, True) in pairs:
+    of_state = [STATE[name] for name, state in pairs if state]
+    if wrong in of_state:
         raise InputError(
             f"wrt names {wrong!r}, and the run begins with {right}0.\n"
             f"Pass {wrong}0, or differentiate by {right!r}."
         )
-    if len({name for name, _ in pairs}) < len(pairs):
+    if len({STATE[name] if state else name for name, state in pairs}) < len(pairs):
         raise InputError(
             f"wrt is {', '.join(name for name, _ in pairs)}.\nName each only once, and what has a "
             "name of the state in a call of its own."

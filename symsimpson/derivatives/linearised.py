@@ -47,16 +47,17 @@ def linearise(program: Program, request: Request, wrt: Any, progress: bool | Non
             q[here], p[here] = states
             _linearise(program, spec, first, records, rows[here], slopes[here])
         q[-1], p[-1] = way.q1, way.p1
-    by_name = dict(zip(map(spelled, asked), np.moveaxis(slopes, 2, 0), strict=True))
-    inputs = {name for name in by_name if program.names.inputs.place(name) is not None}
-    return Linearisation(
-        spec.t0 + spec.h * np.arange(spec.steps + 1),
-        q,
-        p,
-        rows,
-        {name: slope.sum(axis=2) for name, slope in by_name.items() if name not in inputs},
-        {name: slope for name, slope in by_name.items() if name in inputs},
-    )
+        by_name = dict(zip(map(spelled, asked), np.moveaxis(slopes, 2, 0), strict=True))
+        inputs = {name for name in by_name if program.names.inputs.place(name) is not None}
+        result = numbers.result
+        return Linearisation(
+            result(spec.t0 + spec.h * numbers.counted(0, spec.steps + 1, 1)),
+            result(q),
+            result(p),
+            result(rows),
+            {name: result(x.sum(axis=2)) for name, x in by_name.items() if name not in inputs},
+            {name: result(x) for name, x in by_name.items() if name in inputs},
+        )
 
 
 def _linearise(

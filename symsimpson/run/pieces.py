@@ -45,6 +45,13 @@ def by_pieces(
     InputError
         If the run cannot begin.
     """
+    with program.numbers.working():
+        return _by_pieces(program, spec, take, progress)
+
+
+def _by_pieces(
+    program: Program, spec: RunSpec, take: Callable[[Trajectory, int], Taken], progress: bool | None
+) -> tuple[Run, Trajectory, list[Taken]]:
     count, piece = spec.steps, min(PIECE, max(16, MOST_NUMBERS // (2 * program.n)))
     run = new_run(program, spec, 1, piece + 1)
     begin_run(program, run, spec)
@@ -85,8 +92,9 @@ def _piece(program: Program, run: Run, spec: RunSpec, end: Trajectory | None = N
     if end is not None:
         ends = end.t, end.tau, end.q, end.p
         columns = tuple(np.concatenate([x[-1:], y]) for x, y in zip(columns, ends, strict=True))
-    t, tau, q, p = columns
-    inputs = since(spec.inputs, run.first)
+    numbers = program.numbers
+    t, tau, q, p = map(numbers.result, columns)
+    inputs, h = numbers.result(since(spec.inputs, run.first)), numbers.single(run.h)
     first = run.step if end is not None else run.first
     acted = (record.since(first) for record in run.records if record.step >= first)
     return Trajectory(
@@ -94,15 +102,15 @@ def _piece(program: Program, run: Run, spec: RunSpec, end: Trajectory | None = N
         q=q,
         p=p,
         newton_iterations=run.iterations[:kept, 0],
-        h=run.h,
+        h=h,
         steps=len(t) - 1,
         every=1,
         status=Status.SUCCESS,
         message="",
         program=program,
-        parameter_values=run.parameters,
+        parameter_values=numbers.result(run.parameters),
         input_values=inputs,
-        driven=driven(inputs, t[0], run.h, len(t) - 1),
+        driven=driven(inputs, t[0], h, len(t) - 1),
         tau_values=tau if run.header.retimed else None,
         records=tuple(acted),
         ended_by=None if end is None else end.ended_by,

@@ -72,7 +72,7 @@ def read_varied(program: Program, names: Any, *, of_steps: bool = False) -> tupl
             known = (*program.parameters, *program.inputs)
             raise InputError(
                 f"{key!r} is no parameter or input of {program.system}.{did_you_mean(key, known)}\n"
-                f"It has {', '.join(known) or 'none'}."
+                f"It has {', '.join(known) or 'none'}; a step has h and t."
             )
     if len(set(varied)) < len(varied):
         raise InputError(

@@ -288,6 +288,19 @@ def test_costs_in_which_the_time_stands(system, by, cost):
     np.testing.assert_allclose(gradient().parts[by], slope, rtol=1e-8)
 
 
+def test_the_state_may_be_named_as_it_is_given():
+    given = {"h": 0.05, "steps": 10, "cost": "x**2"}
+    stepper = ss.compile(QUARTIC)
+    found = stepper.gradient([0.7], [0.2], **given, wrt=("q0", "k", "v0"))
+    short = stepper.gradient([0.7], [0.2], **given, wrt=("q", "k", "v"))
+    assert list(found.parts) == ["q0", "k", "v0"]
+    assert (found.gradient == short.gradient).all()
+    with pytest.raises(ss.InputError, match="wrt names 'p', and the run begins with v0"):
+        stepper.gradient([0.7], [0.2], **given, wrt="p0")
+    with pytest.raises(ss.InputError, match="Name each only once"):
+        stepper.gradient([0.7], [0.2], **given, wrt=("q", "q0"))
+
+
 def test_symbols_of_parameters_are_not_the_state():
     v = sp.Symbol("v")
     belt = ss.MechanicalSystem(

@@ -56,6 +56,28 @@ def test_the_two_arithmetics_agree():
     assert all(abs(a - b) < 1e-44 * max(1, abs(a)) for a, b in zip(*ends, strict=True))
 
 
+def test_chosen_states_and_linearisations_have_all_digits(arithmetic):
+    more = {"precision": 40, "arithmetic": arithmetic}
+    stepper = ss.compile(ss.systems.double_pendulum(), **more)
+    given = {"p0": ["0.1", "0.2"], "h": "0.05"}
+    run = stepper.integrate(["0.8", "1"], steps=4, **given)
+    kept = stepper.integrate(["0.8", "1"], t_eval=["0.1", "0.2"], **given)
+    saved = stepper.integrate(["0.8", "1"], steps=4, save=["q1"], **given)
+    found = stepper.linearise(["0.8", "1"], steps=2, wrt="l1", **given)
+    with mpmath.workdps(45):
+        near = [
+            stepper.integrate(["0.8", "1"], steps=1, every=None, parameters={"l1": l1}, **given).p[
+                -1
+            ]
+            for l1 in (run.parameters["l1"] + mpmath.mpf(10) ** -18 * sign for sign in (1, -1))
+        ]
+        assert abs(kept.q - run.q[[2, 4]]).max() < 1e-38
+        assert abs(saved["q1"] - run["q1"]).max() < 1e-38
+        slope = (near[0] - near[1]) / mpmath.mpf(10) ** -18 / 2
+        assert abs(found.by_parameter["l1"][0, 2:] - slope).max() < 1e-20
+        assert all(isinstance(x, mpmath.mp.mpf.__mro__[1]) for x in (*found.t, *found.q.flat))
+
+
 def test_results_keep_their_digits():
     stepper = ss.compile(ss.systems.pendulum(), precision=40)
     run = stepper.integrate(["0.1"], v0=["0"], h="0.1", t_end=1)
