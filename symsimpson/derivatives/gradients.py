@@ -110,13 +110,12 @@ def _moves(running: Any) -> bool:
     """Return whether the time stands in a cost along the path."""
     if not hasattr(running, "xreplace"):
         return re.search(r"\bt\b", str(running)) is not None
-    from sympy import Derivative, Dummy
+    from sympy import Derivative, Dummy, Symbol  # SymPy is there by now
     from sympy.core.function import AppliedUndef
 
-    from symsimpson.mechanics.coordinates import time  # SymPy is there by now
-
     moved = running.xreplace({x: Dummy() for x in running.atoms(Derivative)})
-    return time in moved.xreplace({x: Dummy() for x in moved.atoms(AppliedUndef)}).free_symbols
+    moved = moved.xreplace({x: Dummy() for x in moved.atoms(AppliedUndef)})
+    return Symbol("t") in moved.free_symbols
 
 
 def _is_state(program: Program, variable: Any) -> bool:

@@ -31,20 +31,8 @@ __all__ = ["Ensemble", "names_in_dataset", "spread"]
 Floats = NDArray[np.float64]
 
 #: Names that a dataset has for itself.
-RESERVED = (
-    "q",
-    "p",
-    "q0",
-    "v0",
-    "p0",
-    "status",
-    "steps",
-    "newton_iterations",
-    "variations",
-    "member",
-    "time",
-    "coord",
-)
+STATES = ("q", "p", "q0", "v0", "p0", "variations")
+RESERVED = (*STATES, "status", "steps", "newton_iterations", "member", "time", "coord")
 
 
 def spread(members: int, most: int) -> NDArray[np.int64]:
@@ -142,14 +130,9 @@ class Ensemble(Quantities, Differentiated):
         if self.t.shape == self.q.shape[:-1]:  # times of its own, up to its end
             t = self.t[member].reshape(-1)
             t, q, p = (x[: np.isfinite(t).sum()] for x in (t, q, p))
-        return States(
-            t=t,
-            q=q,
-            p=p,
-            program=self.program,
-            parameter_values=self.parameter_values[member],
-            driven=self.driven.of_member(member) if self.driven is not None else None,
-        )
+        program, values = self.program, self.parameter_values[member]
+        driven = None if self.driven is None else self.driven.of_member(member)
+        return States(t=t, q=q, p=p, program=program, parameter_values=values, driven=driven)
 
     #: Iterating over quantities or over members: neither is what everybody expects.
     __iter__ = None

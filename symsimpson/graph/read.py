@@ -47,6 +47,12 @@ FUNCTIONS: dict[Any, str] = {
     sp.erf: "erf",
     sp.erfc: "erfc",
 }
+#: Functions that others write.
+OTHERS: dict[Any, Callable[[Any], sp.Expr]] = {
+    sp.sech: lambda x: 1 / sp.cosh(x),
+    sp.csch: lambda x: 1 / sp.sinh(x),
+    sp.coth: lambda x: sp.cosh(x) / sp.sinh(x),
+}
 CONSTANTS: dict[Any, str] = {sp.pi: "pi", sp.EulerGamma: "EulerGamma", sp.Catalan: "Catalan"}
 #: A root has at most this index; other powers are functions.
 HIGHEST_ROOT = 24
@@ -90,7 +96,13 @@ class Reader:
             node, checked = work.pop()
             if node in done:
                 continue
-            if not checked:
+            other = _smooth(node)
+            if other is not None:
+                if other in done:
+                    done[node] = done[other]
+                else:
+                    work += [(node, False), (other, False)]
+            elif not checked:
                 self._check(node)
                 work.append((node, True))
                 work += [(a, False) for a in reversed(node.args) if a not in done]
@@ -128,6 +140,17 @@ class Reader:
             if e.denominator <= HIGHEST_ROOT:
                 return self._graph.power(base, e)
         return self._graph.function("pow", base, exponent)
+
+
+def _smooth(node: Any) -> sp.Expr | None:
+    """Return what is the same for real numbers and is made of known functions, if another is not.
+
+    Norms of vectors are made of squares of moduli.
+    """
+    if isinstance(node, sp.Pow) and isinstance(node.base, sp.Abs) and node.exp.is_even:
+        return node.base.args[0] ** node.exp
+    of = OTHERS.get(type(node))
+    return None if of is None else of(node.args[0])
 
 
 def fraction(number: Any) -> int | Fraction:

@@ -11,9 +11,10 @@ import sympy as sp
 from numpy.typing import ArrayLike, NDArray
 from sympy.core.function import AppliedUndef
 
-from symsimpson.errors import InputError, ModelError
+from symsimpson.errors import InputError, ModelError, ModelWarning
 from symsimpson.mechanics.coordinates import coordinates
 from symsimpson.mechanics.rotations import body_rates, quaternion, rotation_matrix
+from symsimpson.support.calling import explaining, warn
 
 __all__ = ["RigidBody"]
 
@@ -22,6 +23,26 @@ Vector = NDArray[np.float64]
 ROUNDED = 1e-9
 
 
+#: The quaternions of bodies that were made, and the names of these.
+_made: dict[tuple[AppliedUndef, ...], str] = {}
+
+
+def warn_of_lengths(
+    system: str, coordinates: Sequence[AppliedUndef], constraints: Sequence[sp.Expr]
+) -> None:
+    """Warn of quaternions of bodies whose length nothing holds."""
+    held = {q for phi in constraints for q in sp.sympify(phi).atoms(AppliedUndef)}
+    for quaternion_of, body in _made.items():
+        if held.isdisjoint(quaternion_of) and {*quaternion_of} <= {*coordinates}:
+            warn(
+                f"system '{system}': nothing holds the quaternion of the body {body!r} at length "
+                "1, so that it is stretched where the body turns.\nDeclare the system with "
+                "constraints=[*body.constraints].",
+                ModelWarning,
+            )
+
+
+@explaining(also=("__init__",))
 class RigidBody:
     """A rigid body: coordinates, kinetic energy and the constraint of a unit quaternion.
 
@@ -69,6 +90,7 @@ class RigidBody:
     def __init__(self, name: str, inertia: Any, mass: Any = None, *, fourth: Any = None) -> None:
         self.name, self.mass = name, mass if mass is None else sp.sympify(mass)
         self.quaternion = quaternion(f"{name}_q")
+        _made[tuple(self.quaternion)] = name
         place = " ".join(f"{name}_{axis}" for axis in "xyz")
         self.position: tuple[AppliedUndef, ...] = coordinates(place) if mass is not None else ()
         self.inertia = _inertia(name, inertia)
@@ -175,6 +197,11 @@ class RigidBody:
         w = np.concatenate([[0.0], _numbers("angular_velocity", angular_velocity, (3,))])
         turning = _product(q, w) / 2
         if self.mass is None:
+            if np.any(position) or np.any(velocity):
+                raise InputError(
+                    f"the body {self.name!r} turns about a fixed point, and has no position.\n"
+                    "Give it a mass, RigidBody(name, inertia, mass), to let it move."
+                )
             return q, turning
         place, speed = _numbers("position", position, (3,)), _numbers("velocity", velocity, (3,))
         return np.concatenate([q, place]), np.concatenate([turning, speed])
@@ -182,11 +209,17 @@ class RigidBody:
 
 def _inertia(name: str, given: Any) -> sp.ImmutableDenseMatrix:
     try:
-        parts = given.tolist() if hasattr(given, "tolist") else list(given)
+        parts = [] if isinstance(given, str) else given
+        parts = parts.tolist() if hasattr(parts, "tolist") else list(parts)
         if len(parts) == 3 and not any(isinstance(x, (list, tuple)) for x in parts):
-            return sp.ImmutableDenseMatrix(sp.diag(*map(sp.sympify, parts)))
+            parts = sp.diag(*map(sp.sympify, parts)).tolist()
         matrix = sp.ImmutableDenseMatrix(parts)
         if matrix.shape == (3, 3) and matrix == matrix.T:
+            if any(moment.is_negative for moment in matrix.diagonal()):
+                raise ModelError(
+                    f"the body {name!r} has a moment of inertia that is negative.\n"
+                    "Moments are integrals of squares of distances: look at the signs."
+                )
             return matrix
     except (TypeError, ValueError, sp.SympifyError):
         pass

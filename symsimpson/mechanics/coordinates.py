@@ -6,6 +6,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from symsimpson.errors import ModelError
+from symsimpson.support.names import speed_of_approach
 
 __all__ = ["approach", "coordinates", "momenta", "time"]
 
@@ -13,7 +14,7 @@ __all__ = ["approach", "coordinates", "momenta", "time"]
 #: here because SymPy's mechanics, with units and constants, takes long to import.
 time: sp.Symbol = sp.Symbol("t")
 #: The speed at which a gap closes, of which the restitution of an impact may be a function.
-approach: sp.Symbol = sp.Symbol("approach", nonnegative=True)
+approach: sp.Symbol = speed_of_approach()
 
 
 def coordinates(names: str, *more: str) -> tuple[AppliedUndef, ...]:

@@ -13,6 +13,7 @@ from symsimpson.errors import ModelError
 from symsimpson.graph.findings import Findings
 from symsimpson.graph.nodes import ZERO, Value, scaled
 from symsimpson.graph.read import tree_size
+from symsimpson.mechanics.bodies import warn_of_lengths
 from symsimpson.mechanics.checks import check_names, fail, spell
 from symsimpson.mechanics.constraints import check_held_mass, check_number, read_constraints, slopes
 from symsimpson.mechanics.coordinates import momenta
@@ -159,13 +160,15 @@ def read_energies(
         constraints=constraints,
         velocity_constraints=rolling,
     )
+    warn_of_lengths(name, coordinates, [*given.constraints.values()] if given.constraints else [])
     names = [q.func.__name__ for q in coordinates]
     written_out = _momenta_written_out(plain, names)
     held = [f"lambda_{key}" for key in rows]
     check_names(name, names, (key for key in invariants if key not in written_out))
     for key in held:
         taken = {*names, *(str(a) for a in parameters), *invariants}
-        if key in taken:
+        # those of a list have numbers for names, which need not be found by them
+        if key in taken and not key.removeprefix("lambda_").isdigit():
             raise fail(
                 name,
                 f"the multiplier of a constraint has the name {key!r}, and so has something else.",

@@ -149,6 +149,12 @@ def coincide(first: Any, second: Any) -> list[sp.Expr]:
     >>> ss.coincide((x, y), (1, 2))
     [x(t) - 1, y(t) - 2]
     """
+    for point in (first, second):
+        if not hasattr(point, "__iter__"):
+            raise ModelError(
+                f"a point has components, and {point} has none.\n"
+                "Write them in a row: coincide((x, y), (1, 2)), or body.point((0, 0, 1))."
+            )
     a, b = ([sp.sympify(x) for x in point] for point in (first, second))
     if len(a) != len(b):
         raise ModelError(

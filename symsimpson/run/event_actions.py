@@ -25,6 +25,7 @@ from symsimpson.stepping.event import Event, Impact
 from symsimpson.stepping.held import project_start
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.run_events import RunEvents
+from symsimpson.support.names import speed_of_approach
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
@@ -349,11 +350,8 @@ def constant_restitution(program: Program, event: Event, values: Floats) -> floa
     if not isinstance(event.action, Impact):
         return None
     given = event.action.restitution
-    if hasattr(given, "free_symbols"):
-        from symsimpson.mechanics.coordinates import approach  # SymPy is there by now
-
-        if approach in given.free_symbols:
-            return None
+    if hasattr(given, "free_symbols") and speed_of_approach() in given.free_symbols:
+        return None
     try:
         return _restitution(program, given, values)(0.0)
     except InputError:
@@ -365,9 +363,7 @@ def _restitution(program: Program, given: Any, values: Floats) -> Callable[[floa
     if not hasattr(given, "free_symbols") or given.is_number:
         number = float(given)
         return lambda _: number
-    from symsimpson.mechanics.coordinates import approach  # SymPy is there by now
-
-    found = program.names.parameters.found
+    approach, found = speed_of_approach(), program.names.parameters.found
     symbols = given.free_symbols - {approach}
     left = given.subs({symbol: float(values[found(symbol)]) for symbol in symbols})
 

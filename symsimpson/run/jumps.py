@@ -13,9 +13,9 @@ from symsimpson.errors import InputError
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import Exact
-from symsimpson.mechanics.coordinates import approach
 from symsimpson.stepping.event import Impact
 from symsimpson.stepping.run_events import RunEvents
+from symsimpson.support.names import speed_of_approach
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
@@ -162,6 +162,7 @@ class Jumps:
 
         values, place = z[1 + 2 * self._n :], self._place
         symbols = {x: Dummy() for x in given.free_symbols}  # whose names may be any
+        approach = speed_of_approach()
         known = [speed if x == approach else values[place(x)] for x in symbols]
         return lambdify([*symbols.values()], given.xreplace(symbols), "mpmath")(*known)
 

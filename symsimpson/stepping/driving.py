@@ -14,6 +14,7 @@ from symsimpson.errors import InputError
 from symsimpson.program.values import read_array, read_count, read_number
 from symsimpson.program.workspace import NO_INPUTS
 from symsimpson.stepping.inputs import read_step
+from symsimpson.support.calling import explained
 
 if TYPE_CHECKING:
     from symsimpson.program.numbers import Numbers
@@ -48,6 +49,7 @@ class Samples:
     period: Any
 
 
+@explained()
 def samples(values: ArrayLike, *, period: float) -> Samples:
     """Say that the values of an input are held for a period each, from the start of the run on.
 

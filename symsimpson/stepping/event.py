@@ -8,6 +8,7 @@ from numbers import Integral, Real
 from typing import Any
 
 from symsimpson.errors import InputError
+from symsimpson.support.calling import explaining
 from symsimpson.support.names import spelled
 
 __all__ = ["CHANGED", "Change", "Event", "Impact", "Switch"]
@@ -16,6 +17,7 @@ __all__ = ["CHANGED", "Change", "Event", "Impact", "Switch"]
 CHANGED = {"positions": "q", "velocities": "v", "momenta": "p"}
 
 
+@explaining(also=("__init__",))
 @dataclass(frozen=True)
 class Impact:
     """An impact on a gap g(q, t) >= 0, by Newton's law of restitution.
@@ -56,6 +58,7 @@ class Impact:
                 )
 
 
+@explaining(also=("__init__",))
 @dataclass(frozen=True)
 class Change:
     """New values of coordinates, and of velocities or momenta, as expressions in the state before.
@@ -103,6 +106,7 @@ class Change:
             )
 
 
+@explaining(also=("__init__",))
 @dataclass(frozen=True)
 class Switch:
     """Nothing but an end of one part of a step: forces that have a kink there keep the order.
@@ -115,6 +119,7 @@ class Switch:
     """
 
 
+@explaining(also=("__init__",))
 @dataclass(frozen=True)
 class Event:
     """A change of sign of an expression along a run, which acts on the run, or ends it.

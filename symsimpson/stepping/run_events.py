@@ -13,7 +13,7 @@ from symsimpson.errors import InputError
 from symsimpson.program.observed import Observed, read_expression, refuse_constant, watchers
 from symsimpson.stepping.event import CHANGED, Change, Event, Impact
 from symsimpson.stepping.variations import STEP
-from symsimpson.support.names import spelled
+from symsimpson.support.names import speed_of_approach, spelled
 
 if TYPE_CHECKING:
     from symsimpson.module.header import Header
@@ -243,13 +243,11 @@ def _check_restitution(program: Program, event: Event) -> None:
     from sympy import Derivative, Symbol  # SymPy is slow to import, and is there by now
     from sympy.core.function import AppliedUndef
 
-    from symsimpson.mechanics.coordinates import approach
-
     given: Any = getattr(event.action, "restitution", 1.0)
     if hasattr(given, "atoms"):  # coordinates and velocities by their names, not by the t in them
         for kind in (Derivative, AppliedUndef):
             given = given.xreplace({atom: Symbol(spelled(atom)) for atom in given.atoms(kind)})
-    symbols = {*getattr(given, "free_symbols", ())} - {approach}
+    symbols = {*getattr(given, "free_symbols", ())} - {speed_of_approach()}
     strange = sorted(str(x) for x in symbols if program.names.parameters.place(x) is None)
     if strange:
         raise InputError(
@@ -260,7 +258,15 @@ def _check_restitution(program: Program, event: Event) -> None:
 
 def _of_gap(program: Program, event: Event, place: Any) -> tuple[int, int]:
     """Return where the rate of a gap stands, and the first of its slopes."""
-    from sympy import Abs, Dummy, sign  # SymPy is slow to import, and is there by now
+    from sympy import (  # SymPy is slow to import, and is there by now
+        Abs,
+        Dummy,
+        Heaviside,
+        Max,
+        Min,
+        Piecewise,
+        sign,
+    )
     from sympy.core.function import AppliedUndef
 
     gap = event.expression
@@ -270,6 +276,11 @@ def _of_gap(program: Program, event: Event, place: Any) -> tuple[int, int]:
         raise InputError(
             f"the gap of an impact, {event.key!r}, is differentiated.\n"
             "Write it as a SymPy expression in the coordinates of the system."
+        )
+    if kinks := gap.atoms(Max, Min, Heaviside, Piecewise):
+        raise InputError(
+            f"the gap of an impact, {event.key!r}, contains {min(map(str, kinks), key=len)}, which "
+            "has a kink, and a gap is differentiated.\nGive one event for each of the gaps."
         )
     places = {f: program.names.coordinates.place(f) for f in gap.atoms(AppliedUndef)}
     coordinates = {place: f for f, place in places.items() if place is not None}

@@ -11,7 +11,7 @@ from typing import Any
 
 from symsimpson.errors import InputError
 
-__all__ = ["Named", "did_you_mean", "spelled"]
+__all__ = ["Named", "did_you_mean", "speed_of_approach", "spelled"]
 
 #: How alike two names are that may have been mistaken for one another: as "th" and "theta".
 ALIKE = 0.55
@@ -21,6 +21,13 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return a question that names the nearest of the known names, with a blank before it."""
     close = difflib.get_close_matches(str(name), list(known), n=1, cutoff=ALIKE)
     return f" Did you mean {close[0]}?" if close else ""
+
+
+def speed_of_approach() -> Any:
+    """Return the symbol of the speed at which a gap closes; SymPy is imported by who needs it."""
+    from sympy import Symbol
+
+    return Symbol("approach", nonnegative=True)
 
 
 def spelled(key: Any) -> str:

@@ -136,3 +136,34 @@ def test_what_is_refused():
         body.state(rotation=-np.eye(3))
     with pytest.raises(ss.InputError, match="angles is"):
         body.state(angles=(0, 0))
+
+
+def test_a_quaternion_that_nothing_holds_is_told():
+    body = ss.RigidBody("loose", inertia=(1, 2, 3), mass=1)
+    given = {"coordinates": body.coordinates, "kinetic": body.kinetic, "potential": 0}
+    with pytest.warns(ss.ModelWarning, match="quaternion of the body 'loose'") as found:
+        ss.MechanicalSystem("loose", **given)
+    assert found[0].filename == __file__
+    ss.MechanicalSystem("held", **given, constraints=body.constraints)
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (lambda: ss.RigidBody(), "is not given name=, inertia="),
+        (lambda: ss.RigidBody("b", (1, 1, 1), m=1), "has no argument m="),
+        (lambda: ss.RigidBody("b", (1, 1, 1)).state(angle=1), "Did you mean angles="),
+        (lambda: ss.RigidBody("b", (1, 1, 1)).state(position=(1, 0, 0)), "has no position"),
+        (lambda: ss.RigidBody("b", (-1, 1, 1)), "moment of inertia that is negative"),
+        (lambda: ss.RigidBody("b", "abc"), "neither three moments"),
+        (lambda: ss.coincide(1, 2), "a point has components"),
+        (lambda: ss.Event(), "is not given expression="),
+        (lambda: ss.Event("x", terminate=True), "Did you mean terminal="),
+        (lambda: ss.Impact(e=0.5), "It takes restitution="),
+        (lambda: ss.Change(velocity={}), "Did you mean velocities="),
+        (lambda: ss.samples([1.0], dt=1), "It takes values=, period="),
+    ],
+)
+def test_arguments_that_there_are_not(call, told):
+    with pytest.raises(ss.SymsimpsonError, match=told):
+        call()

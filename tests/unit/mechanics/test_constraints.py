@@ -73,6 +73,20 @@ def test_masses_are_asked_for_only_where_constraints_leave_motion():
         )
 
 
+def test_coordinates_may_be_called_as_multipliers_of_a_list_are():
+    q = ss.coordinates("lambda_0 lambda_1")
+    system = ss.MechanicalSystem(
+        "numbers",
+        coordinates=q,
+        kinetic=sum(x.diff() ** 2 for x in q) / 2,
+        potential=q[0],
+        constraints=[q[0] ** 2 + q[1] ** 2 - 1],
+    )
+    run = ss.compile(system).integrate([0.6, 0.8], [0.0, 0.0], h=0.01, steps=5)
+    assert (run["lambda_1"] == run.q[:, 1]).all()
+    assert run.multipliers.shape == (6, 1)
+
+
 def test_names_that_two_quantities_would_share():
     (q,) = ss.coordinates("lambda_rod")
     with pytest.raises(ss.ModelError, match="lambda_rod"):

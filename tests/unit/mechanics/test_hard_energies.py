@@ -4,6 +4,7 @@ from fractions import Fraction
 from itertools import combinations
 
 import mpmath as mp
+import numpy as np
 import pytest
 import sympy as sp
 from support.cases import sweep
@@ -182,3 +183,42 @@ def test_arms_of_nonsense(wrong):
     options = {key: value for key, value in wrong.items() if key == "gravity"}
     with pytest.raises(ss.ModelError, match="system 'arm'"):
         ss.serial_arm("arm", wrong.get("links", [link]), **options)
+
+
+def test_norms_of_vectors_are_smooth():
+    """SymPy writes them with moduli, of whose squares reals have no need."""
+    x, y = ss.coordinates("x y")
+    place = sp.Matrix([x, y])
+    system = ss.MechanicalSystem(
+        "kepler",
+        coordinates=(x, y),
+        kinetic=place.diff(ss.time).norm() ** 2 / 2,
+        potential=-1 / place.norm(),
+    )
+    plain = ss.MechanicalSystem(
+        "kepler",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=-1 / sp.sqrt(x**2 + y**2),
+    )
+    given = {"q0": [1.0, 0.0], "v0": [0.0, 1.1], "h": 0.05, "steps": 20}
+    assert (ss.compile(system).integrate(**given).q == ss.compile(plain).integrate(**given).q).all()
+    with pytest.raises(ss.ModelError, match=r"Abs\(x\)"):
+        ss.MechanicalSystem(
+            "kink", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=sp.Abs(x) ** 3
+        )
+
+
+def test_hyperbolic_functions_of_all_kinds():
+    (x,) = ss.coordinates("x")
+    kinetic, steps = x.diff() ** 2 / 2, {"q0": [1.0], "v0": [0.3], "h": 0.05, "steps": 20}
+    runs = [
+        ss.compile(
+            ss.MechanicalSystem("well", coordinates=(x,), kinetic=kinetic, potential=potential)
+        ).integrate(**steps)
+        for potential in (
+            sp.coth(x) + sp.csch(x) - sp.sech(x) ** 2,
+            sp.cosh(x) / sp.sinh(x) + 1 / sp.sinh(x) - 1 / sp.cosh(x) ** 2,
+        )
+    ]
+    assert np.abs(runs[0].q - runs[1].q).max() < 1e-14
