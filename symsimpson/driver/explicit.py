@@ -44,6 +44,8 @@ SIGNATURES |= {
         types.int64,
     ),
 }
+#: A rate below this part of the first has nearly vanished.
+STANDING = 1e-8
 #: Steps that a kernel takes in one call.
 AT_ONCE = 1 << 62
 
@@ -146,21 +148,24 @@ def steady(energy, setting, states, judged, rate):
     ``states`` are q and p. ``judged`` is (last, few, limit): samples are the states number
     i * last // few, for i from 0 to few. The largest change of the energy must be at most ``limit``
     times the kinetic energy at more than half of the samples, and at one or more of the first
-    eighth. If ``rate`` is not 0, it is the row of dt/dtau, which multiplies both.
+    eighth. If ``rate`` is not 0, it is the row of dt/dtau, which multiplies both; where it has
+    nearly vanished, the energy itself must be near its first value.
     """
     (h, _, W, at), (q, p), (last, few, limit) = setting, states, judged
     n, row = at[DIMENSION], at[ENERGY]
     kinetic = np.empty(few + 1)
-    start, change = 0.0, 0.0
+    start, change, first_pace = 0.0, 0.0, 1.0
     for i in range(few + 1):
         place = i * last // few
         for a in range(n):
             W[at[POSITION] + a, 0] = q[place, a, 0]
             W[at[MOMENTUM] + a, 0] = p[place, a, 0]
         call(energy, h, 0.0, W)
-        if i == 0:
-            start = W[row, 0]
         pace = W[rate, 0] if rate != 0 else 1.0
+        if i == 0:
+            start, first_pace = W[row, 0], pace
+        if pace < STANDING * first_pace and abs(W[row, 0] - start) > limit * W[row + 1, 0]:
+            return False
         here = pace * abs(W[row, 0] - start)
         if not here < np.inf:
             return False

@@ -66,11 +66,6 @@ def read_task(
             )
     stride, run_events = read_every(request.every), read_run_events(program, request)
     reductions = read_reductions(program, request.reduce, run_events.names if run_events else ())
-    if retimed and any(reduction.kind == "mean" for reduction in reductions):
-        raise InputError(
-            f"{program.system} is retimed: the mean over its steps is no mean over the time.\n"
-            "Store states, every=..., and take the mean of them."
-        )
     if run_events is not None and request.varied:
         check_variations(program, driving)
     workers = _threads(threads)

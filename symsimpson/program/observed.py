@@ -187,6 +187,11 @@ def read_reductions(
                 "an expression, such as ('max', 'q1') or ('first', 'q1 - 3'); one of "
                 f"{', '.join(OF_VARIATIONS)}; or ('count', name of an event)."
             )
+        if pair[0] == "mean" and program.header.retimed:
+            raise InputError(
+                f"{program.system} is retimed: the mean over its steps is no mean over the time.\n"
+                "Store states, every=..., and take the mean of them."
+            )
         reader = Reader(program, f"reduce[{name!r}]")
         text = reader.read_any(pair[1])
         told = reader.portable(pair[1], text)

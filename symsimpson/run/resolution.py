@@ -45,6 +45,8 @@ FEWEST = 16
 MOST_LOOKED_AT = 4096
 #: The energy may stay so far from where it was, in units of the kinetic energy.
 LIMIT = 0.05
+#: A rate dt/dtau below this part of the first has nearly vanished.
+STANDING = 1e-8
 #: At the end, where a block is only begun, so many states may stay so far from it.
 LAST, LAST_LIMIT = 4, 0.1
 #: So many steps are taken again to know the work of forces.
@@ -95,6 +97,7 @@ class Sampled:
 
     ``work`` is what was done up to there; NaN behind a step of which that is not known.
     ``exchanged`` is how much went in and out meanwhile, of which a part may be in error.
+    ``standing`` tells where a rate dt/dtau has nearly vanished, and the energy is off.
     """
 
     total: Floats
@@ -102,6 +105,7 @@ class Sampled:
     places: Places
     work: Floats
     exchanged: Floats
+    standing: NDArray[np.bool_]
 
     def at(self, chosen: NDArray[np.bool_]) -> Sampled:
         """Return those at some of the states."""
@@ -164,10 +168,14 @@ def energies_at(
     states = t, q[places], p[places]
     energies = evaluate_in(run.W, program, "energy", "ENERGY", 2, states)
     total, kinetic = np.asarray(energies, dtype=np.float64).T
+    standing = np.zeros(len(total), dtype=np.bool_)
     if run.header.retimed:  # K = g (H - E0) is what does not drift
         rate = np.asarray(evaluate_in(run.W, program, "energy", "RATE", 1, states), float)[:, 0]
-        total, kinetic = total[0] + rate * (total - total[0]), rate * kinetic
-    return Sampled(total, kinetic, places, *np.zeros((2, len(total))))
+        off = total - total[0]
+        standing = (rate < STANDING * rate[0]) & (abs(off) > LIMIT * kinetic)
+        total, kinetic = total[0] + rate * off, rate * kinetic
+    nothing = np.zeros(len(total))
+    return Sampled(total, kinetic, places, nothing, nothing, standing)
 
 
 def check_start(program: Program, t: Any, q: Reals, p: Reals, values: Reals) -> None:

@@ -97,6 +97,13 @@ def _unresolved(
                 "root, sqrt(... + epsilon**2), or trust what halving h leaves unchanged."
             )
         _remember_box(program, trajectory)
+    if energies is not None and energies.standing.any():
+        place = int(energies.places[int(np.argmax(energies.standing))])
+        return (
+            f"about t={float(kept[place, 0]):g} the rate dt/dtau nearly vanishes, and the energy "
+            "is off there: the motion may have been thrown back, and the states after it are "
+            "unreliable.\nTake a rate that is positive wherever the motion comes."
+        )
     left = None if energies is None else energies.left_at
     if left is None:
         return ""

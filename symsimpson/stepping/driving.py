@@ -129,7 +129,7 @@ def read_driving(
             "Give each input an axis of all members, or none."
         ) from None
     inputs = np.stack([np.broadcast_to(array, shape) for array in read], axis=-1)
-    return inputs if steps else numbers.zeros((1, 1, 1, len(names)))
+    return inputs if inputs.shape[1] else numbers.zeros((1, 1, 1, len(names)))
 
 
 def given_inputs(program: Program, given: Any) -> dict[str, Any]:

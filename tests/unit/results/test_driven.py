@@ -120,6 +120,10 @@ def test_members_have_those_of_their_own(stepper):
     check(last, slope(H * STEPS))
 
 
+def test_a_state_alone_has_those_of_its_time(stepper):
+    check(stepper.integrate(**START, steps=0, inputs={"u": 5.0}), 5.0)
+
+
 def test_a_file_keeps_them(stepper, tmp_path):
     end = ss.Event("y + 1/2", name="low", terminal=True)
     for number, events in enumerate([None, [end]]):

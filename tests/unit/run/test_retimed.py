@@ -172,6 +172,25 @@ def test_time_that_stands_still_is_a_failure(monkeypatch, stepper, patience):
     assert run.status is ss.Status.RATE_NOT_POSITIVE
 
 
+def test_a_rate_that_vanishes_on_the_way_is_told():
+    """What is thrown back there has the right energy before and behind."""
+    x, y = ss.coordinates("x y")
+    orbits = ss.MechanicalSystem(
+        "orbits",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=-1 / sp.sqrt(x**2 + y**2),
+    )
+    stepper = ss.compile(orbits.retimed(x), "simpson")
+    with pytest.warns(ss.ResolutionWarning, match="about t=2.55446 the rate dt/dtau nearly"):
+        stepper.integrate([1.6, 0.0], v0=[0.0, 0.4], h=0.05, t_end=3.0, on_failure="return")
+
+
+def test_a_mean_over_steps_is_refused(stepper):
+    with pytest.raises(ss.InputError, match="no mean over the time"):
+        stepper.integrate(**START, t_end=7.0, reduce={"m": ("mean", "x1")})
+
+
 @pytest.mark.slow
 def test_kicks_and_drifts_end_at_a_time():
     x, y = kepler().coordinates
