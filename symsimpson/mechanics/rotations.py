@@ -149,19 +149,24 @@ def coincide(first: Any, second: Any) -> list[sp.Expr]:
     >>> ss.coincide((x, y), (1, 2))
     [x(t) - 1, y(t) - 2]
     """
-    for point in (first, second):
-        if not hasattr(point, "__iter__"):
-            raise ModelError(
-                f"a point has components, and {point} has none.\n"
-                "Write them in a row: coincide((x, y), (1, 2)), or body.point((0, 0, 1))."
-            )
-    a, b = ([sp.sympify(x) for x in point] for point in (first, second))
+    a, b = map(_components, (first, second))
     if len(a) != len(b):
         raise ModelError(
             f"a point with {len(a)} components and one with {len(b)} cannot coincide.\n"
             "Give both in the same space."
         )
     return [x - y for x, y in zip(a, b, strict=True)]
+
+
+def _components(point: Any) -> list[sp.Expr]:
+    """Read the components of a point: a sequence or a matrix."""
+    try:
+        return [sp.sympify(x) for x in point]
+    except TypeError:
+        raise ModelError(
+            f"a point has components, and {point} has none.\n"
+            "Write them in a row: coincide((x, y), (1, 2)), or body.point((0, 0, 1))."
+        ) from None
 
 
 def _four(q: Sequence[Any]) -> tuple[sp.Expr, sp.Expr, sp.Expr, sp.Expr]:
