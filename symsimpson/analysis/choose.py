@@ -207,7 +207,7 @@ def choose(
 
 def _solved(problem: Wanted, steppers: Iterable[Stepper], h: float) -> list[Found]:
     """Return what comes to the error, of these steppers from steps of this size on."""
-    return [found for stepper in steppers if (found := problem.solve(stepper, h))]
+    return [met for stepper in steppers if (met := problem.solve(stepper, h))]
 
 
 def _in_other_time(

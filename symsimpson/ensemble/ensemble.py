@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.program.evaluating import evaluate_members
+from symsimpson.program.evaluating import evaluate, evaluate_members
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.differentiated import Differentiated
@@ -22,7 +22,7 @@ from symsimpson.results.saving import RECORDED
 from symsimpson.results.states import States, with_units
 from symsimpson.results.tables import dataframe, write
 from symsimpson.results.work import WORK, named_parts
-from symsimpson.stepping.driving import Driven
+from symsimpson.stepping.driving import Driven, inputs_there
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
 
@@ -155,8 +155,13 @@ class Ensemble(Quantities, Differentiated):
         q, p = np.asarray(self.q), np.asarray(self.p)
         t = np.zeros(1) if self.tau is not None else self.t  # where retimed, no time matters
         if driven and program.inputs:
-            members = [self[k]._evaluated(kernel, block, count, driven=True) for k in range(len(q))]
-            return np.reshape(members, (*q.shape[:-1], count))
+            rows = []
+            for k in range(len(q)):  # each with its own inputs
+                member = self[k]
+                states = (member.t, member.q, member.p)
+                inputs = inputs_there(program, member.driven, member.t)
+                rows.append(evaluate(program, kernel, block, count, states, values[k], inputs))
+            return np.reshape(rows, (*q.shape[:-1], count))
         return evaluate_members(program, kernel, block, count, t, q, p, values)
 
     def _where(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:

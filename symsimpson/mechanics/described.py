@@ -68,6 +68,9 @@ class Described(Declared):
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the linear equations of motion about a state, x' = A x + B u.
 
+        Constraints hold on, so multipliers change with the state. The eigenvalues of A are those of
+        the motion, and zeros: two for a constraint of positions, one for one of velocities.
+
         Parameters
         ----------
         q0, v0 : array_like, shape (n,)
@@ -87,9 +90,10 @@ class Described(Declared):
         Raises
         ------
         InputError
-            If the state makes no sense, or nothing is smooth there.
+            If the state makes no sense or does not satisfy the constraints, or nothing is
+            smooth there.
         ModelError
-            If the system has constraints, or is too large.
+            If the system is too large.
 
         Examples
         --------

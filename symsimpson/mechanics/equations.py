@@ -2,28 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import mpmath
 import numpy as np
 import sympy as sp
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError, ModelError
+from symsimpson.graph.derive import gradient
+from symsimpson.graph.evaluate import evaluated
+from symsimpson.graph.nodes import Value, scaled
+from symsimpson.mechanics.consistent import consistent
+from symsimpson.mechanics.constraints import accelerations
 from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.declared import Declared
 from symsimpson.mechanics.given import read_values, read_vector
-from symsimpson.mechanics.plain import Symbols
-from symsimpson.support.literals import float_literals
+from symsimpson.mechanics.plain import Plain, Symbols
 
 __all__ = ["equations", "linearised", "terms"]
 
 Floats = NDArray[np.float64]
+#: How far a state may be from one that satisfies the constraints, relative to it.
+NEAR = 1e-6
 
 
 def equations(system: Declared) -> tuple[sp.Eq, ...]:
     """Write d/dt dL/dv - dL/dq = f - Phi^T lambda - A^T nu, and constraints, phi = 0, A v = b."""
-    _check(system, "equations")
+    if system.too_large_for_sympy:
+        raise ModelError(
+            f"system {system.name!r}: T and V are too long for equations in SymPy.\n"
+            "Use stepper.residual and stepper.jacobian, which evaluate them as numbers."
+        )
     multipliers = [sp.Symbol(f"lambda_{name}") for name in system.plain.held]
     written = [
         sp.Eq(sp.diff(moment, time) - force, pull)
@@ -31,14 +42,6 @@ def equations(system: Declared) -> tuple[sp.Eq, ...]:
     ]
     held = (*system.constraints.values(), *system.velocity_constraints.values())
     return (*written, *(sp.Eq(expression, 0) for expression in held))
-
-
-def _check(system: Declared, what: str) -> None:
-    if system.too_large_for_sympy:
-        raise ModelError(
-            f"system {system.name!r}: T and V are too long for {what} in SymPy.\n"
-            "Use stepper.residual and stepper.jacobian, which evaluate them as numbers."
-        )
 
 
 def terms(system: Declared, multipliers: list[sp.Symbol]) -> list[tuple[sp.Expr, sp.Expr, sp.Expr]]:
@@ -71,41 +74,73 @@ def linearised(
     t: float,
 ) -> tuple[Floats, Floats]:
     """Return A and B of x' = A x + B u for small changes x of (q, v) and u of inputs."""
-    _check(system, "linear equations")
-    if system.plain.held:
-        raise ModelError(
-            f"system {system.name!r} has constraints, so its coordinates do not vary freely.\n"
-            "Declare it in as many coordinates as it has degrees of freedom to linearise it."
-        )
-    n, m = system.n, len(system.inputs)
+    n, m, plain = system.n, len(system.inputs), system.plain
     q = read_vector(system, "q0", q0)
     v = np.zeros(n) if v0 is None else read_vector(system, "v0", v0)
-    further = read_values("parameters", "parameter", system.parameters, parameters)
-    further += read_values("inputs", "input", dict.fromkeys(system.inputs, 0.0), inputs)
-    plain = Symbols(system.coordinates, system.parameters, system.inputs)
-    a = sp.symbols(f"a:{n}", cls=sp.Dummy)
-    rows = []
-    for moment, force, pull in terms(system, []):
-        moment, force, pull = (x.xreplace(plain.replace) for x in (moment, force, pull))
-        moved = zip((*plain.q, *plain.v), (*plain.v, *a), strict=True)
-        rate = sum((sp.diff(moment, x) * y for x, y in moved), sp.diff(moment, plain.t))
-        rows.append(rate - force - pull)
-    residual = sp.Matrix(rows)
-    parts = [residual.jacobian(x) for x in (a, plain.q, plain.v)]
-    parts += [residual.jacobian(plain.u) if m else sp.zeros(n, 0)]
-    arguments = [*plain.q, *plain.v, *a, *plain.a, *plain.u, plain.t]
-    function = sp.lambdify(arguments, float_literals([residual, *parts]), "numpy", cse=True)
-    rest, mass = (np.asarray(x, float) for x in function(*q, *v, *np.zeros(n), *further, t)[:2])
-    there = np.linalg.solve(mass, -rest[:, 0])  # the acceleration
-    matrices = [np.asarray(x, float) for x in function(*q, *v, *there, *further, t)]
-    slopes = -np.linalg.solve(
-        matrices[1], np.hstack([matrices[2], matrices[3], matrices[4].reshape(n, m)])
-    )
-    A = np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), slopes[:, : 2 * n]])
-    B = np.vstack([np.zeros((n, m)), slopes[:, 2 * n :]])
+    values = read_values("parameters", "parameter", system.parameters, parameters)
+    given = read_values("inputs", "input", dict.fromkeys(system.inputs, 0.0), inputs)
+    _check_held(system, q, v, parameters, t)
+    known = dict(zip(plain.numbers((*plain.q, *plain.v)), (*q.tolist(), *v.tolist()), strict=True))
+    known |= dict(zip(plain.numbers(plain.parameters), values, strict=True))
+    known |= dict(zip(plain.numbers(plain.u), given, strict=True)) | {plain.time: t}
+    residual, unknowns = _residual(plain)
+    moved = (*unknowns, *plain.numbers((*plain.q, *plain.v, *plain.u)))
+    slopes = [gradient(plain.graph, row, moved) for row in residual]
+
+    def at(there: Sequence[float], wanted: Sequence[Sequence[Value]]) -> Floats:
+        point = known | dict(zip(unknowns, there, strict=True))
+        nodes = [k for row in wanted for c, k in row if c]
+        numbers = evaluated(plain.graph, nodes, point, mpmath.fp)
+        return np.array([[c and float(c) * float(numbers[k]) for c, k in row] for row in wanted])
+
+    size = len(unknowns)
+    try:
+        mass, rest = (
+            at([0.0] * size, wanted)
+            for wanted in ([row[:size] for row in slopes], [[row] for row in residual])
+        )
+        there = -np.linalg.solve(mass, rest)[:, 0]  # accelerations and multipliers
+        changes = -np.linalg.solve(mass, at(there.tolist(), [row[size:] for row in slopes]))[:n]
+    except np.linalg.LinAlgError:
+        changes = np.full((n, 2 * n + m), np.nan)
+    A = np.vstack([np.eye(n, 2 * n, n), changes[:, : 2 * n]])
+    B = np.vstack([np.zeros((n, m)), changes[:, 2 * n :]])
     if not (np.isfinite(A).all() and np.isfinite(B).all()):
         raise InputError(
             f"{system.name}: the linear equations have no finite values there.\n"
             "Choose a state at which T, V and forces are smooth."
         )
     return A, B
+
+
+def _residual(plain: Plain) -> tuple[list[Value], tuple[int, ...]]:
+    """Write M a + W^T lambda - push and W a + curve, and tell the nodes of a and lambda."""
+    graph, q, v = plain.graph, plain.numbers(plain.q), plain.numbers(plain.v)
+    places = (q, v, plain.time)
+    held = accelerations(graph, plain.L, plain.held_rows(graph), plain.f, places)
+    a = graph.numbers(f"acceleration_{i}" for i in range(len(q)))
+    pulls = graph.numbers(s.name for s in plain.multipliers)
+    residual = []
+    for i, push in enumerate(held.push):
+        mass = graph.products([plain.entry(i, j) for j in range(len(q))], a)
+        turned = graph.products([row[i] for row in held.rows], pulls)
+        residual.append(graph.add([*mass, *turned, scaled(-1, push)]))
+    # W v stays as it is, which determines the multipliers
+    for row, curve in zip(held.rows, held.curve, strict=True):
+        residual.append(graph.add([*graph.products(row, a), curve]))
+    return residual, (*a, *pulls)
+
+
+def _check_held(
+    system: Declared, q: Floats, v: Floats, parameters: Mapping[Any, float] | None, t: float
+) -> None:
+    """Refuse a state that the constraints do not allow."""
+    if not system.plain.held:
+        return
+    nearest = consistent(system, q, v, (), parameters, t)
+    for name, given, near in zip(("q0", "v0"), (q, v), nearest, strict=True):
+        if np.abs(near - given).max() > NEAR * np.abs(near).max():
+            raise InputError(
+                f"{system.name}: {name} does not satisfy the constraints.\n"
+                "Take the nearest state that does: q0, v0 = system.consistent(q0, v0)."
+            )

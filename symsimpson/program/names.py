@@ -44,9 +44,9 @@ class Names:
             given["parameters"] = defaults
 
         def named(attribute: str, identifiers: tuple[str, ...]) -> Named:
-            own = [spelled(key) for key in given.get(attribute, ())]
-            fits = len(own) == len(identifiers)
-            return Named(attribute.removesuffix("s"), identifiers, own if fits else None)
+            users = [spelled(key) for key in given.get(attribute, ())]
+            fits = len(users) == len(identifiers)
+            return Named(attribute.removesuffix("s"), identifiers, users if fits else None)
 
         self.coordinates = named("coordinates", header.coordinates)
         self.parameters = named("parameters", header.parameters)

@@ -363,9 +363,9 @@ def _restitution(program: Program, given: Any, values: Floats) -> Callable[[floa
     if not hasattr(given, "free_symbols") or given.is_number:
         number = float(given)
         return lambda _: number
-    approach, found = speed_of_approach(), program.names.parameters.found
+    approach, place = speed_of_approach(), program.names.parameters.found
     symbols = given.free_symbols - {approach}
-    left = given.subs({symbol: float(values[found(symbol)]) for symbol in symbols})
+    left = given.subs({symbol: float(values[place(symbol)]) for symbol in symbols})
 
     def restitution(speed: float) -> float:
         try:

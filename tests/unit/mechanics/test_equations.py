@@ -1,10 +1,13 @@
 """Equations of motion in SymPy and linear ones, against SymPy's mechanics and differences."""
 
+import json
+
 import numpy as np
 import pytest
 import sympy as sp
 from support.cases import sweep
 from support.driven import van_der_pol
+from support.places import DATA
 from sympy.physics.mechanics import LagrangesMethod, dynamicsymbols
 
 import symsimpson as ss
@@ -72,6 +75,46 @@ def test_linear_equations_are_differences_of_accelerations(name):
     assert np.abs(np.hstack([A, B]) - slopes).max() < 1e-6 * np.abs(slopes).max()
 
 
+def test_constraints_hold_on_in_linear_equations():
+    """In space a pendulum's motion is two oscillations; its length adds two zeros."""
+    A, B = ss.systems.cartesian_pendulum().linearise([0.0, 0.0, -1.0])
+    squares = np.sort(np.linalg.eigvals(A).astype(complex) ** 2)
+    assert np.abs(squares - [-9.81, -9.81, -9.81, -9.81, 0, 0]).max() < 1e-12
+    assert B.shape == (6, 0)
+
+
+def test_linear_equations_of_a_bicycle():
+    """Of the benchmark: the system is large, and has constraints of both kinds."""
+    golden = json.loads((DATA / "golden_contact.json").read_text())["exact"]
+    (rides,) = (case["eigenvalues"] for case in golden if case["case"] == "whipple_bicycle")
+    bicycle, ahead = ss.systems.whipple_bicycle(), np.array([1, 0, 0, 0, 0, 0, -1 / 0.3, -1 / 0.35])
+    for speed, pairs in rides.items():
+        eigenvalues = np.linalg.eigvals(bicycle.linearise(np.zeros(8), float(speed) * ahead)[0])
+        for pair in pairs:
+            assert np.abs(eigenvalues - complex(*map(float, pair))).min() < 1e-11
+        assert (np.abs(eigenvalues) < 1e-5).sum() == 16 - len(pairs)
+
+
+@pytest.mark.plain
+def test_linear_equations_of_what_rolls_are_those_of_differences():
+    """Of neighbouring runs, a little before and after, none of which is a steady motion."""
+    disc = ss.systems.rolling_disc()
+    stepper, apart, soon = ss.compile(disc, "gauss6"), 1e-4, 1e-4
+    rng = np.random.default_rng(7)
+    q, v = disc.consistent(rng.uniform(-0.3, 0.3, disc.n), rng.uniform(-1, 1, disc.n))
+    A, _ = disc.linearise(q, v)
+    away = rng.uniform(-1, 1, (2, disc.n))
+
+    def ends(sign):
+        start = disc.consistent(*([q, v] + sign * apart * away))
+        runs = [stepper.integrate(start[0], v0=start[1], h=h, steps=1) for h in (soon, -soon)]
+        return np.hstack(start), np.subtract(*(np.hstack([x.q[-1], x.v[-1]]) for x in runs))
+
+    (above, moved), (below, reached) = ends(1), ends(-1)
+    rates = (moved - reached) / (2 * soon)
+    assert np.abs(A @ (above - below) - rates).max() < 1e-6 * np.abs(rates).max()
+
+
 @pytest.mark.slow
 def test_a_cart_is_linearised_as_sympy_does():
     system = ss.systems.cart_pole()
@@ -96,8 +139,12 @@ def test_what_cannot_be_linearised_is_told():
         pendulum.linearise([0.0, 1.0])
     with pytest.raises(ss.InputError, match="parameters names 'k'"):
         pendulum.linearise([0.0], parameters={"k": 1.0})
-    with pytest.raises(ss.ModelError, match="has constraints"):
-        ss.systems.cartesian_pendulum().linearise([0.0, -1.0])
+    with pytest.raises(ss.InputError, match="q0 does not satisfy the constraints"):
+        ss.systems.cartesian_pendulum().linearise([0.0, 0.0, -1.1])
+    with pytest.raises(ss.InputError, match="v0 does not satisfy the constraints"):
+        ss.systems.cartesian_pendulum().linearise([0.0, 0.0, -1.0], [0.0, 0.0, 0.1])
+    with pytest.raises(ss.InputError, match="no finite values"):
+        ss.systems.kepler_plane().linearise([0.0, 0.0])
     with pytest.raises(ss.ModelError, match="too long"):
         _ = ss.systems.cloth().equations
 
