@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 __all__ = ["result_of"]
 
 
-def result_of(layout: Layout, outcome: Outcome) -> ControlResult:
-    """Return what a solver came to."""
+def result_of(layout: Layout, outcome: Outcome, best: bool) -> ControlResult:
+    """Return what a solver came to, and whether it is an optimum by its multipliers."""
     programme, low, high = layout.programme
     cost, rows = programme.values(outcome.x)
     off = np.maximum(np.maximum(low - rows, rows - high), 0.0) / sizes_at(layout, outcome.x)[1]
@@ -29,6 +29,8 @@ def result_of(layout: Layout, outcome: Outcome) -> ControlResult:
     known = layout.parameter_values(outcome.x)
     if status in FOUND and not (resolved(layout, outcome.x, known) and balanced(layout, outcome.x)):
         status = ControlStatus.NOT_RESOLVED
+    elif status in FOUND and not best:
+        status = ControlStatus.NOT_OPTIMAL
     name, violation = (layout.names[worst], off[worst]) if off.size else ("", 0.0)
     if np.isfinite(violation) and not np.isfinite(cost):
         name, violation = "cost", np.nan

@@ -17,6 +17,7 @@ from symsimpson.control.held import onto
 from symsimpson.control.ipopt import Outcome, run_ipopt
 from symsimpson.control.judged import result_of
 from symsimpson.control.layout import Layout
+from symsimpson.control.optimality import optimal
 from symsimpson.control.points import PointFunctions
 from symsimpson.control.reading import read_family
 from symsimpson.control.result import TOLD, ControlResult
@@ -102,7 +103,7 @@ def _solved(
     x0 = np.clip(begin(layout, guess), *layout.bounds)
     scaled_form = scaled(programme, layout, x0)
     x0 = moved(layout, at_start(layout, x0)) if condensed else x0
-    bounds, limits = scaled_form.bounds(layout.bounds, (low, high))
+    bounds, limits = full = scaled_form.bounds(layout.bounds, (low, high))
     form: Scaled | Condensed = scaled_form
     begun = scaled_form.inside(x0)
     if condensed:
@@ -118,7 +119,8 @@ def _solved(
 
     def told(outcome: Outcome) -> ControlResult:
         outcome = form.outcome(outcome) if isinstance(form, Condensed) else outcome
-        return result_of(layout, scaled_form.outcome(outcome))
+        best = optimal(scaled_form, outcome, *full, options["tol"])
+        return result_of(layout, scaled_form.outcome(outcome), best)
 
     name = f"{layout.read.system.name}, {layout.steps} steps"
     bar = Progress(options["max_iter"] + 1, progress, look="{desc}, {elapsed}", what=name)

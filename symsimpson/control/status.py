@@ -28,6 +28,11 @@ class ControlStatus(Enum):
         "scheme such as 'gauss6' where inputs act on velocities, or a guess that follows the "
         "constraints from start to end."
     )
+    NOT_OPTIMAL = (
+        "The conditions are satisfied, and whether a motion nearby costs less cannot be told: some "
+        "of them follow from others, or touch them, so that multipliers have no bound. Leave out "
+        "what follows, or give in full what is known of an end."
+    )
     INTERRUPTED = "The search was interrupted; the last iterate is kept."
     NOT_FINITE = "An energy, force or cost had no value on the way. Bound what must not be reached."
 

@@ -135,3 +135,31 @@ def test_no_inputs_may_be_the_best(scheme):
     result = ss.OptimalControl(CART, cost=u**2, **ends).solve(scheme, steps=5)
     assert result.status is ss.ControlStatus.SOLVED
     assert abs(result.cost) < 1e-20
+
+
+@pytest.mark.parametrize(
+    ("scheme", "end", "path"),
+    [
+        ("lobatto6", {x: 1, (y - sp.Rational(3, 10)) ** 3: 0}, []),  # without a slope there
+        ("simpson", {x: 1}, [x**2 + y**2 - 1]),  # 0 and above there, and not positive
+    ],
+)
+def test_conditions_that_touch_do_not_tell_an_optimum(scheme, end, path):
+    """Multipliers without bound: costs 17.8799 and 23.9949, where the least are 17.88 and 24."""
+    force = sp.Symbol("force", real=True)
+    flat = ss.MechanicalSystem(
+        "flat",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=0,
+        forces={x: u, y: force},
+        inputs=(u, force),
+    )
+    rest = {x.diff(): 0, y.diff(): 0}
+    given = {"start": {x: 0, y: 1, **rest}, "end": {**end, **rest}, "duration": 1}
+    problem = ss.OptimalControl(flat, cost=u**2 + force**2, path=path, **given)
+    way = {x: sp.sin(sp.pi * ss.time / 2), y: sp.cos(sp.pi * ss.time / 2)} if path else None
+    found = problem.solve(scheme, steps=10, guess=way)
+    assert found.status is ss.ControlStatus.NOT_OPTIMAL
+    assert not found.success
+    assert "what is known of an end" in found.message
