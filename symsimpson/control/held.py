@@ -113,9 +113,9 @@ def held_blocks(layout: Any, rows: Any) -> list[Any]:
         points = layout.block(
             phi, read.q, [*map(layout.of, layout.points[k, j + 1].T)], k, layout.places[j + 1]
         )
-        left_out = np.array(implied(read, 1, zip(names, phi, strict=False)))
+        left_out = layout.following.constraints[1]
         parts = []
-        for name, out in zip(names, left_out, strict=False):
+        for name, out in zip(names, left_out[: len(phi)], strict=False):
             some = count[: N * d - out]
             at = rows.add(len(some), 0.0, 0.0, f"constraint {name!r}", 1.0 / N)
             parts.append((at, some, np.full(len(some), 1.0 / N)))

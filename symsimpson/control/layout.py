@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from symsimpson.control.ends import Following, following
 from symsimpson.control.functions import read_function, values_at
 from symsimpson.control.grid import Grid
-from symsimpson.control.held import held_blocks, held_rates, implied
+from symsimpson.control.held import held_blocks, held_rates
 from symsimpson.control.points import PointFunctions
 from symsimpson.control.reading import Limits
 from symsimpson.control.rows import Rows
@@ -119,6 +120,11 @@ class Layout:
         from symsimpson.api.compiling import compile as compile_stepper  # which solving needs not
 
         return compile_stepper(self.read.system, self.scheme)
+
+    @cached_property
+    def following(self) -> Following:
+        """Which rows of the ends follow from others, and are left out."""
+        return following(self.read)
 
     @cached_property
     def bounds(self) -> tuple[Floats, Floats]:
@@ -327,7 +333,8 @@ class Layout:
     def _ends(self, rows: Rows) -> list[Any]:
         """Return the functions at both ends: momenta, conditions, and the final cost."""
         read, graph, blocks = self.read, self.read.graph, []
-        tied = [rows.add(1, 0.0, 0.0, f"{name} at both ends")[0] for name, *_ in read.tied]
+        ties = [x for x, out in zip(read.tied, self.following.tied, strict=True) if not out]
+        tied = [rows.add(1, 0.0, 0.0, f"{name} at both ends")[0] for name, *_ in ties]
         for end, (limits, point) in enumerate(
             zip(read.ends, (self.points[0, 0], self.points[-1, -1]), strict=True)
         ):
@@ -338,10 +345,12 @@ class Layout:
                 for a, (p, P) in enumerate(zip(read.p, read.momenta, strict=True))
             ]
             final = [read.final] if end else []
-            of_both = [values[1 - end] for _, *values in read.tied]
+            of_both = [values[1 - end] for _, *values in ties]
             # the velocities of the ends are unknowns of their own
             inside = [x for x in read.within if x.low < x.high and not self._driven(x.value)]
-            limits = [*limits, *self._held(end)]
+            left_out = self.following.conditions[end]
+            limits = [x for x, out in zip(limits, left_out, strict=True) if not out]
+            limits += self._held(end)
             values = [*legendre, *final, *(x.value for x in (*limits, *inside)), *of_both]
             variables = [*read.q, *read.v, *read.p, *(read.parameters[i] for i in read.found)]
             unknown = [*point, *self.velocities[end], *self.momenta[-end], *self.parameters]
@@ -363,12 +372,11 @@ class Layout:
 
     def _held(self, end: int) -> list[Limits]:
         """Return the constraints of an end that its own conditions, or steps, do not imply."""
-        read = self.read
-        rates = list(zip(read.constraints, held_rates(read), strict=True))
-        held = [*([] if end else zip(read.constraints, read.held.phi, strict=False)), *rates]
-        known = implied(read, end, held)
+        read, out = self.read, self.following.constraints[end]
+        values = [*read.held.phi, *held_rates(read)]
+        names = [*read.constraints[: len(read.held.phi)], *read.constraints]
         return [
             Limits(f"constraint {name!r}", value, 0.0, 0.0)
-            for (name, value), out in zip(held, known, strict=True)
-            if not out
+            for k, (name, value) in enumerate(zip(names, values, strict=True))
+            if not (out[k] or (end and k < len(read.held.phi)))
         ]

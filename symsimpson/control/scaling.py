@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from symsimpson.control.layout import Layout
     from symsimpson.control.reading import Reading
 
-__all__ = ["Scaled", "scaled", "sizes_at"]
+__all__ = ["Scaled", "lengths_of", "scaled", "sizes_at"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -130,7 +130,7 @@ def _sizes(programme: Solvable, layout: Layout, x: Floats) -> tuple[Floats, Floa
 def _unknowns(layout: Layout, matrix: Any, x: Floats) -> Floats:
     """Return the sizes of unknowns: those of lengths, times and masses, and what follows."""
     sizes, steps, whole = np.ones(layout.size), layout.step_rows - 1, layout.scale * layout.steps
-    time, lengths = _rounded(whole), _lengths(layout.read)
+    time, lengths = _rounded(whole), lengths_of(layout.read)
     moved = np.ones(layout.n)  # mass times length, of each coordinate
     for a in range(layout.n):
         points = layout.points[..., a].ravel()
@@ -156,7 +156,7 @@ def _unknowns(layout: Layout, matrix: Any, x: Floats) -> Floats:
     return sizes
 
 
-def _lengths(read: Reading) -> list[float]:
+def lengths_of(read: Reading) -> list[float]:
     """Return the largest numbers that ends and bounds give of coordinates; 0 if there are none."""
     bounds: dict[int, list[float]] = {q: [0.0] for q in read.q}
     for limit in (*read.ends[0], *read.ends[1]):

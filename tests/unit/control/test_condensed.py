@@ -145,7 +145,7 @@ def test_constraints_need_the_full_form():
         forces={a: f},
         inputs=(f,),
     )
-    problem = ss.OptimalControl(held, cost=f**2, start={a: 0, b: -1}, end={a: 1}, duration=1)
+    problem = ss.OptimalControl(held, cost=f**2, start={a: 0, b: -1}, end={b: 0}, duration=1)
     with pytest.raises(ss.InputError, match="condensed=False"):
         problem.solve(steps=4, condensed=True)
 

@@ -1,0 +1,111 @@
+"""Conditions at the ends that follow from one another, or touch constraints."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+
+pytest.importorskip("casadi")
+
+x, y = ss.coordinates("x y")
+u, w = sp.symbols("u w", real=True)
+l = sp.Symbol("l", positive=True)
+v_x, v_y = x.diff(), y.diff()
+#: A bob that is pushed along its circle, and a body that is pushed along both axes.
+ROD = ss.MechanicalSystem(
+    "rod",
+    coordinates=(x, y),
+    kinetic=(v_x**2 + v_y**2) / 2,
+    potential=9.81 * y,
+    forces={x: -u * y / l, y: u * x / l},
+    inputs=(u,),
+    constraints={"circle": x**2 + y**2 - l**2},
+    parameters={l: 1.0},
+)
+FLAT = ss.MechanicalSystem(
+    "flat",
+    coordinates=(x, y),
+    kinetic=(v_x**2 + v_y**2) / 2,
+    potential=0,
+    forces={x: u, y: w},
+    inputs=(u, w),
+)
+WAY = {x: sp.sin(sp.pi * ss.time / 2), y: -sp.cos(sp.pi * ss.time / 2)}
+
+
+def lifted(start, end=None, **more):
+    given = {"cost": u**2, "duration": 1, "start": start, "end": end or {x: 1, y: 0, v_y: 0}}
+    return ss.OptimalControl(ROD, **{**given, **more})
+
+
+def rows_of_the_circle(found):
+    names = found.layout.names
+    return [
+        names.count(f"constraint 'circle'{end}") for end in ("", " at the start", " at the end")
+    ]
+
+
+@pytest.mark.parametrize(
+    "start", [{x: 0, y: -l, v_x: 0}, {x: 0, y + l: 0, v_x: 0}, {x: 0, y: -l, v_x: 0, v_y: 0}]
+)
+def test_a_length_that_is_found_stands_in_what_follows(start):
+    """With dependent rows the search ended at lengths from 0.67 to 0.93, at costs up to 37."""
+    more = {"unknowns": {l: (0.5, 2)}, "final_cost": 10 * (l - sp.Rational(6, 5)) ** 2}
+    more |= {"end": {y: 0, v_y: 0}, "bounds": {y: (-3, 3)}}
+    found = lifted(start, **more).solve("lobatto6", steps=10, guess={**WAY, "l": 1.0})
+    assert found.status is ss.ControlStatus.SOLVED
+    assert found.unknowns["l"] == pytest.approx(0.5, abs=1e-9)
+    assert found.cost == pytest.approx(28.597, abs=1e-3)
+    assert rows_of_the_circle(found)[1] == 1 - (v_y in start)
+    assert np.abs(found.q[0] - [0, -0.5]).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ({"end": {x: 1, v_y: 0}}, r"end touches the constraint 'circle'.*\nGive y = 0 at the end"),
+        ({"end": {x - y: sp.sqrt(2)}}, r"end touches .*\nGive x = 0.707, y = -0.707 at the end"),
+        ({"end": {y: -l}, "unknowns": {l: (0.5, 2)}}, r"end touches .*\nGive x = 0 at the end"),
+        ({"conditions": {y: y - 1}, "start": {y: 0}}, r"end touches .*\nGive x = 0, y = -1 at"),
+    ],
+)
+def test_ends_that_touch_a_constraint_are_refused(more, told):
+    problem = lifted(**{"start": {x: 0, v_x: 0}, "end": {v_y: 0}, **more})
+    with pytest.raises(ss.InputError, match=told):
+        problem.solve("gauss4", steps=4, guess=WAY)
+    near = lifted({x: 0, v_x: 0}, {x: 0.99, v_y: 0})
+    assert near.solve("gauss4", steps=10, guess=WAY).success
+
+
+def test_what_is_tied_is_held_at_one_end():
+    again = {x - y: x - y, x + y: x + y, v_x - v_y: v_x - v_y, v_x + v_y: v_x + v_y}
+    found = lifted({x: (0.2, 0.6)}, {x: (0.2, 0.6)}, cost=(u - 1) ** 2, conditions=again).solve(
+        "simpson", steps=10, guess={x: 0.4, y: -0.9}
+    )
+    assert found.success
+    assert rows_of_the_circle(found) == [19, 2, 0]
+    fixed = {"end": {x: 0, y: -1, v_x: 0}, "conditions": {x: x, y: y, v_x: v_x}}
+    still = lifted({x: 0, y: -1, v_x: 0}, **fixed).solve("simpson", steps=4)
+    assert still.success
+    assert not [name for name in still.layout.names if "both" in name]
+
+
+@pytest.mark.parametrize(
+    "end",
+    [
+        {x: 1, y: 0.5, x**2 + y**2: 1.25},
+        {x * y: 0.5, x: 1, y: 0.5, v_x: (None, None)},
+        {x + y: 1.5, 2 * x: 2, x: 1, y: 0.5},
+    ],
+)
+def test_conditions_that_follow_from_others_are_left_out(end):
+    given = {"cost": u**2 + w**2, "duration": 1, "start": {x: 0, y: 1, v_x: 0, v_y: 0}}
+    problem = ss.OptimalControl(FLAT, **given, end=end)
+    found = problem.solve("simpson", steps=5)
+    assert found.status is ss.ControlStatus.SOLVED
+    assert found.cost == pytest.approx(3.75, abs=1e-8)  # 3 (1 + 1/4)
+    wrong = dataclasses.replace(problem, end={x: 1, y: 0.5, x + y: 1.6})
+    assert not wrong.solve("simpson", steps=5).success
