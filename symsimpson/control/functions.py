@@ -77,26 +77,27 @@ def times_within(t: ArrayLike, whole: float) -> Floats:
 
 
 def values_at(what: str, function: Any, times: Floats) -> Floats:
-    """Evaluate a function at an array of times.
+    """Evaluate a function at an array of times of any shape; it gets them in one row.
 
     Raises
     ------
     InputError
         If it cannot be, or gives another shape.
     """
+    row = times.ravel()
     try:
-        given = function(times)
+        given = function(row)
     except Exception as error:  # it is a function of the user's
         raise InputError(
             f"{what} cannot be evaluated at an array of times: {type(error).__name__}: {error}.\n"
             "Write it with functions of numpy."
         ) from None
     values = read_reals(f"what {what} gives", given, "Return real numbers, as of numpy.real.")
-    if values.shape not in (times.shape, ()):
+    if values.shape not in (row.shape, ()):
         raise InputError(
-            f"{what} gives shape {values.shape} for times of shape {times.shape}.\n"
+            f"{what} gives shape {values.shape} for times of shape {row.shape}.\n"
             "It takes an array of times, and gives one of values."
         )
     if not np.isfinite(values).all():
         raise InputError(f"{what} is not finite at all times.\nGive it a value at each.")
-    return np.broadcast_to(values, times.shape)
+    return np.broadcast_to(values, row.shape).reshape(times.shape)

@@ -185,6 +185,22 @@ def test_expressions_of_the_time_are_functions():
         cart(cost=u**2 + s, signals={s: w * ss.time}).solve("gauss4", steps=2)
 
 
+def test_functions_of_guesses_and_signals_get_a_row_of_times():
+    """As the dense output of SciPy's solve_ivp takes it."""
+    from scipy.integrate import solve_ivp
+
+    run = solve_ivp(lambda t, z: [z[1], -z[0]], (0, 1), [0, 1], dense_output=True).sol
+    found = cart(start={}, end={}).solve(
+        "gauss4", steps=3, most_iterations=0, guess={x: lambda t: run(t)[0], u: lambda t: run(t)[1]}
+    )
+    assert np.abs(found.q[:, 0] - run(np.arange(4) / 3)[0]).max() < 1e-12
+    assert found.inputs(0.5)["u"] == pytest.approx(run(0.5)[1], abs=1e-2)
+    followed = cart(cost=(x - s) ** 2 + u**2, signals={s: lambda t: run(t)[0]})
+    assert followed.solve("gauss4", steps=3).success
+    with pytest.raises(ss.InputError, match=r"gives shape \(2, 6\) for times of shape \(6,\)"):
+        cart(cost=s**2 + u**2, signals={s: run}).solve("gauss4", steps=3)
+
+
 @pytest.mark.parametrize(
     ("more", "told"),
     [
