@@ -52,8 +52,8 @@ def read_pair(
     """
     low, high = given if isinstance(given, (tuple, list)) and len(given) == 2 else (given, given)
     try:
-        if isinstance(low, str) or isinstance(high, str):
-            raise TypeError  # float() takes "3"
+        if isinstance(low, (str, bool, np.bool_)) or isinstance(high, (str, bool, np.bool_)):
+            raise TypeError  # float() takes "3", and True
         pair = (-math.inf if low is None else float(low), math.inf if high is None else float(high))
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"{what} is {shortened(given)}.\nPass {how}.") from None

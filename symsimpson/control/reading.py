@@ -124,7 +124,7 @@ class Reading:
         """Read an expression of coordinates, velocities, parameters, t, and inputs within."""
         if isinstance(expression, str):
             expression = self._named(what, expression, ends)
-        if isinstance(expression, Real) and not isinstance(expression, sp.Basic):
+        if isinstance(expression, Real) and not isinstance(expression, (sp.Basic, bool)):
             if not math.isfinite(expression):
                 raise InputError(f"the {what} is {expression!r}.\nPass a finite number.")
             expression = sp.Rational(repr(float(expression)))  # as it is written

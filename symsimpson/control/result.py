@@ -348,6 +348,8 @@ class ControlResult:
         ------
         StorageError
             If it cannot be written.
+        InputError
+            If the name does not end in ``.npz``.
         """
         told: dict[str, Any] = {name: getattr(self, name) for name in TOLD}
         told |= {"scheme": self.layout.scheme.name, "steps": self.layout.grid.told}

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import StorageError
+from symsimpson.errors import InputError, StorageError
 from symsimpson.support.files import read_path, written_beside
 
 __all__ = ["read_solution", "write_solution"]
@@ -34,8 +34,15 @@ def write_solution(
     ------
     StorageError
         If it cannot be written.
+    InputError
+        If the name ends otherwise.
     """
     place, text = read_path("path", path), np.array(json.dumps(told))
+    if place.suffix != ".npz":
+        raise InputError(
+            f"{str(place)!r} is no name of NumPy's kind, as solutions are written.\nEnd it in "
+            ".npz; result.trajectory.save writes the motion to files of other kinds."
+        )
     with written_beside(place, "solution") as whole, whole.open("wb") as file:
         np.savez_compressed(file, told=text, x=x, multipliers=multipliers)
 

@@ -54,14 +54,18 @@ def test_guesses_that_are_given_twice():
         cart().solve(steps=2, guess={x: 0.0, "x": 1.0})
 
 
-@pytest.mark.parametrize("given", [[u**2], sp.Matrix([u**2]), np.array([u, u]), {}, sp.sin, None])
+@pytest.mark.parametrize(
+    "given", [[u**2], sp.Matrix([u**2]), np.array([u, u]), {}, sp.sin, None, True]
+)
 @pytest.mark.parametrize("what", ["cost", "final_cost", "path"])
 def test_what_is_no_expression(what, given):
     with pytest.raises(ss.ModelError, match=rf"the {what} is .*not a scalar expression.*\n"):
         cart(**{what: [(0, given, 1)] if what == "path" else given})
 
 
-@pytest.mark.parametrize("given", [[u], sp.Matrix([1, 2]), (1, [2]), "3", ("0", 1), 1j, (1, 2, 3)])
+@pytest.mark.parametrize(
+    "given", [[u], sp.Matrix([1, 2]), (1, [2]), "3", ("0", 1), 1j, (1, 2, 3), True]
+)
 @pytest.mark.parametrize("what", ["bounds", "unknowns"])
 def test_bounds_that_are_no_numbers(what, given):
     with pytest.raises(ss.InputError, match=rf"(?s){what}\[.\] is .*\nPass a number, or a pair"):
@@ -130,6 +134,7 @@ def test_an_end_that_an_equation_gives_is_no_number():
         (-1, "it must be above 0"),
         (np.nan, "NaN is no number"),
         ("2", "duration is '2'"),
+        (True, "duration is True"),
         ([1, 2, 3], r"duration is \[1, 2, 3\]"),
     ],
 )
@@ -183,6 +188,13 @@ def test_expressions_of_the_time_are_functions():
     assert costs[0] == costs[1]
     with pytest.raises(ss.InputError, match=r"signals\[s\] is .*contains w"):
         cart(cost=u**2 + s, signals={s: w * ss.time}).solve("gauss4", steps=2)
+
+
+def test_solutions_are_written_to_files_of_one_kind(tmp_path):
+    found = cart().solve("gauss4", steps=3)
+    with pytest.raises(ss.InputError, match=r"End it in \.npz; result\.trajectory\.save"):
+        found.save(tmp_path / "cart.csv")
+    assert not [*tmp_path.iterdir()]
 
 
 def test_functions_of_guesses_and_signals_get_a_row_of_times():
