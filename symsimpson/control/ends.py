@@ -97,14 +97,14 @@ class _Rows:
             if node in (*read.q, *read.v):
                 first.setdefault((end, node), k)
         self.plain = [*first.values()]
-        found = [read.parameters[i] for i in read.found]
+        free = [read.parameters[i] for i in read.found]
         self.parts: list[tuple[Any, Any, PointFunctions]] = []
-        for end, own in enumerate((np.arange(a), np.arange(a, a + b))):
+        for end, conditions in enumerate((np.arange(a), np.arange(a, a + b))):
             values = [x.value for x in self.equal[end]]
             values += [(last, first)[1 - end] for _, last, first in read.tied] + held
             timed = [read.t] if end and low < high else []
-            variables = [*read.q, *read.v, *found, *timed]
-            rows = np.concatenate([own, np.arange(a + b, self.conditions), of_held[end]])
+            variables = [*read.q, *read.v, *free, *timed]
+            rows = np.concatenate([conditions, np.arange(a + b, self.conditions), of_held[end]])
             columns = np.arange(len(variables))
             columns += np.where(columns < 2 * n, 2 * n * end, 2 * n)
             self.parts.append((rows, columns, PointFunctions(read.graph, variables, values)))
@@ -156,17 +156,17 @@ class _Rows:
 
         Those that are left out already are not looked at.
         """
-        places, kept, found = [self.begun(seed) for seed in range(PLACES)], self.plain, list(out)
+        places, kept, follows = [self.begun(seed) for seed in range(PLACES)], self.plain, list(out)
         for row in [None, *(k for k, left in enumerate(out) if not left and k not in kept)]:
             if row is not None:
                 if all(np.abs(self._measured(w, [row])[0]).max() < NEAR for w in places):
-                    found[row] = True
+                    follows[row] = True
                     continue
                 kept = [*kept, row]
             places = [w for w in (self.onto(w, kept) for w in places) if w is not None]
             if len(places) < FEWEST:
-                return [], found
-        return places, found
+                return [], follows
+        return places, follows
 
     def touched(self, places: list[Floats], out: list[bool]) -> int | None:
         """Return the constraint, of all at both ends, that conditions touch at all places."""
