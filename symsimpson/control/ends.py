@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from symsimpson.control.held import held_rates, implied
 from symsimpson.control.points import PointFunctions
-from symsimpson.control.scaling import lengths_of
 from symsimpson.errors import InputError
 
 if TYPE_CHECKING:
@@ -108,7 +107,7 @@ class _Rows:
             columns = np.arange(len(variables))
             columns += np.where(columns < 2 * n, 2 * n * end, 2 * n)
             self.parts.append((rows, columns, PointFunctions(read.graph, variables, values)))
-        lengths = lengths_of(read)
+        lengths = read.lengths
         q = np.array([x or max(lengths) or 1.0 for x in lengths])
         given = [abs(read.values[i]) or 1.0 for i in read.found]
         self.sizes = np.concatenate([q, q / high, q, q / high, given, [high] * (low < high)])

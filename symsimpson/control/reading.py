@@ -30,6 +30,8 @@ __all__ = ["Limits", "Reading", "read_family"]
 
 #: Functions whose slope jumps.
 KINKED = (sp.Abs, sp.Max, sp.Min, sp.sign, sp.Piecewise, sp.Heaviside, sp.floor, sp.ceiling)
+#: What is given of an end is 0 below this: the sine of pi.
+NOTHING = 1e-13
 
 
 @dataclass(frozen=True)
@@ -113,6 +115,19 @@ class Reading:
         self._read_bounds(problem)
         self.phases = self._phases(problem.phases)
         self._check()
+
+    @property
+    def lengths(self) -> list[float]:
+        """The largest numbers that ends and bounds give of coordinates; 0 if there are none."""
+        bounds: dict[int, list[float]] = {q: [0.0] for q in self.q}
+        for limit in (*self.ends[0], *self.ends[1]):
+            factor, node = limit.value
+            if node in bounds:
+                bounds[node] += [limit.low / float(factor), limit.high / float(factor)]
+        for a, pair in self.of_coordinates.items():
+            bounds[self.q[a]] += pair
+        sizes = [max(abs(x) for x in numbers if np.isfinite(x)) for numbers in bounds.values()]
+        return [size if size > NOTHING else 0.0 for size in sizes]
 
     @property
     def given(self) -> dict[int, float]:

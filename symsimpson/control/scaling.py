@@ -17,16 +17,13 @@ from scipy import sparse
 if TYPE_CHECKING:
     from symsimpson.control.ipopt import Outcome, Solvable
     from symsimpson.control.layout import Layout
-    from symsimpson.control.reading import Reading
 
-__all__ = ["Scaled", "lengths_of", "scaled", "sizes_at"]
+__all__ = ["Scaled", "scaled", "sizes_at"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 #: Sizes up to this, and down to its inverse, are 1: ordinary problems are solved as they are.
 ORDINARY = 1e4
-#: What is given of an end is 0 below this: the sine of pi.
-NOTHING = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +127,7 @@ def _sizes(programme: Solvable, layout: Layout, x: Floats) -> tuple[Floats, Floa
 def _unknowns(layout: Layout, matrix: Any, x: Floats) -> Floats:
     """Return the sizes of unknowns: those of lengths, times and masses, and what follows."""
     sizes, steps, whole = np.ones(layout.size), layout.step_rows - 1, layout.scale * layout.steps
-    time, lengths = _rounded(whole), lengths_of(layout.read)
+    time, lengths = _rounded(whole), layout.read.lengths
     moved = np.ones(layout.n)  # mass times length, of each coordinate
     for a in range(layout.n):
         points = layout.points[..., a].ravel()
@@ -154,19 +151,6 @@ def _unknowns(layout: Layout, matrix: Any, x: Floats) -> Floats:
     for held in (*np.moveaxis(layout.multipliers, -1, 0), *layout.at_end[:, None]):
         sizes[held] = 1 / (_rounded(turned[held].max(initial=0.0)))
     return sizes
-
-
-def lengths_of(read: Reading) -> list[float]:
-    """Return the largest numbers that ends and bounds give of coordinates; 0 if there are none."""
-    bounds: dict[int, list[float]] = {q: [0.0] for q in read.q}
-    for limit in (*read.ends[0], *read.ends[1]):
-        factor, node = limit.value
-        if node in bounds:
-            bounds[node] += [limit.low / float(factor), limit.high / float(factor)]
-    for a, pair in read.of_coordinates.items():
-        bounds[read.q[a]] += pair
-    sizes = [max(abs(x) for x in numbers if np.isfinite(x)) for numbers in bounds.values()]
-    return [size if size > NOTHING else 0.0 for size in sizes]
 
 
 def _largest(matrix: Any, axis: int) -> Floats:
