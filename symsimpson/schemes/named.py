@@ -11,6 +11,13 @@ from symsimpson.support.names import did_you_mean
 
 __all__ = ["named_schemes", "read_scheme"]
 
+#: Names that schemes have elsewhere.
+ELSEWHERE = {
+    **dict.fromkeys(("verlet", "stormer_verlet", "velocity_verlet", "leapfrog"), "lobatto2"),
+    **dict.fromkeys(("trapezoid", "trapezoidal"), "lobatto2"),
+    **dict.fromkeys(("implicit_midpoint", "imr"), "midpoint"),
+}
+
 
 def read_scheme(scheme: str | Scheme) -> Scheme:
     """Find a scheme by its name.
@@ -41,7 +48,10 @@ def read_scheme(scheme: str | Scheme) -> Scheme:
             return galerkin(parts[1], int(parts[2]), int(parts[3]))
     family = ["gauss4", "gauss6", "gauss8", "lobatto6", "lobatto8", "radau3", "radau5"]
     known = [*named, *COMPOSITIONS, *family]
-    hint = did_you_mean(scheme, known) if isinstance(scheme, str) else ""
+    hint = ""
+    if isinstance(scheme, str):
+        here = ELSEWHERE.get(scheme.lower())
+        hint = f" Here it is {here!r}." if here else did_you_mean(scheme, known)
     raise SchemeError(
         f"there is no scheme {scheme!r}.{hint}\nChoose 'midpoint', 'simpson', 'lobatto6', "
         "'gauss4', ... (the family by its even order), an explicit one as 'kahan_li8' "

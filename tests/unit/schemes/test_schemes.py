@@ -169,6 +169,20 @@ def test_unknown_schemes(wrong):
         ss.compile(ss.systems.pendulum(), wrong)
 
 
+@pytest.mark.plain
+def test_names_that_schemes_have_elsewhere():
+    with pytest.raises(ss.SchemeError, match="Here it is 'lobatto2'"):
+        ss.compile(ss.systems.pendulum(), "Leapfrog")
+    h, q, p = 0.1, 0.5, 0.3
+    run = ss.compile(ss.systems.pendulum(), "lobatto2").integrate([q], p0=[p], h=h, steps=20)
+    for _ in range(20):  # Stoermer and Verlet, by kick, drift and kick
+        p -= h / 2 * 9.81 * np.sin(q)
+        q += h * p
+        p -= h / 2 * 9.81 * np.sin(q)
+    assert abs(run.q[-1, 0] - q) < 1e-14
+    assert abs(run.p[-1, 0] - p) < 1e-14
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
