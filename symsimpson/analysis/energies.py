@@ -82,11 +82,11 @@ def drift(s: Subject) -> Iterator[Check]:
 
 
 def _balance(s: Subject) -> Iterator[Check]:
-    """balance: measure the order of energy less work from runs with h and h/2."""
+    """balance: measure the order of energy less work from runs with h, h/2 and finer ones."""
     if "work" not in s.stepper.program.header.functions:
         return
-    largest = []
-    for parts in (1, 2):
+    largest: list[float] = []
+    for parts in (1, 2, 4, 8):  # until steps are fine enough to show the order
         run = s.stepper.integrate(
             s.z[: s.n],
             p0=s.z[s.n :],
@@ -95,12 +95,18 @@ def _balance(s: Subject) -> Iterator[Check]:
             parameters=s.precise.parameters,
         )
         largest.append(float(np.abs(run.energy_balance).max() / run.energy_scale))
-    lost = largest[1] < 1e-12
-    order = float(s.stepper.order) if lost else math.log2(largest[0] / largest[1])
+        if parts == 1:
+            continue
+        lost = largest[-1] < 1e-12
+        order = float(s.stepper.order) if lost else math.log2(largest[-2] / largest[-1])
+        if order >= s.stepper.order - 1.0:
+            break
+    coarse, fine = ("h" if n == 1 else f"h/{n}" for n in (parts // 2, parts))
     yield Check.at_least(
         "balance",
         order,
         s.stepper.order - 1.0,
-        f"energy less work: {largest[0]:.1e} and {largest[1]:.1e} of the energy with h and h/2",
+        f"energy less work: {largest[-2]:.1e} and {largest[-1]:.1e} of the energy "
+        f"with {coarse} and {fine}",
         "What the energy differs by from the work done has the order of the scheme.",
     )

@@ -56,6 +56,28 @@ def test_constraints_pull_beside_the_forces(scheme):
 
 
 @pytest.mark.slow
+def test_coarse_steps_are_halved_until_they_show_the_order():
+    """From h to h/2 alone the order of this sleigh's energy less work would seem to be 2.2."""
+    x, y, th = ss.coordinates("x y th")
+    u = sp.Symbol("u")
+    sleigh = ss.MechanicalSystem(
+        "rubbed_sleigh",
+        coordinates=(x, y, th),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2 + th.diff() ** 2) / 2,
+        potential=0,
+        velocity_constraints={"blade": sp.cos(th) * y.diff() - sp.sin(th) * x.diff()},
+        forces={th: u - th.diff() / 10},
+        inputs=(u,),
+    )
+    q0 = [0.873266, 0.542808, 0.336876]
+    _, v0 = sleigh.consistent(q0, [0.4, 0.1, 0.5])
+    certificate = ss.compile(sleigh, "gauss4").certify(q0, v0=v0, h=0.5)
+    assert 3.5 < certificate["balance"].measured < 4.5
+    assert "h/4" in certificate["balance"].what
+    assert certificate.passed, certificate
+
+
+@pytest.mark.slow
 def test_other_forces_would_be_seen(monkeypatch):
     exact = balance._force
 
