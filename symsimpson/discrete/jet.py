@@ -30,6 +30,9 @@ __all__ = ["Jet", "derive_jet", "watched", "written_as_jet"]
 
 #: Where the first ways give more operations than this, no others are tried.
 FEW_OPERATIONS = 300
+#: v.M.v/2 with so many times the nodes of T as it is written is not tried: chains of links, whose M
+#: has many times the terms.
+LONGER = 1.5
 Key = tuple[str, *tuple[Hashable, ...]]
 
 
@@ -113,10 +116,12 @@ def derive_jet(
 def _shortest(plain: Plain, more: Mapping[Key, Value], half_angles: Sequence[int]) -> Jet:
     jets: list[Jet] = []
     by_mass = kinetic(plain)
+    of_mass, of_written = (len(plain.graph.reached([n])) for _, n in (by_mass, plain.T))
+    both = by_mass != plain.T and of_mass <= LONGER * of_written
     for ways in (FIRST, OTHERS):
         for way in ways:
             T = by_mass if way.by_mass else plain.T
-            if not way.by_mass or T != plain.T:
+            if both or not way.by_mass:
                 jets.append(_derived(plain, T, way, more, half_angles))
         best = min(jets, key=lambda jet: jet.operations)
         if best.operations > FEW_OPERATIONS:

@@ -8,7 +8,7 @@ from fractions import Fraction
 import mpmath
 
 from symsimpson.graph.evaluate import evaluated
-from symsimpson.graph.nodes import Graph, Value, scaled
+from symsimpson.graph.nodes import Exact, Graph, Value, scaled
 
 __all__ = ["NUMBERS", "again", "fixed", "rebuilt", "same"]
 
@@ -76,18 +76,20 @@ def again(graph: Graph, n: int, done: Mapping[int, Value], target: Graph) -> Val
 
 def fixed(graph: Graph, value: Value, symbols: Iterable[int]) -> Value | None:
     """Put numbers for symbols that a value does not depend on; None if none of them will do."""
-    for x in sorted(symbols):
-        for number in NUMBERS:
-            try:
-                (candidate,) = rebuilt(graph, [value], {x: (number, 0)})
-            except ZeroDivisionError:
-                continue
-            if same(graph, value, candidate):
-                value = candidate
-                break
-        else:
-            return None
-    return value
+    left = sorted(symbols)
+    # all at a time, as a rule
+    attempts: list[tuple[list[int], Exact]] = [(left, NUMBERS[0])] if len(left) > 1 else []
+    attempts += [([x], number) for x in left for number in NUMBERS]
+    for some, number in attempts:
+        if not set(some) <= set(left):
+            continue
+        try:
+            (candidate,) = rebuilt(graph, [value], dict.fromkeys(some, (number, 0)))
+        except ZeroDivisionError:
+            continue
+        if same(graph, value, candidate):
+            value, left = candidate, [x for x in left if x not in some]
+    return None if left else value
 
 
 def same(graph: Graph, old: Value, new: Value) -> bool:

@@ -7,7 +7,6 @@ from enum import Enum
 import mpmath
 import sympy as sp
 
-from symsimpson.graph.derive import Derivatives
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.findings import Findings
 from symsimpson.graph.nodes import Value
@@ -42,7 +41,7 @@ def certain(plain: Plain, findings: Findings, value: Value) -> bool:
     return not findings.opaque(value) and not _has_floats(plain, value)
 
 
-def dependence(plain: Plain, value: Value, x: int) -> Dependence:
+def dependence(plain: Plain, value: Value, x: int, slope: Value) -> Dependence:
     """Return how a value depends on a symbol that moves it in a field, where that is not certain.
 
     Parameters
@@ -51,17 +50,22 @@ def dependence(plain: Plain, value: Value, x: int) -> Dependence:
     value : Value
     x : int
         The symbol.
+    slope : Value
+        The derivative by it.
     """
-    graph = plain.graph
-    slope = Derivatives(graph)(value, x)
-    sizes = [size for sample in SAMPLES if (size := _relative(plain, slope, sample)) is not None]
-    if not sizes or max(sizes) > NEARLY or _jumps(plain, value, x):
+    sizes = []
+    for sample in SAMPLES:
+        size = _relative(plain, slope, sample)
+        if size is not None and size > NEARLY:
+            return Dependence.REAL  # most are: one sample shows it
+        sizes += [] if size is None else [size]
+    if not sizes or _jumps(plain, value, x):
         return Dependence.REAL
     if max(sizes) > NOTHING:
         return Dependence.NEARLY
     if not slope[0]:
         return Dependence.NONE
-    if tree_size(graph, slope) > TOO_LONG:
+    if tree_size(plain.graph, slope) > TOO_LONG:
         return Dependence.UNDECIDED
     return Dependence.NONE if vanishes(plain.written(slope)) else Dependence.UNDECIDED
 

@@ -299,21 +299,27 @@ def _freed(
     graph, q = given.graph, given.numbers(given.q)
     findings = Findings(graph, [given.T, *given.energies])
     questions: dict[Dependence, list[str]] = {kind: [] for kind in Dependence}
+    slope = Derivatives(graph)
 
     def freed(what: str, value: Value) -> Value:
         if findings.vanishes(value):
             return ZERO
         present = graph.nodes[value[1]].symbols
-        first, sure = value, certain(given, findings, value)
+        sure, idle = certain(given, findings, value), []
         for name, x in zip(names, q, strict=True):
             if x not in present:
                 continue
             answer = Dependence.NONE
-            if findings.depends(first, x):
-                answer = Dependence.REAL if sure else dependence(given, first, x)
+            if findings.depends(value, x):
+                answer = Dependence.REAL if sure else dependence(given, value, x, slope(value, x))
             if answer is Dependence.NONE:
-                value = fixed(graph, value, [x]) or value
+                idle.append(x)
             questions[answer].append(f"whether {what} depends on {name}")
+        without = fixed(graph, value, idle)
+        if without is not None:
+            return without
+        for x in idle:
+            value = fixed(graph, value, [x]) or value
         return value
 
     M = {(i, j): freed(f"M[{i},{j}]", value) for (i, j), value in given.M.items()}

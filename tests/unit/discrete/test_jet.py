@@ -5,6 +5,7 @@ from support.oracle import lagrangian
 from support.workspace import jet_values
 
 import symsimpson as ss
+from symsimpson.discrete import jet
 from symsimpson.discrete.jet import derive_jet
 
 
@@ -48,3 +49,28 @@ def test_jet_agrees_with_differences(make):
                 assert agrees(("F_v", i, j), second(i, n + j))
                 assert agrees(("P_q", i, j), second(n + i, j))
                 assert agrees(("M", i, j), second(n + i, n + j))
+
+
+def test_ways_that_would_only_be_longer_are_not_tried(monkeypatch):
+    """A chain in relative angles: v.M.v/2 has many times the terms of T as it is written."""
+    angles = ss.coordinates("a b c d e f")
+    x, y, angle, T = sp.S.Zero, sp.S.Zero, sp.S.Zero, sp.S.Zero
+    for q in angles:
+        angle += q
+        x, y = x + sp.sin(angle), y - sp.cos(angle)
+        T += (sp.diff(x, ss.time) ** 2 + sp.diff(y, ss.time) ** 2) / 2
+    chain = ss.MechanicalSystem("chain", coordinates=angles, kinetic=T, potential=y)
+    tried = []
+    derived = jet._derived
+
+    def told(plain, T, way, *others):
+        tried.append((way, derived(plain, T, way, *others)))
+        return tried[-1][1]
+
+    monkeypatch.setattr(jet, "_derived", told)
+    shortest = derive_jet(chain.structure.plain)
+    assert not any(way.by_mass for way, _ in tried)
+    assert shortest.operations == min(one.operations for _, one in tried)
+    monkeypatch.setattr(jet, "LONGER", 1e9)
+    assert derive_jet(chain.structure.plain).operations == shortest.operations
+    assert any(way.by_mass for way, _ in tried)

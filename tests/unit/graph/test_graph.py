@@ -162,6 +162,16 @@ def test_fixing_avoids_poles():
     assert rebuilt(graph, [fixed(graph, value, [places[x]])], {places[y]: (0, 0)}) == [(1, 0)]
 
 
+def test_several_symbols_are_fixed_at_a_time_or_one_by_one():
+    z = sp.Symbol("z")
+    graph, (value,), places = read(y + (x + x**2) / (1 + x) / x + (z + z**2) / (1 + z) - z)
+    without = fixed(graph, value, [places[x], places[z]])
+    assert graph.nodes[without[1]].symbols == {places[y]}
+    assert rebuilt(graph, [without], {places[y]: (0, 0)}) == [(1, 0)]
+    assert fixed(graph, value, [places[x], places[y]]) is None
+    assert fixed(graph, value, []) == value
+
+
 def test_floats_are_exact():
     _, values, _ = read(sp.Float(0.1) * x + sp.Float(0.2) * x, sp.Float(0.3) * x)
     assert values[0] != values[1]
