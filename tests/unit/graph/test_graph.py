@@ -163,7 +163,6 @@ def test_fixing_avoids_poles():
 
 
 def test_several_symbols_are_fixed_at_a_time_or_one_by_one():
-    z = sp.Symbol("z")
     graph, (value,), places = read(y + (x + x**2) / (1 + x) / x + (z + z**2) / (1 + z) - z)
     without = fixed(graph, value, [places[x], places[z]])
     assert graph.nodes[without[1]].symbols == {places[y]}
