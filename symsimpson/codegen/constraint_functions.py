@@ -32,24 +32,29 @@ Entry = Callable[..., Expression]
 Pair = Callable[[int, int], Row]
 
 
-def constraint_functions(low: Lowering, held: Held, *, drifting: bool) -> list[Function]:
+def constraint_functions(
+    low: Lowering, held: Held, places: Sequence[int], *, drifting: bool
+) -> list[Function]:
     """Write constraints at a point, and what they do to a state, by lines of their own.
 
-    Drifts ask for phi alone, too.
+    ``places`` are those of coordinates, in whose order nodes are stored. Drifts ask for phi alone,
+    too.
     """
-    point = Point("c", low.node_q, low.node_v, low.node_t, low.node_u, low.multipliers)
+    q, v = (tuple(rows[s] for s in places) for rows in (low.node_q, low.node_v))
+    point = Point("c", q, v, low.node_t, low.node_u, low.multipliers)
+    both = (*places, *range(low.n, low.n + held.count))
 
     def entry(what: str, *index: int) -> Expression:
         return low.held.entry(point, "constraints", what, *index)
 
     def pair(i: int, j: int) -> Row:
-        return Row("CONSTRAINT_QQ", held.entry(i, j))
+        return Row("CONSTRAINT_QQ", held.entry(both[i], both[j]))
 
     count = range(held.count)
     slopes = _slopes(entry, pair, low.n, count)
     values = [Store(Row("CONSTRAINT", c), entry("phi", c)) for c in count]
     curves = [Store(Row("CURVATURE", c), -entry("curve", c)) for c in count]
-    pushes = [Store(Row("RESIDUAL", a), entry("push", a)) for a in range(low.n)]
+    pushes = [Store(Row("RESIDUAL", s), entry("push", a)) for a, s in enumerate(places)]
     stores = {
         "constraint_slopes": slopes,
         "constrain": [*values, *slopes, *_bends(entry, pair, low.n, add=False)],

@@ -131,7 +131,7 @@ def _unrolled_module(equations: DiscreteEquations) -> Module:
         functions = unrolled_functions(low, ("jet",))
         if held:
             functions = unrolled_functions(low, ("jet", "mass"))
-            functions += constraint_functions(low, held, drifting=False)
+            functions += constraint_functions(low, held, range(low.n), drifting=False)
             kernels.append(loops.multipliers())
             (part,) = equations.parts
             assert isinstance(part, Constrained)
@@ -185,7 +185,7 @@ def _looped_module(equations: DiscreteEquations) -> Module:
         functions += more
         tables |= family_tables
     elif held:
-        functions += constraint_functions(low, held, drifting=kicked)
+        functions += constraint_functions(low, held, places, drifting=kicked)
     loops = _loops(low, storage, held, constant_mass=constant or structure.constant_mass)
     kernels = loops.composed() if isinstance(part, Composed) else loops.step(part)
     kernels.append(loops.energy())
@@ -277,11 +277,7 @@ def _finish_module(
     written = any(kernel.name == PIVOTED for kernel in kernels) and not loops.held
     in_order = written and unknowns == low.equations.unknowns.size and few_columns(low)
     more, own_kernels, own_tables = differentiating(
-        low,
-        loops,
-        sorted(range(low.n), key=loops.storage.order.__getitem__),
-        following="FOLLOWING" in tables,
-        in_order=in_order,
+        low, loops, loops.storage.order, following="FOLLOWING" in tables, in_order=in_order
     )
     functions, kernels, tables = functions + more, kernels + own_kernels, tables | own_tables
     more, kernels = keeping_time(low, loops, kernels)

@@ -153,3 +153,92 @@ def test_compositions_follow_the_schemes_of_the_family():
         ]
         assert np.abs(ends[0].q - ends[1].q).max() < 1e-10
         assert np.abs(ends[0].p - ends[1].p).max() < 1e-8
+
+
+def shuffled(count):
+    """Return places of ``count`` things in an order that is not its own inverse."""
+    return [(5 * k + 2) % count for k in range(count)]
+
+
+def ring():
+    """Return a ring of 17 pendula, one heavier than the others and one with a spring."""
+    q, k, m = ss.coordinates("q:17"), *sp.symbols("k m", positive=True)
+    return ss.MechanicalSystem(
+        "ring",
+        coordinates=q,
+        kinetic=(sum(x.diff() ** 2 for x in q) + (m - 1) * q[2].diff() ** 2) / 2,
+        potential=k * sum(1 - sp.cos(a - b) for a, b in pairwise((*q, q[0]))) + k * q[5] ** 2,
+        parameters={k: 1.2, m: 1.5},
+    )
+
+
+def rods():
+    """Return a chain of nine bobs on rods, whose names stand in another order."""
+    x, y, k, m = ss.coordinates("x:9"), ss.coordinates("y:9"), *sp.symbols("k m", positive=True)
+    bobs = [(x[i], y[i]) for i in shuffled(9)]
+    ends = pairwise([(sp.S.Zero, sp.S.Zero), *bobs])
+    return ss.MechanicalSystem(
+        "rods",
+        coordinates=(*x, *y),
+        kinetic=(sum(a.diff() ** 2 for bob in bobs for a in bob) + (m - 1) * x[2].diff() ** 2) / 2,
+        potential=sum(9.81 * b + k * (a - 1) ** 2 * b**2 for a, b in bobs),
+        constraints=[(a - c) ** 2 + (b - d) ** 2 - 1 for (a, b), (c, d) in ends],
+        parameters={k: 0.7, m: 1.3},
+    )
+
+
+def blades():
+    """Return six blades on springs in a row, whose names stand in another order."""
+    q, k, m = ss.coordinates("q:18"), *sp.symbols("k m", positive=True)
+    bodies = [q[3 * i : 3 * i + 3] for i in (1, 4, 5, 0, 3, 2)]
+    return ss.MechanicalSystem(
+        "blades",
+        coordinates=q,
+        kinetic=(sum(a.diff() ** 2 for a in q) + (m - 1) * q[7].diff() ** 2) / 2,
+        potential=k * sum((a - c) ** 2 + (b - d) ** 2 for (a, b, _), (c, d, _) in pairwise(bodies)),
+        velocity_constraints=[x.diff() * sp.sin(a) - y.diff() * sp.cos(a) for x, y, a in bodies],
+        parameters={k: 0.7, m: 1.3},
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [ring, rods, blades])
+def test_the_order_of_coordinates_changes_nothing(make):
+    """States, multipliers and all derivatives, where bands take coordinates in another order."""
+    system = make()
+    n = system.n
+    rng = np.random.default_rng(3)
+    q0, v0 = system.consistent(np.linspace(0.2, 1.9, n), rng.uniform(-0.3, 0.3, n))
+    start, x = {"q0": q0, "v0": v0, "h": 0.01, "steps": 10}, system.coordinates[4]
+    results = []
+    for exploit in ("all", ()):
+        stepper = ss.compile(system, exploit=exploit)
+        order = np.array(stepper.program.header.coordinate_order)
+        run = stepper.integrate(**start, tangents=3, sensitivities=("k", "m"))
+        maps = stepper.linearise(**start, wrt=("k", "h"))
+        gradient = stepper.gradient(**start, cost=x**3, running=x**2, wrt=("q", "v", "k", "m"))
+        results.append(
+            [
+                *(run.q, run.p, run.energy, run.tangent, run.multipliers),
+                *(run.sensitivity["k"], run.sensitivity["m"]),
+                *(maps.by_state, maps.by_parameter["k"], maps.by_parameter["h"]),
+                *(gradient.value, *gradient),
+            ]
+        )
+        if exploit:  # a wrong turn of the order would be seen
+            assert (order[order] != np.arange(n)).any()
+    for banded, dense in zip(*results, strict=True):
+        scale = np.abs(dense).max(initial=1.0)
+        assert np.abs(np.subtract(banded, dense)).max(initial=0.0) < 1e-11 * scale
+
+
+@pytest.mark.slow
+def test_second_derivatives_and_shadow_energies_of_a_ring():
+    system, rng = ring(), np.random.default_rng(3)
+    q0, v0 = rng.uniform(-0.5, 0.5, (2, 17))
+    nodes, weights = np.array([q0 + 0.02 * v0, q0 + 0.05 * v0]), rng.uniform(-1, 1, (3, 17))
+    banded, dense = (ss.compile(system, exploit=exploit) for exploit in ("all", ()))
+    second = [x.hessian(q0, nodes, 0.05, weights, wrt="k") for x in (banded, dense)]
+    assert np.abs(np.subtract(*second)).max() < 1e-13
+    shadow = banded.integrate(q0, v0=v0, h=0.05, steps=100).shadow_energy
+    assert np.ptp(shadow) < 1e-8

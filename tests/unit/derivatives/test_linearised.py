@@ -188,3 +188,29 @@ def test_what_moves_the_times_of_a_run_is_refused():
         ss.compile(SHAKEN).gradient(
             [0.2, 0.4], p0=[0, 0], h=0.1, steps=3, cost="x", wrt="h", inputs={"u": 0.1}
         )
+
+
+def test_bands_take_coordinates_in_an_order_of_their_own():
+    """A ring whose order is not its own inverse: one step by a parameter and by h."""
+    q, k = ss.coordinates("q:17"), sp.Symbol("k", positive=True)
+    ring = ss.MechanicalSystem(
+        "ring",
+        coordinates=q,
+        kinetic=sum(a.diff() ** 2 for a in q) / 2,
+        potential=k * sum((q[i] - q[i - 1]) ** 4 for i in range(17)) + k * q[5] ** 2,
+        parameters={k: 1.2},
+    )
+    stepper, (q0, v0) = ss.compile(ring, "midpoint"), np.random.default_rng(2).normal(size=(2, 17))
+    order = np.array(stepper.program.header.coordinate_order)
+    assert (order[order] != np.arange(17)).any()
+    maps = stepper.linearise(q0, v0=v0, h=0.05, steps=1, wrt=("k", "h"))
+
+    def end(h=0.05, k=1.2):
+        run = stepper.integrate(q0, p0=v0, h=h, steps=1, parameters={"k": k})
+        return np.hstack([run.q[-1], run.p[-1]])
+
+    d = 1e-6
+    by_k = (end(k=1.2 + d) - end(k=1.2 - d)) / (2 * d)
+    by_h = (end(h=0.05 + d) - end(h=0.05 - d)) / (2 * d)
+    assert np.abs(maps.by_parameter["k"][0] - by_k).max() < 1e-6
+    assert np.abs(maps.by_parameter["h"][0] - by_h).max() < 1e-6
