@@ -1,7 +1,8 @@
-"""Whether multipliers say that no motion nearby costs less.
+"""Whether no motion nearby costs less, by multipliers and by curvature.
 
 Solvers divide by the size of multipliers before they compare with a tolerance. Where rows follow
-from one another that size has no bound, and a point that is no optimum passes.
+from one another that size has no bound, and a point that is no optimum passes. They end, too, where
+the cost is flat and falls to both sides, as straight before an obstacle with a way to each side.
 """
 
 from __future__ import annotations
@@ -11,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.sparse.linalg import splu
 
 if TYPE_CHECKING:
     from symsimpson.control.ipopt import Outcome, Solvable
 
-__all__ = ["optimal"]
+__all__ = ["downhill", "optimal"]
 
 Floats = NDArray[np.float64]
 #: Slopes of the Lagrangian are 0 below this part of the largest one of the cost, and what rows
@@ -24,6 +26,17 @@ Floats = NDArray[np.float64]
 PART = 1e-5
 #: Both are 0 below this, too, or so many times what was asked for: inputs of 0 may be the best.
 NOTHING, TIMES = 1e-6, 100
+
+#: Unknowns and rows are held at bounds within NEAR, or where multipliers are more than this part of
+#: how far they are from it.
+NEAR, PRESSED = 1e-6, 1e-3
+#: Curvatures are sought near what the solver bent its last matrix by, or this part of the largest
+#: entry, and near these parts of that: so many each time, and below this part of it they are 0.
+BENT, SHIFTS, CURVATURES, FLAT = 1e-3, (1.0, 1e-2, 1e-4), 40, 1e-2
+#: Solvers begin again this far aside, in units of sizes.
+ASIDE = 0.1
+#: Rows that depend on one another keep so much of a matrix that has an inverse.
+SOFT = 1e-12
 
 
 def optimal(
@@ -50,3 +63,76 @@ def _left(multipliers: Floats, values: Floats, limits: Any) -> Floats:
     low, high = limits
     distance = np.where(multipliers > 0, high - values, values - low)
     return np.abs(multipliers) * np.minimum(np.abs(distance), 1.0)
+
+
+def downhill(programme: Solvable, outcome: Outcome, bounds: Any, limits: Any) -> Floats | None:
+    """Return a step aside, along what holds, on which the cost falls to both sides; None if none.
+
+    It is sought where the solver had to bend the last of its matrices, or made none.
+    """
+    bent = outcome.history.get("regularization_size", [0.0])
+    if len(bent) > 1 and not bent[-1]:
+        return None
+    x, rows = outcome.x, programme.values(outcome.x)[1]
+    gradient, entries = programme.slopes(x)
+    slopes = sparse.csr_matrix((entries, programme.jacobian_places), shape=programme.shape)
+    free = ~_held(gradient + slopes.T @ outcome.multipliers, x, bounds)
+    held = slopes[_held(outcome.multipliers, rows, limits)][:, free]
+    upper = sparse.csr_matrix(
+        (programme.curvatures(x, 1.0, outcome.multipliers), programme.hessian_places),
+        shape=(len(x), len(x)),
+    )
+    curved = (upper + upper.T - sparse.diags(upper.diagonal()))[free][:, free]
+    if not held.shape[1] or not all(np.isfinite(a.data).all() for a in (held, curved)):
+        return None
+    largest = bent[-1] or BENT * np.abs(curved.data).max(initial=0.0)
+    for part in SHIFTS if largest else ():
+        way = _bent_down(curved, held, part * largest)
+        if way is not None:
+            step = np.zeros(len(x))
+            step[free] = way
+            return ASIDE * step / np.abs(step).max()
+    return None
+
+
+def _bent_down(curved: Any, held: Any, shift: float) -> Floats | None:
+    """Return a way along rows on which a matrix is negative, with a curvature near minus a shift.
+
+    It is Lanczos' method, for the inverse of what the matrix is along rows, plus the shift.
+    """
+    count, size = held.shape
+    moved = curved + shift * sparse.identity(size)
+    blocks = [[moved, held.T], [held, -SOFT * sparse.identity(count)]]
+    try:
+        factors = splu(sparse.bmat(blocks, format="csc"))
+    except RuntimeError:  # it has no inverse
+        return None
+    ways, turned = np.zeros((0, size)), np.zeros((0, size))
+    way = factors.solve(np.random.default_rng(0).normal(size=size + count))[:size]
+    for _ in range(min(CURVATURES, size)):
+        before = np.linalg.norm(way)
+        for _ in range(2):
+            way = way - ways.T @ (ways @ way)
+        length = np.linalg.norm(way)
+        if not length > NEAR * before:
+            break
+        ways = np.vstack([ways, way / length])
+        way = factors.solve(np.concatenate([ways[-1], np.zeros(count)]))[:size]
+        turned = np.vstack([turned, way])
+    if not len(ways):
+        return None
+    values, mixed = np.linalg.eigh(ways @ turned.T)
+    # 1 / (curvature + shift)
+    for value, mix in zip(values[[0, -1]], mixed.T[[0, -1]], strict=True):
+        if value < 0 or value * shift * (1 - FLAT) > 1:
+            found: Floats = mix @ ways
+            if found @ (curved @ found) < 0:
+                return found
+    return None
+
+
+def _held(multipliers: Floats, values: Floats, limits: Any) -> NDArray[np.bool_]:
+    """Return which values stay at a bound."""
+    distance = np.minimum(values - limits[0], limits[1] - values)
+    held: NDArray[np.bool_] = (distance < NEAR) | (np.abs(multipliers) > PRESSED * distance)
+    return held

@@ -17,13 +17,13 @@ from symsimpson.control.held import onto
 from symsimpson.control.ipopt import Outcome, run_ipopt
 from symsimpson.control.judged import result_of
 from symsimpson.control.layout import Layout
-from symsimpson.control.optimality import optimal
+from symsimpson.control.optimality import downhill, optimal
 from symsimpson.control.points import PointFunctions
 from symsimpson.control.reading import read_family
-from symsimpson.control.result import TOLD, ControlResult
+from symsimpson.control.result import FOUND, TOLD, ControlResult
 from symsimpson.control.saving import read_solution
 from symsimpson.control.scaling import Scaled, scaled, sizes_at
-from symsimpson.control.status import ControlStatus
+from symsimpson.control.status import STATUSES, ControlStatus
 from symsimpson.errors import InputError, ResolutionWarning
 from symsimpson.support.calling import warn
 from symsimpson.support.names import did_you_mean, spelled
@@ -43,6 +43,8 @@ Floats = NDArray[np.float64]
 OPTIONS = {"mu_init": 1e-3, "bound_relax_factor": 0.0, "sb": "yes"}
 #: So often steps are halved to make the error small.
 MOST_REFINEMENTS, MOST_UNRESOLVED = 6, 3
+#: So often a search begins again, aside from where the cost falls to both sides.
+MOST_ASIDE = 3
 #: Costs between these are small: they are scaled to 1.
 SMALL, SMALLEST = 0.1, 1e-12
 #: The cost of a solution in a file is computed again, and may differ by so much, relatively.
@@ -103,7 +105,7 @@ def _solved(
     x0 = np.clip(begin(layout, guess), *layout.bounds)
     scaled_form = scaled(programme, layout, x0)
     x0 = moved(layout, at_start(layout, x0)) if condensed else x0
-    bounds, limits = full = scaled_form.bounds(layout.bounds, (low, high))
+    bounds, limits = scaled_form.bounds(layout.bounds, (low, high))
     form: Scaled | Condensed = scaled_form
     begun = scaled_form.inside(x0)
     if condensed:
@@ -118,8 +120,9 @@ def _solved(
         bounds, limits = form.bounds(bounds, limits)
 
     def told(outcome: Outcome) -> ControlResult:
+        best = optimal(form, outcome, bounds, limits, options["tol"])
+        best = best and downhill(form, outcome, bounds, limits) is None
         outcome = form.outcome(outcome) if isinstance(form, Condensed) else outcome
-        best = optimal(scaled_form, outcome, *full, options["tol"])
         return result_of(layout, scaled_form.outcome(outcome), best)
 
     name = f"{layout.read.system.name}, {layout.steps} steps"
@@ -131,21 +134,28 @@ def _solved(
             bar.add(1)
             return bool(heard)
 
-        outcome = run_ipopt(form, begun, bounds, limits, {**OPTIONS, **options}, look)
-        result = told(outcome)
+        def run(x: Floats, **more: Any) -> Outcome:
+            return run_ipopt(form, x, bounds, limits, {**OPTIONS, **options, **more}, look)
+
+        outcomes = [run(begun)]
+        while len(outcomes) <= MOST_ASIDE and STATUSES.get(outcomes[-1].said) in FOUND:
+            step = downhill(form, outcomes[-1], bounds, limits)
+            if step is None:
+                break
+            outcomes.append(run(outcomes[-1].x + step))
+        result = told(outcomes[-1])
         # the solver compares with 1: small costs are found once more, in a unit of their own
         size = max(abs(form.values(begun)[0]), abs(result.cost) / scaled_form.of_cost)
-        if outcome.said == "Solve_Succeeded" and 0 < size < SMALL:
-            given = {**OPTIONS, **options, "obj_scaling_factor": 1 / max(size, SMALLEST)}
-            outcome = run_ipopt(form, outcome.x, bounds, limits, given, look)
-            again = told(outcome)
-            result = replace(
-                again if again.success else result,
-                iterations=result.iterations + again.iterations,
-                seconds=result.seconds + again.seconds,
-                in_functions=result.in_functions + again.in_functions,
-            )
-    return result
+        if outcomes[-1].said == "Solve_Succeeded" and 0 < size < SMALL:
+            outcomes.append(run(outcomes[-1].x, obj_scaling_factor=1 / max(size, SMALLEST)))
+            again = told(outcomes[-1])
+            result = again if again.success else result
+    return replace(
+        result,
+        iterations=sum(outcome.iterations for outcome in outcomes),
+        seconds=sum(outcome.seconds for outcome in outcomes),
+        in_functions=sum(outcome.in_functions for outcome in outcomes),
+    )
 
 
 def opened(read: Reading, path: str | os.PathLike[str], scheme: Any) -> ControlResult:

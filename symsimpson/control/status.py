@@ -29,9 +29,9 @@ class ControlStatus(Enum):
         "constraints from start to end."
     )
     NOT_OPTIMAL = (
-        "The conditions are satisfied, and whether a motion nearby costs less cannot be told: some "
-        "of them follow from others, or touch them, so that multipliers have no bound. Leave out "
-        "what follows, or give in full what is known of an end."
+        "The conditions are satisfied, but the cost falls further nearby, or multipliers without "
+        "bound do not tell: some conditions follow from others, or touch them. Leave out what "
+        "follows, give in full what is known of an end, or begin at another guess."
     )
     INTERRUPTED = "The search was interrupted; the last iterate is kept."
     NOT_FINITE = "An energy, force or cost had no value on the way. Bound what must not be reached."

@@ -163,3 +163,39 @@ def test_conditions_that_touch_do_not_tell_an_optimum(scheme, end, path):
     assert found.status is ss.ControlStatus.NOT_OPTIMAL
     assert not found.success
     assert "what is known of an end" in found.message
+
+
+@pytest.mark.parametrize("scheme", sweep(["lobatto6", "gauss6", "simpson"]))
+@pytest.mark.parametrize("bounds", [{}, {u: (-1, 1)}])
+def test_a_cost_that_falls_to_both_sides_is_not_least(scheme, bounds):
+    """To stay is where the cost is flat, and largest: moving off at full force is best."""
+    given = {"start": {x: 0, x.diff(): 0}, "duration": 1, "bounds": bounds}
+    found = ss.OptimalControl(CART, cost=u**2 / 1000 - x**2 + x**4, **given).solve(scheme, steps=20)
+    assert found.success
+    if bounds:  # x = t^2 / 2 until shortly before the end, where force does no more
+        assert found.cost == pytest.approx(1e-3 - 1 / 20 + 1 / 144, abs=1e-4)
+    else:
+        assert found.cost < -0.1
+
+
+def test_a_hill_is_passed_at_a_side():
+    rest = {x.diff(): 0, y.diff(): 0}
+    ends = {"start": {x: -1, y: 0, **rest}, "end": {x: 1, y: 0, **rest}, "duration": 1}
+    flat = ss.MechanicalSystem(
+        "flat",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=0,
+        forces={x: u, y: N},
+        inputs=(u, N),
+    )
+    hill = 1000 * sp.exp(-4 * (x**2 + y**2))
+    problem = ss.OptimalControl(flat, cost=u**2 + N**2 + hill, **ends)
+    found = problem.solve("simpson", steps=20)
+    assert found.success
+    assert found.cost == pytest.approx(220.798, rel=1e-4)  # 328.017 straight over it
+    assert np.abs(found.q[:, 1]).max() > 0.3
+    aside = problem.solve("simpson", steps=20, guess={y: sp.sin(sp.pi * ss.time)})
+    assert found.cost == pytest.approx(aside.cost, rel=1e-8)
+    stopped = problem.solve("simpson", steps=20, most_iterations=30)
+    assert not stopped.success
