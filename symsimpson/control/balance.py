@@ -1,7 +1,8 @@
-"""Whether the motion of a solution is that of its inputs between nodes, too.
+"""Whether the motion and the cost of a solution are those of its inputs between nodes, too.
 
 Equations of steps see forces at nodes alone. Where inputs chatter from node to node, or steps are
-far too long, a motion that satisfies them need not be one of the system.
+far too long, a motion that satisfies them need not be one of the system; and what is dear for less
+than a step may lie between nodes.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.control.points import PointFunctions, lagrange, lagrange_slopes
+from symsimpson.graph.nodes import ZERO
 
 __all__ = ["balanced"]
 
@@ -20,36 +22,44 @@ Floats = NDArray[np.float64]
 #: part of what forces do. Measured: motions that no finer step has come to 0.06 to 0.4, ten steps
 #: of a swing-up to 0.01 to 0.03, a single switch in three steps to 0.03.
 MORE, OFF = 4, 0.05
-#: Forces below this part of momenta are rounding: none act where the best inputs are none.
-NOTHING = 1e-10
+#: The cost may change by as much. Costs below LEAST are rounding, and forces below this part of
+#: momenta: none act where the best inputs are none.
+NOTHING, LEAST = 1e-10, 1e-15
 
 
 def balanced(layout: Any, x: Floats) -> bool:
-    """Return whether equations of steps are satisfied with more nodes, for the same polynomials."""
+    """Return whether equations of steps hold with more nodes, and the cost is what it is.
+
+    Paths and inputs are the same polynomials. Signals are known at nodes alone.
+    """
     read, u = layout.read, x[layout.inputs]
-    functions = PointFunctions(read.graph, [], [*read.forces, *read.momenta])
-    rows, done = _rows(layout, functions, x, layout.c, layout.b, u)
+    known = read.graph.nodes[read.running[1]].symbols.isdisjoint(read.signals)
+    running = read.running if known else ZERO
+    functions = PointFunctions(read.graph, [], [*read.forces, *read.momenta, running])
+    rows, done, cost, size = _sums(layout, functions, x, layout.c, layout.b, u)
     places, weights = np.polynomial.legendre.leggauss(layout.nodes + MORE)
     places = (places + 1) / 2
     inputs = np.einsum("ij,kjm->kim", lagrange(layout.c, places), u)
-    finer, _ = _rows(layout, functions, x, places, weights / 2, inputs)
+    finer, _, finer_cost, finer_size = _sums(layout, functions, x, places, weights / 2, inputs)
     # by the speeds of coordinates all are of one unit
     speeds = np.abs(np.diff(x[layout.points], axis=1)).sum(axis=1)
     off = (np.abs(finer - rows).max(axis=1) * speeds).sum()
-    return not off > OFF * (done * speeds).sum()
+    moves = not off > OFF * (done * speeds).sum()
+    return moves and not abs(finer_cost - cost) > OFF * max(size, finer_size) + LEAST
 
 
-def _rows(
+def _sums(
     layout: Any,
     functions: PointFunctions,
     x: Floats,
     places: Floats,
     weights: Floats,
     inputs: Floats,
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats, float, float]:
     """Return sums over nodes in the equations of steps, (N, d + 1, n), and the sizes of forces.
 
-    Forces that are rounding of momenta have the size of that.
+    Forces that are rounding of momenta have the size of that. Then come the running cost, and what
+    it is without signs.
     """
     read, q = layout.read, x[layout.points]
     sizes, (N, s, n) = layout.sizes(x), (layout.steps, len(places), layout.n)
@@ -63,8 +73,10 @@ def _rows(
     times = layout.grid.before(k, places[i]) @ sizes
     point = {node: value.ravel() for node, value in zip(known, at, strict=True)}
     point |= {**layout.parameter_values(x), read.t: times}
-    F, P = functions.values(point, N * s).reshape(2, n, N, s)
-    F = F * h[:, None]
+    *both, cost = functions.values(point, N * s).reshape(-1, N, s)
+    F, P = np.reshape(both, (2, n, N, s))
+    F, cost = F * h[:, None], (cost * h[:, None]) @ weights
     rows = np.einsum("i,ij,aki->kja", weights, values, F)
     rows += np.einsum("i,ij,aki->kja", weights, slopes, P)
-    return rows, np.einsum("i,aki->ka", weights, np.abs(F) + NOTHING * np.abs(P))
+    done = np.einsum("i,aki->ka", weights, np.abs(F) + NOTHING * np.abs(P))
+    return rows, done, float(cost.sum()), float(np.abs(cost).sum())

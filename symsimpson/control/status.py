@@ -22,9 +22,10 @@ class ControlStatus(Enum):
         "rounding allows; else another guess may help."
     )
     NOT_RESOLVED = (
-        "The equations of steps are solved, but between the points at which they see forces and "
-        "constraints the motion is another one: inputs chatter from node to node, steps are too "
-        "long, or the path jumps to another branch of the constraints. Take more steps, a Gauss "
+        "The equations of steps are solved, but between the points at which they see forces, "
+        "costs and constraints the motion, or its cost, is another one: inputs chatter from node "
+        "to node, steps are too long, what is dear lies between nodes, or the path jumps to "
+        "another branch of the constraints. Take more steps, a Gauss "
         "scheme such as 'gauss6' where inputs act on velocities, or a guess that follows the "
         "constraints from start to end."
     )

@@ -68,6 +68,17 @@ def test_too_few_steps_are_told():
     assert found.cost == pytest.approx(67.0721, rel=3e-3)
 
 
+@pytest.mark.parametrize("scheme", sweep(["lobatto6", "gauss6", "simpson"]))
+def test_what_is_dear_between_nodes_is_told(scheme):
+    """A hill of the cost that is narrower than a step lies between nodes, or they avoid it."""
+    hill = 1e4 * sp.exp(-(((x - 0.5) / 0.01) ** 2))
+    given = {"start": {x: 0, x.diff(): 0}, "end": {x: 1, x.diff(): 0}, "duration": 1}
+    problem = ss.OptimalControl(CART, cost=u**2 + hill, **given)
+    assert problem.solve(scheme, steps=10).status is ss.ControlStatus.NOT_RESOLVED
+    flat = ss.OptimalControl(CART, cost=u**2 + hill / 1e6, **given)
+    assert flat.solve(scheme, steps=10).cost == pytest.approx(12, rel=1e-3)
+
+
 @pytest.mark.parametrize("factor", [1e-4, 1e-9])
 def test_the_unit_of_the_cost_does_not_matter(factor):
     right, found = swing().solve(steps=20), swing(factor).solve(steps=20)
