@@ -35,27 +35,55 @@ NEAR, PRESSED = 1e-6, 1e-3
 BENT, SHIFTS, CURVATURES, FLAT = 1e-3, (1.0, 1e-2, 1e-4), 40, 1e-2
 #: Solvers begin again this far aside, in units of sizes.
 ASIDE = 0.1
-#: Rows that depend on one another keep so much of a matrix that has an inverse.
-SOFT = 1e-12
+#: Rows that depend on one another keep so much of a matrix that has an inverse; bounds more, so
+#: that multipliers are those of equations.
+SOFT, SOFTER = 1e-12, 1e-6
+#: The least multipliers are looked at where rows are satisfied within this.
+EXACT = 1e-9
 
 
 def optimal(
     programme: Solvable, outcome: Outcome, bounds: Any, limits: Any, tolerance: float
 ) -> bool:
-    """Return whether first-order conditions hold, in the units of the programme."""
+    """Return whether first-order conditions hold, in the units of the programme.
+
+    Where they do not with the multipliers of the solver, those of least size are asked: beside a
+    condition a bound that says the same makes multipliers rounding, and does no harm.
+    """
     nothing = max(NOTHING, TIMES * tolerance)
     cost, rows = programme.values(outcome.x)
     gradient, entries = programme.slopes(outcome.x)
     slopes = sparse.csr_matrix((entries, programme.jacobian_places), shape=programme.shape)
-    with np.errstate(invalid="ignore"):  # what has no value is no optimum
-        rest = gradient + slopes.T @ outcome.multipliers
-        by_bounds = _left(-rest, outcome.x, bounds)
-        by_rows = _left(outcome.multipliers, rows, limits)
-    steep = np.abs(gradient).max(initial=0.0)
-    return bool(
-        by_bounds.max(initial=0.0) <= PART * steep + nothing
-        and by_rows.max(initial=0.0) <= PART * abs(cost) + nothing
-    )
+    steep, off = np.abs(gradient).max(initial=0.0), np.maximum(limits[0] - rows, rows - limits[1])
+
+    def holds(multipliers: Floats) -> bool:
+        with np.errstate(invalid="ignore"):  # what has no value is no optimum
+            rest = gradient + slopes.T @ multipliers
+            by_bounds = _left(-rest, outcome.x, bounds).max(initial=0.0)
+            by_rows = _left(multipliers, rows, limits).max(initial=0.0)
+        return bool(by_bounds <= PART * steep + nothing and by_rows <= PART * abs(cost) + nothing)
+
+    if holds(outcome.multipliers):
+        return True
+    finite = np.isfinite(gradient).all() and np.isfinite(entries).all()
+    if not (finite and off.max(initial=0.0) < EXACT):
+        return False
+    return holds(_least(gradient, slopes, outcome.x, rows, bounds, limits))
+
+
+def _least(
+    gradient: Floats, slopes: Any, x: Floats, rows: Floats, bounds: Any, limits: Any
+) -> Floats:
+    """Return the least multipliers with which slopes are nearest to 0; of bounds even less."""
+    free = ~_held(np.zeros_like(x), x, bounds)
+    active = np.flatnonzero(_held(np.zeros_like(rows), rows, limits))
+    held = slopes[active][:, free]
+    soft = np.where((limits[0] == limits[1])[active], SOFT, SOFTER)
+    blocks = [[sparse.identity(held.shape[1]), held.T], [held, -sparse.diags(soft)]]
+    right = np.concatenate([gradient[free], np.zeros(len(active))])
+    multipliers = np.zeros(len(rows))
+    multipliers[active] = -splu(sparse.bmat(blocks, format="csc")).solve(right)[held.shape[1] :]
+    return multipliers
 
 
 def _left(multipliers: Floats, values: Floats, limits: Any) -> Floats:

@@ -109,3 +109,13 @@ def test_conditions_that_follow_from_others_are_left_out(end):
     assert found.cost == pytest.approx(3.75, abs=1e-8)  # 3 (1 + 1/4)
     wrong = dataclasses.replace(problem, end={x: 1, y: 0.5, x + y: 1.6})
     assert not wrong.solve("simpson", steps=5).success
+
+
+@pytest.mark.parametrize("steps", [10, 20])
+def test_a_bound_that_says_what_an_end_says_does_no_harm(steps):
+    """Multipliers of the three rows are rounding, and add up to that of one."""
+    problem = lifted({x: 0, y: -1, v_x: 0, v_y: 0}, path=[x - 1, y])
+    found = problem.solve("simpson", steps=steps, guess=WAY)
+    assert found.status is ss.ControlStatus.SOLVED
+    plain = dataclasses.replace(problem, path=()).solve("simpson", steps=steps, guess=WAY)
+    assert found.cost == pytest.approx(plain.cost, rel=1e-8)
