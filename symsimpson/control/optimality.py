@@ -26,7 +26,6 @@ Floats = NDArray[np.float64]
 PART = 1e-5
 #: Both are 0 below this, too, or so many times what was asked for: inputs of 0 may be the best.
 NOTHING, TIMES = 1e-6, 100
-
 #: Unknowns and rows are held at bounds within NEAR, or where multipliers are more than this part of
 #: how far they are from it.
 NEAR, PRESSED = 1e-6, 1e-3
@@ -66,7 +65,7 @@ def optimal(
     if holds(outcome.multipliers):
         return True
     finite = np.isfinite(gradient).all() and np.isfinite(entries).all()
-    if not (finite and off.max(initial=0.0) < EXACT):
+    if not (finite and off.max(initial=0.0) < EXACT) or (bounds[0] == bounds[1]).all():
         return False
     return holds(_least(gradient, slopes, outcome.x, rows, bounds, limits))
 

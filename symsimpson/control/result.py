@@ -64,7 +64,7 @@ class ControlResult:
     violation : float
         The largest of a row, in units of its size, and ``worst`` its name.
     history : dict from str to list of float
-        What the solver tells of each iteration: ``obj`` the cost, ``inf_pr`` the violation, ...
+        What the solver tells of each, of the last search: ``obj`` the cost, ``inf_pr`` ...
     error : float or None
         An estimate of the relative error of the cost, if one was asked for.
     """
