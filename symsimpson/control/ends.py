@@ -26,12 +26,14 @@ __all__ = ["Following", "following"]
 Floats = NDArray[np.float64]
 #: From so many places one goes to where rows are 0, in so many of Newton's steps at most; at least
 #: FEWEST get there.
-PLACES, MOST_STEPS, FEWEST = 4, 80, 2
+PLACES, MOST_STEPS, FEWEST = 8, 80, 2
 #: Parameters and durations, which have bounds, are moved where states do not do: by this part.
 SELDOM = 1e-2
 #: Rows are 0 within EXACT, in units of sizes; one that is so within NEAR at all places follows from
 #: others. Where rows touch, squares are EXACT, and slopes dependent within TOUCHING.
 EXACT, NEAR, TOUCHING = 1e-12, 1e-9, 1e-4
+#: A constraint has a part in what is dependent; places so far aside are on the same branch.
+PART, ASIDE = 0.1, 1e-3
 #: Slopes that are dependent differ by so much of rounding.
 ROUNDED = 1e-11
 
@@ -59,10 +61,9 @@ def following(read: Reading) -> Following:
     rows = _Rows(read, [value for _, value in held])
     out = [False] * rows.conditions + known[0] + known[1]
     if len(rows.plain) < rows.conditions or not all(known[0] + known[1]):
-        places, out = rows.followed(out)
-        touched = rows.touched(places, out)
+        places, out, touched = rows.followed(out)
         if touched is not None:
-            end, k = divmod(touched, len(held))
+            end, k = divmod(touched - rows.conditions, len(held))
             what = rows.known(places, end, velocities=k >= positions)
             where = ("start", "end")[end]
             raise InputError(
@@ -150,38 +151,53 @@ class _Rows:
             w = np.clip(w - self.sizes * self.light * moves, self.low, self.high)
         return None
 
-    def followed(self, out: list[bool]) -> tuple[list[Floats], list[bool]]:
-        """Return places where all rows are 0, and which of these are so as those before them are.
+    def followed(self, out: list[bool]) -> tuple[list[Floats], list[bool], int | None]:
+        """Return places where all rows are 0, which of these follow, and one that is touched.
 
         Those that are left out already are not looked at.
         """
-        places, kept, follows = [self.begun(seed) for seed in range(PLACES)], self.plain, list(out)
+        places, kept, out = [self.begun(seed) for seed in range(PLACES)], self.plain, list(out)
         for row in [None, *(k for k, left in enumerate(out) if not left and k not in kept)]:
             if row is not None:
                 if all(np.abs(self._measured(w, [row])[0]).max() < NEAR for w in places):
-                    follows[row] = True
+                    out[row] = True
                     continue
                 kept = [*kept, row]
             places = [w for w in (self.onto(w, kept) for w in places) if w is not None]
             if len(places) < FEWEST:
-                return [], follows
-        return places, follows
+                return [], out, None
+        while dependent := self.dependent(places, kept):
+            begun = [self.begun(seed) for seed in range(PLACES)]
+            safe = [row for row in dependent if self.follows(row, kept, begun)]
+            if not safe:  # one that follows on a branch alone is left to the solver
+                near = [w + ASIDE * (self.begun(0) - w) for w in places]
+                branch = any(self.follows(row, kept, near) for row in dependent)
+                return places, out, None if branch else dependent[0]
+            out[safe[0]] = True
+            kept = [k for k in kept if k != safe[0]]
+        return places, out, None
 
-    def touched(self, places: list[Floats], out: list[bool]) -> int | None:
-        """Return the constraint, of all at both ends, that conditions touch at all places."""
-        kept = [k for k, left in enumerate(out) if not left]
+    def follows(self, row: int, kept: list[int], places: list[Floats]) -> bool:
+        """Return whether a row is 0 where all others are that one comes to."""
+        others = [k for k in kept if k != row]
+        there = [w for w in (self.onto(w, others) for w in places) if w is not None]
+        off = [np.abs(self._measured(w, [row])[0]).max() for w in there]
+        return len(off) >= FEWEST and max(off) < NEAR
+
+    def dependent(self, places: list[Floats], kept: list[int]) -> list[int]:
+        """Return constraints whose slopes are made of those of other rows at all places."""
         given = [k for k in kept if k < self.conditions]
-        held, worst = kept[len(given) :], None
+        held, part = [k for k in kept if k >= self.conditions], np.zeros(0)
         for w in places if held else []:
-            _, slopes = self._measured(w, kept)
+            _, slopes = self._measured(w, [*given, *held])
             _, sizes, ways = np.linalg.svd(slopes[: len(given)], full_matrices=False)
             ways = ways[sizes > TOUCHING]
             rest = slopes[len(given) :]
             left, sizes, _ = np.linalg.svd(rest - rest @ ways.T @ ways, full_matrices=False)
             if sizes[-1] > TOUCHING:
-                return None
-            worst = held[int(np.abs(left[:, -1]).argmax())] - self.conditions
-        return worst
+                return []
+            part = np.abs(left[:, -1])
+        return [held[k] for k in np.argsort(-part) if part[k] > PART * part.max()]
 
     def known(self, places: list[Floats], end: int, *, velocities: bool) -> str:
         """Return what all places have of an end, and is not given, in words."""

@@ -69,7 +69,10 @@ def test_a_length_that_is_found_stands_in_what_follows(start):
         ({"end": {x: 1, v_y: 0}}, r"end touches the constraint 'circle'.*\nGive y = 0 at the end"),
         ({"end": {x - y: sp.sqrt(2)}}, r"end touches .*\nGive x = 0.707, y = -0.707 at the end"),
         ({"end": {y: -l}, "unknowns": {l: (0.5, 2)}}, r"end touches .*\nGive x = 0 at the end"),
-        ({"conditions": {y: y - 1}, "start": {y: 0}}, r"end touches .*\nGive x = 0, y = -1 at"),
+        (
+            {"conditions": {y: y - 1}, "start": {y: 0}, "end": {v_x: 0}},
+            r"\nGive x = 0, y = -1 at the end",
+        ),
     ],
 )
 def test_ends_that_touch_a_constraint_are_refused(more, told):
@@ -78,6 +81,21 @@ def test_ends_that_touch_a_constraint_are_refused(more, told):
         problem.solve("gauss4", steps=4, guess=WAY)
     near = lifted({x: 0, v_x: 0}, {x: 0.99, v_y: 0})
     assert near.solve("gauss4", steps=10, guess=WAY).success
+
+
+def test_states_that_are_given_but_for_one_number():
+    """Constraints of positions and of rates follow from one another there, on a branch."""
+    s, c = np.sin(1.0), np.cos(1.0)
+    ends = [
+        ({x: 0, v_x: 0}, {x: s, v_x: c / 2, v_y: s / 2}),
+        ({x: 0, v_x: 0}, {x: s, y: -c, v_x: c / 2}),
+    ]
+    costs = [
+        lifted(*both).solve("gauss4", steps=6, guess={x: sp.sin(ss.time), y: -sp.cos(ss.time)})
+        for both in ends
+    ]
+    assert all(found.status is ss.ControlStatus.SOLVED for found in costs)
+    assert costs[0].cost == pytest.approx(costs[1].cost, rel=1e-9)
 
 
 def test_what_is_tied_is_held_at_one_end():
