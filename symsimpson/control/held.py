@@ -21,9 +21,12 @@ from symsimpson.graph.nodes import UNIT, Value, exact, scaled
 from symsimpson.graph.rebuild import rebuilt
 
 if TYPE_CHECKING:
-    from symsimpson.control.reading import Reading
+    from symsimpson.control.reading import Limits, Reading
 
-__all__ = ["held_blocks", "held_rates", "implied", "onto", "projected", "resolved", "turned"]
+__all__ = [
+    *("held_blocks", "held_rates", "implied", "onto", "pressed"),
+    *("projected", "resolved", "turned"),
+]
 
 Floats = NDArray[np.float64]
 #: Ends that are given by numbers may be off their constraints by so much.
@@ -42,6 +45,37 @@ def held_rates(read: Reading) -> list[Value]:
     return [*turned, *held.rates(graph, read.v)]
 
 
+def numbers_at(read: Reading, end: int) -> dict[int, Value]:
+    """Return what is known at an end by numbers: parameters, the time, what conditions give."""
+    state, (low, high) = {*read.q, *read.v}, read.duration
+
+    def number(x: float) -> Value:
+        return exact(Fraction(x)), UNIT
+
+    given = {x: number(y) for x, y in read.given.items()}
+    if not end or low == high:
+        given[read.t] = number(end * low)
+    for limit in read.ends[end]:
+        c, n = limit.value
+        if limit.low == limit.high and c == 1 and n in state:
+            given[n] = number(limit.low)
+    return given
+
+
+def pressed(read: Reading, end: int, limits: Iterable[Limits]) -> list[bool]:
+    """Return which limits are at a bound at an end since its conditions say so by numbers.
+
+    Rows that say it again have no room beside these, and take multipliers their bound.
+    """
+    graph, given, flags = read.graph, numbers_at(read, end), []
+    for limit in limits:
+        (there,) = rebuilt(graph, [limit.value], given)
+        known = not there[0] or not graph.nodes[there[1]].symbols
+        number = read.number(there) if known else np.nan
+        flags.append(bool(np.abs(np.subtract([limit.low, limit.high], number)).min() <= CONSISTENT))
+    return flags
+
+
 def implied(read: Reading, end: int, values: Iterable[tuple[str, Value]]) -> list[bool]:
     """Return which constraints hold at an end since its conditions say so.
 
@@ -58,19 +92,7 @@ def implied(read: Reading, end: int, values: Iterable[tuple[str, Value]]) -> lis
     InputError
         If the conditions contradict one.
     """
-    graph, state = read.graph, {*read.q, *read.v}
-    low, high = read.duration
-
-    def number(x: float) -> Value:
-        return exact(Fraction(x)), UNIT
-
-    given = {x: number(y) for x, y in read.given.items()}
-    if not end or low == high:
-        given[read.t] = number(end * low)
-    for limit in read.ends[end]:
-        c, n = limit.value
-        if limit.low == limit.high and c == 1 and n in state:
-            given[n] = number(limit.low)
+    graph, given = read.graph, numbers_at(read, end)
     tied = {last[1]: (-c, n) for _, last, (c, n) in read.tied if end and last[0] == 1}
     flags = []
     for name, value in values:

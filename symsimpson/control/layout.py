@@ -12,7 +12,7 @@ from scipy import sparse
 from symsimpson.control.ends import Following, following
 from symsimpson.control.functions import read_function, values_at
 from symsimpson.control.grid import Grid
-from symsimpson.control.held import held_blocks, held_rates
+from symsimpson.control.held import held_blocks, held_rates, pressed
 from symsimpson.control.points import PointFunctions
 from symsimpson.control.reading import Limits
 from symsimpson.control.rows import Rows
@@ -145,6 +145,10 @@ class Layout:
             bound(self.points[-1, -1, a], pair)
             for i in np.flatnonzero(self._alone):
                 bound(self.points[:, int(self.A[i].argmax()), a], pair)
+            limit = Limits("", (1, read.q[a]), *pair)
+            for end, point in enumerate((self.points[0, 0], self.points[-1, -1])):
+                if pressed(read, end, [limit])[0]:
+                    bound(point[a], (-np.inf, np.inf))
         for place, pair in zip(self.parameters, read.found_bounds, strict=True):
             bound(place, pair)
         if len(self.h) == 1:
@@ -314,9 +318,12 @@ class Layout:
         parts.insert(n, (np.zeros(count, int), np.arange(count), self.b[i]))
         before = np.append(-1, self.grid.phase[:-1])
         again = self.shared & (i == 0) & (self.grid.phase == before)[k]
-        for limit in read.within:
+        at_ends = np.array([[self.c[0] == 0], [self.c[-1] == 1]]) & self._pressed
+        for limit, (first, last) in zip(read.within, at_ends.T, strict=True):
             moving = not read.graph.nodes[limit.value[1]].symbols.isdisjoint(read.v)
-            some = np.flatnonzero(~again | moving)  # what is without v is the same at shared nodes
+            out = again.copy()
+            out[0], out[-1] = first, last
+            some = np.flatnonzero(~out | moving)  # what is without v is the same at shared nodes
             at = rows.add(len(some), limit.low, limit.high, limit.name)
             parts.append((at, some, np.ones(len(some))))
         for a, (low, high) in here.items():
@@ -324,6 +331,12 @@ class Layout:
             at = rows.add(len(some), low, high, read.names[a])
             parts.append((at, some, np.ones(len(some))))
         return *block, parts
+
+    @property
+    def _pressed(self) -> NDArray[np.bool_]:
+        """Which limits conditions of the start, and of the end, press to a bound."""
+        flags = [pressed(self.read, end, self.read.within) for end in (0, 1)]
+        return np.array(flags, dtype=bool).reshape(2, -1)
 
     def _driven(self, value: Value) -> bool:
         """Return whether something that is known at nodes alone stands in a value."""
@@ -347,7 +360,11 @@ class Layout:
             final = [read.final] if end else []
             of_both = [values[1 - end] for _, *values in ties]
             # the velocities of the ends are unknowns of their own
-            inside = [x for x in read.within if x.low < x.high and not self._driven(x.value)]
+            inside = [
+                x
+                for x, out in zip(read.within, self._pressed[end], strict=True)
+                if x.low < x.high and not out and not self._driven(x.value)
+            ]
             left_out = self.following.conditions[end]
             limits = [x for x, out in zip(limits, left_out, strict=True) if not out]
             limits += self._held(end)

@@ -137,3 +137,22 @@ def test_a_bound_that_says_what_an_end_says_does_no_harm(steps):
     assert found.status is ss.ControlStatus.SOLVED
     plain = dataclasses.replace(problem, path=()).solve("simpson", steps=steps, guess=WAY)
     assert found.cost == pytest.approx(plain.cost, rel=1e-8)
+
+
+@pytest.mark.parametrize("scheme", ["lobatto6", "gauss4", "simpson"])
+@pytest.mark.parametrize(
+    ("more", "cost"),
+    [
+        ({"bounds": {x: (0, 1), y: (0, 1), v_x: (0, None), v_y: (0, None)}}, 24),
+        ({"path": [x**2 + y**2 - 2, -x * y]}, 24),
+        ({"path": [(0, x**2 - y**2, 0)]}, 24),
+    ],
+)
+def test_ends_at_bounds(scheme, more, cost):
+    """Rows of bounds that say what ends say have no room beside them: they are left out."""
+    rest = {v_x: 0, v_y: 0}
+    ends = {"start": {x: 0, y: 0, **rest}, "end": {x: 1, y: 1, **rest}}
+    problem = ss.OptimalControl(FLAT, cost=u**2 + w**2, duration=1, **ends, **more)
+    found = problem.solve(scheme, steps=10)
+    assert found.status is ss.ControlStatus.SOLVED
+    assert found.cost == pytest.approx(cost, rel=1e-8)
