@@ -32,6 +32,8 @@ NEAR, PRESSED = 1e-6, 1e-3
 #: Curvatures are sought near what the solver bent its last matrix by, or this part of the largest
 #: entry, and near these parts of that: so many each time, and below this part of it they are 0.
 BENT, SHIFTS, CURVATURES, FLAT = 1e-3, (1.0, 1e-2, 1e-4), 40, 1e-2
+#: Up to so many matrices barriers may hide what the cost does.
+FEW = 6
 #: Solvers begin again this far aside, in units of sizes.
 ASIDE = 0.1
 #: Rows that depend on one another keep so much of a matrix that has an inverse; bounds more, so
@@ -53,11 +55,13 @@ def optimal(
     cost, rows = programme.values(outcome.x)
     gradient, entries = programme.slopes(outcome.x)
     slopes = sparse.csr_matrix((entries, programme.jacobian_places), shape=programme.shape)
+    # unknowns that are far smaller than their units move rows much
+    units = np.maximum(np.asarray(abs(slopes).max(axis=0).todense()).ravel(), 1.0)
     steep, off = np.abs(gradient).max(initial=0.0), np.maximum(limits[0] - rows, rows - limits[1])
 
     def holds(multipliers: Floats) -> bool:
         with np.errstate(invalid="ignore"):  # what has no value is no optimum
-            rest = gradient + slopes.T @ multipliers
+            rest = (gradient + slopes.T @ multipliers) / units
             by_bounds = _left(-rest, outcome.x, bounds).max(initial=0.0)
             by_rows = _left(multipliers, rows, limits).max(initial=0.0)
         return bool(by_bounds <= PART * steep + nothing and by_rows <= PART * abs(cost) + nothing)
@@ -95,10 +99,15 @@ def _left(multipliers: Floats, values: Floats, limits: Any) -> Floats:
 def downhill(programme: Solvable, outcome: Outcome, bounds: Any, limits: Any) -> Floats | None:
     """Return a step aside, along what holds, on which the cost falls to both sides; None if none.
 
-    It is sought where the solver had to bend the last of its matrices, or made none.
+    It is sought where the solver had to bend the last of its matrices, or made none; barriers of
+    bounds bend the first ones.
     """
     bent = outcome.history.get("regularization_size", [0.0])
-    if len(bent) > 1 and not bent[-1]:
+    barriers = any(
+        ((low < high) & (np.isfinite(low) | np.isfinite(high))).any()
+        for low, high in (bounds, limits)
+    )
+    if len(bent) > (FEW if barriers else 1) and not bent[-1]:
         return None
     x, rows = outcome.x, programme.values(outcome.x)[1]
     gradient, entries = programme.slopes(x)
