@@ -21,9 +21,10 @@ __all__ = ["downhill", "optimal"]
 
 Floats = NDArray[np.float64]
 #: Slopes of the Lagrangian are 0 below this part of the largest one of the cost, and what rows
-#: and bounds could still change of it below this part of the cost. Measured: up to 5e-8 where an
-#: optimum was found, from 2e-5 where rows depend on one another.
-PART = 1e-5
+#: and bounds could still change of it below that part of the cost. Measured: up to 5e-8 where an
+#: optimum was found, 2e-5 of rounding in units of atoms; where rows depend on one another from
+#: 7e-3 of slopes, or 2e-5 of the cost.
+PART, OF_COST = 1e-4, 1e-5
 #: Both are 0 below this, too, or so many times what was asked for: inputs of 0 may be the best.
 NOTHING, TIMES = 1e-6, 100
 #: Unknowns and rows are held at bounds within NEAR, or where multipliers are more than this part of
@@ -64,7 +65,9 @@ def optimal(
             rest = (gradient + slopes.T @ multipliers) / units
             by_bounds = _left(-rest, outcome.x, bounds).max(initial=0.0)
             by_rows = _left(multipliers, rows, limits).max(initial=0.0)
-        return bool(by_bounds <= PART * steep + nothing and by_rows <= PART * abs(cost) + nothing)
+        return bool(
+            by_bounds <= PART * steep + nothing and by_rows <= OF_COST * abs(cost) + nothing
+        )
 
     if holds(outcome.multipliers):
         return True

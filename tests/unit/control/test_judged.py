@@ -189,6 +189,36 @@ def test_a_cost_that_falls_to_both_sides_is_not_least(scheme, bounds):
         assert found.cost < -0.1
 
 
+def test_barriers_do_not_hide_a_cost_that_falls_to_both_sides():
+    """A bound of a thousandth bends the solver's matrices as much as the cost does."""
+    given = {"start": {x: 0, x.diff(): 0}, "duration": 1, "bounds": {u: (-1e-3, 1e-3)}}
+    cost = (1e3 * u) ** 2 / 1000 - (1e3 * x) ** 2
+    found = ss.OptimalControl(CART, cost=cost, **given).solve("gauss6", steps=10)
+    assert found.success
+    assert found.cost == pytest.approx(1e-3 - 1 / 20, abs=1e-4)
+
+
+def test_rounding_of_multipliers_in_units_of_atoms_is_nothing():
+    radius, second = 1e-10, 1e-14
+    given = {"start": {x: 0, x.diff(): 0}, "end": {x: radius, y: 0, y.diff(): 0}}
+    rod = ss.MechanicalSystem(
+        "rod",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=9.81 * radius / second**2 * y,
+        forces={x: -u * y / radius, y: u * x / radius},
+        inputs=(u,),
+        constraints={"circle": x**2 + y**2 - radius**2},
+    )
+    angle = sp.pi * ss.time / (2 * second)
+    cost = (u * second**2 / radius) ** 2 / second
+    found = ss.OptimalControl(rod, cost=cost, duration=second, **given).solve(
+        "gauss6", steps=10, guess={x: radius * sp.sin(angle), y: -radius * sp.cos(angle)}
+    )
+    assert found.success
+    assert found.cost == pytest.approx(37.592695, rel=1e-6)
+
+
 def test_a_hill_is_passed_at_a_side():
     rest = {x.diff(): 0, y.diff(): 0}
     ends = {"start": {x: -1, y: 0, **rest}, "end": {x: 1, y: 0, **rest}, "duration": 1}
