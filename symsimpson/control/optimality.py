@@ -164,9 +164,9 @@ def _bent_down(curved: Any, held: Any, shift: float) -> Floats | None:
     # 1 / (curvature + shift)
     for value, mix in zip(values[[0, -1]], mixed.T[[0, -1]], strict=True):
         if value < 0 or value * shift * (1 - FLAT) > 1:
-            found: Floats = mix @ ways
-            if found @ (curved @ found) < 0:
-                return found
+            steepest: Floats = mix @ ways
+            if steepest @ (curved @ steepest) < 0:
+                return steepest
     return None
 
 
