@@ -4,6 +4,7 @@ import hashlib
 import json
 from dataclasses import replace
 
+import mpmath
 import numpy as np
 import pytest
 import sympy as sp
@@ -324,3 +325,21 @@ def test_rotations_of_many_coordinates_are_found():
         "p_x*z - p_z*x",
         "p_y*z - p_z*y",
     }
+
+
+@pytest.mark.slow
+@pytest.mark.plain
+def test_a_jacobian_of_loops_is_that_of_the_unknowns():
+    """A ring of 17 bodies: control points that follow from the others are no unknowns."""
+    q = ss.coordinates("q:17")
+    ring = ss.MechanicalSystem(
+        "ring",
+        coordinates=q,
+        kinetic=sum(x.diff() ** 2 for x in q) / 2,
+        potential=sum(1 - sp.cos(q[i] - q[i - 1]) for i in range(17)),
+    )
+    stepper = ss.compile(ring, "simpson")
+    assert len(stepper.program.header.tables["SOLVE_COLUMNS"]) == 1
+    subject = Precise(stepper, {}, DIGITS)
+    z = np.array([mpmath.mpf(k % 7) / 40 for k in range(34)])
+    assert subject.jacobian_defect(z, mpmath.mpf("0.05")) < 1e-12
