@@ -60,6 +60,15 @@ def certify(
             "a stepper of many digits has no certificate: it tests double-precision code.\n"
             "Certify the stepper compiled without precision; its equations are the same."
         )
+    header = stepper.program.header
+    if stepper.program.declared is None and (
+        not header.conservative or header.velocity_constraints
+    ):
+        raise InputError(
+            f"{stepper.system}: a module by itself does not tell what its forces, velocity "
+            "constraints and terms with the time are, so its order cannot be measured.\n"
+            "Certify a stepper that is compiled from the system: symsimpson.compile(system, ...)."
+        )
     stepper = with_inputs(stepper, inputs)
     values = stepper.program.free_values(parameters)
     q, p = choose_state(stepper, {"q0": q0, "v0": v0, "p0": p0}, values)

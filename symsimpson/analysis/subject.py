@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
 from symsimpson.api.stepper import Stepper
-from symsimpson.errors import ConvergenceError, InputError
+from symsimpson.errors import ConvergenceError
 from symsimpson.program.program import Findings
 from symsimpson.program.values import read_number
 from symsimpson.reference.extrapolation import extrapolate
@@ -130,8 +130,7 @@ class Subject:
         declared = self.stepper.program.declared
         header = self.stepper.program.header
         if not header.conservative or header.velocity_constraints:  # H alone does not tell
-            if declared is None:
-                raise InputError("a module by itself does not tell what its forces are")
+            assert declared is not None
             equations = canonical(declared).function("mpmath")
             given = (
                 *self.precise.parameters.values(),

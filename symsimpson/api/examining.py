@@ -167,7 +167,8 @@ class Examining(Differentiating):
         Raises
         ------
         InputError
-            If the input makes no sense.
+            If the input makes no sense, or forces act and the stepper is of a file that is by
+            itself.
 
         Examples
         --------

@@ -343,3 +343,12 @@ def test_a_jacobian_of_loops_is_that_of_the_unknowns():
     subject = Precise(stepper, {}, DIGITS)
     z = np.array([mpmath.mpf(k % 7) / 40 for k in range(34)])
     assert subject.jacobian_defect(z, mpmath.mpf("0.05")) < 1e-12
+
+
+def test_a_file_by_itself_does_not_tell_its_forces(tmp_path):
+    stepper = ss.compile(ss.systems.damped_pendulum())
+    path = tmp_path / "damped.py"
+    path.write_text(stepper.source, "utf-8")
+    alone = ss.load(path)
+    with pytest.raises(ss.InputError, match="by itself does not tell what its forces"):
+        alone.certify()
