@@ -47,8 +47,9 @@ class OptimalControl:
     bounds : mapping
         Pairs (low, high) of inputs, coordinates, velocities or expressions, None for no bound: at
         all nodes that the equations see, and of coordinates at the ends of steps.
-    path : sequence of expression or (low, expression, high)
-        Expressions that are not to be positive, or between two numbers, at all nodes.
+    path : sequence of expression, relation or (low, expression, high)
+        Expressions that are not to be positive, or between two numbers, and relations as
+        ``x**2 + y**2 >= 1``, at all nodes.
     conditions : mapping
         Expressions at the end, and what of the start they are equal to: ``{x: x + 1, x.diff():
         x.diff()}`` for a motion that repeats itself one further on.

@@ -249,8 +249,23 @@ class Reading:
             if isinstance(entry, (tuple, list)) and len(entry) != 3:
                 raise InputError(f"path has {entry!r}.\nPass (low, expression, high).")
             low, expression, high = entry if isinstance(entry, (tuple, list)) else (None, entry, 0)
+            if isinstance(expression, sp.Equality):
+                low, expression = 0, expression.lhs - expression.rhs
+            elif isinstance(expression, (sp.LessThan, sp.GreaterThan)):
+                expression = expression.lts - expression.gts
             pair = read_pair(f"path {expression}", (low, high))
-            self.within.append(Limits(str(expression), self.value("path", expression), *pair))
+            self._keep_within(Limits(str(expression), self.value("path", expression), *pair))
+
+    def _keep_within(self, limits: Limits) -> None:
+        """Keep a row; one that is the negative of another one makes one of both."""
+        negative = scaled(-1, limits.value)
+        for k, other in enumerate(self.within):
+            if other.value == negative:
+                low, high = max(other.low, -limits.high), min(other.high, -limits.low)
+                if low <= high:  # else they contradict each other, which the solver tells
+                    self.within[k] = Limits(other.name, other.value, low, high)
+                    return
+        self.within.append(limits)
 
     def _phases(self, given: Any) -> list[dict[int, tuple[float, float]]]:
         """Read what bounds inputs in each phase; there is one if none is given."""
