@@ -162,13 +162,13 @@ class Subject:
         last = extrapolate(in_units, first, [end], local, MOST)[0]
         return [x * unit for x, unit in zip(last, units, strict=True)]
 
-    def compiled(self, steps: int, every: int | None) -> Trajectory:
-        """Integrate in double precision."""
+    def compiled(self, steps: int, every: int | None, parts: int = 1) -> Trajectory:
+        """Integrate in double precision, with h or a part of it."""
         z = self.z.astype(np.float64)
         return self.stepper.integrate(
             z[: self.n],
             p0=z[self.n :],
-            h=self.h,
+            h=self.h / parts,
             steps=steps,
             every=every,
             parameters=self.precise.parameters,

@@ -352,3 +352,19 @@ def test_a_file_by_itself_does_not_tell_its_forces(tmp_path):
     alone = ss.load(path)
     with pytest.raises(ss.InputError, match="by itself does not tell what its forces"):
         alone.certify()
+
+
+@pytest.mark.slow
+def test_chaotic_motions_with_coarse_steps_change_their_level():
+    """A charge in a wavy field: with h = 0.5 its energy error wanders, with h/2 it keeps still."""
+    (x, y), k = ss.coordinates("x y"), sp.Symbol("k")
+    charge = ss.MechanicalSystem.from_lagrangian(
+        "charge",
+        (x.diff() ** 2 + y.diff() ** 2) / 2 + k * x * y.diff() - x**2 - sp.cos(y),
+        (x, y),
+        {k: 2.0},
+    )
+    start = [0.873266, 0.542808], [-0.550832, 1.16636]
+    certificate = ss.compile(charge, "lobatto6").certify(start[0], p0=start[1], h=0.5)
+    assert certificate.passed, certificate
+    assert "h/" in certificate["drift"].what
