@@ -227,6 +227,22 @@ def _equations(s: Subject) -> Iterator[Check]:
     )
 
 
+def _fallbacks(s: Subject) -> Iterator[Check]:
+    """fallbacks: kernels that take steps where others fail solve the same equations."""
+    names = s.stepper.program.kernels.fallbacks
+    if len(names) < 2 or s.timed is not None:
+        return
+    ends = [s.precise.step_by(name, s.z, s.h) for name in names]
+    apart = max(abs(x) for end in ends[1:] for x in (end - ends[0]) / s.precise.sizes)
+    yield Check.at_most(
+        "fallbacks",
+        float(apart),
+        EXACT,
+        f"a step by {', '.join(names[1:])}, relative to that by {names[0]}",
+        "Where one does not converge another one goes on, with the same equations.",
+    )
+
+
 def _jacobian(s: Subject) -> Iterator[Check]:
     """Jacobian: the one of the iteration, which may be reduced, at the solution of a step."""
     if s.stepper.program.header.newton_unknowns == 0:
@@ -357,6 +373,7 @@ CHECKS: tuple[Callable[[Subject], Iterator[Check]], ...] = (
     _constraints,
     _invariants,
     _equations,
+    _fallbacks,
     _jacobian,
     _newton,
     _iterations,

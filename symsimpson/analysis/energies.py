@@ -55,7 +55,7 @@ def drift(s: Subject) -> Iterator[Check]:
     if not s.stepper.program.header.conservative:
         yield from _balance(s)
         return
-    for parts in (1, 2, 4):  # coarse steps of chaotic motions change their level now and then
+    for parts in (1, 2):  # coarse steps of chaotic motions change their level now and then
         rows = list(_trends(s, parts))
         if all(row.passed for row in rows):
             break

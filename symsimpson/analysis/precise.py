@@ -239,11 +239,18 @@ class Precise:
             last = self._begun(z, h).rows("GROWTH", nodes + 1)[-1:]
             return 1 / self._numbers.result(last)[0]
 
-    def _begun(self, z: Vector, h: Any) -> Run:
+    def step_by(self, kernels: str, z: Vector, h: Any) -> Vector:
+        """Return the state after a step that is taken by some of the kernels that may."""
+        with self._numbers.working():
+            run = self._begun(z, h, kernels)
+            run.advance(1)
+            return self._numbers.result(np.concatenate(run.end(), axis=1)[0])
+
+    def _begun(self, z: Vector, h: Any, kernels: str = "newton") -> Run:
         numbers, program = self._numbers, self.program
         values = program.values(self.parameters)
         step, start = numbers.read(h).item(), numbers.read(list(z))
-        run = Run(program, values, step, 0 * step, 0, 1, ("newton",))
+        run = Run(program, values, step, 0 * step, 0, 1, (kernels,))
         run.begin(start[: self.n], start[self.n :], velocity=False)
         inputs = read_driving(program, None, step, 1)
         numbers.driver("give")(run.W, program.header.told, inputs, 0)

@@ -368,3 +368,18 @@ def test_chaotic_motions_with_coarse_steps_change_their_level():
     certificate = ss.compile(charge, "lobatto6").certify(start[0], p0=start[1], h=0.5)
     assert certificate.passed, certificate
     assert "h/" in certificate["drift"].what
+
+
+@pytest.mark.slow
+def test_newtons_method_with_other_weights_than_stages_fails():
+    """Steps by stages are right, and those that Newton's method takes where they fail are not."""
+    stepper = ss.compile(ss.systems.henon_heiles(), "gauss6")
+    right, wrong = (f"WEIGHTS = array((real(5)/18, real(4)/9, real({last})/18))" for last in (5, 4))
+    assert stepper.source.count(right) == 1
+    text = stepper.source.replace(right, wrong)
+    banner = SIGNED.search(text)
+    text = text.replace(banner[1], digest(text[banner.end() :]), 1)
+    certificate = stepper_of(text, stepper.reference_state).certify()
+    failed = [check.name for check in certificate.checks if not check.passed]
+    assert "fallbacks" in failed
+    assert certificate["order"].passed
