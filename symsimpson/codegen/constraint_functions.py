@@ -37,11 +37,9 @@ def constraint_functions(
 ) -> list[Function]:
     """Write constraints at a point, and what they do to a state, by lines of their own.
 
-    ``places`` are those of coordinates, in whose order nodes are stored. Drifts ask for phi alone,
-    too.
+    ``places`` are those of coordinates in matrices. Drifts ask for phi alone, too.
     """
-    q, v = (tuple(rows[s] for s in places) for rows in (low.node_q, low.node_v))
-    point = Point("c", q, v, low.node_t, low.node_u, low.multipliers)
+    point = Point("c", low.node_q, low.node_v, low.node_t, low.node_u, low.multipliers)
     both = (*places, *range(low.n, low.n + held.count))
 
     def entry(what: str, *index: int) -> Expression:

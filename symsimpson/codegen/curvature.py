@@ -44,7 +44,7 @@ def curvature_functions(differentials: Differentials) -> list[Function]:
     for what, (name, block, of) in _FUNCTIONS.items():
         if what == "point" and not low.multipliers:
             continue
-        here = point_of_node(low, differentials.places)
+        here = point_of_node(low)
         v = tuple(low.step[0] * v for v in here.v or ())
         t = here.t - low.step[1] * low.step[0] if low.sized and here.t is not None else here.t
         point = replace(

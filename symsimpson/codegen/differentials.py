@@ -114,7 +114,7 @@ class Differentials:
         functions = [_slopes(self.low, self.places)] if self.varied else []
         if self.varied and self.loops.held:
             functions.append(_constraint_slopes(self.low, self.places))
-            functions += _rate_slopes(self.low, self.places)
+            functions += _rate_slopes(self.low)
         return [*functions, _cost(self.low, self.places)] if self.costly else functions
 
 
@@ -164,20 +164,15 @@ def _not_zero(low: Lowering, places: Sequence[int], what: str) -> list[tuple[str
     ]
 
 
-def point_of_node(low: Lowering, order: Sequence[int]) -> Point:
-    """Return the node at hand, as loops have it: coordinates by place."""
-    place = sorted(range(low.n), key=order.__getitem__)
-    q, v = (tuple(rows[s] for s in place) for rows in (low.node_q, low.node_v))
-    return Point("i", q, v, low.node_t, low.node_u, step=low.step)
+def point_of_node(low: Lowering) -> Point:
+    """Return the node at hand, as loops have it."""
+    return Point("i", low.node_q, low.node_v, low.node_t, low.node_u, step=low.step)
 
 
 def _slopes(low: Lowering, places: tuple[int, ...]) -> Function:
     """Write the derivatives of F and P by the parameters that are varied, at a node."""
     stores = [
-        Store(
-            Row(block, k),
-            low.slopes.entry(point_of_node(low, places), "slopes", what, places[s], name),
-        )
+        Store(Row(block, k), low.slopes.entry(point_of_node(low), "slopes", what, places[s], name))
         for block, what in _BLOCKS
         for k, (name, s) in enumerate(_not_zero(low, places, what))
     ]
@@ -187,7 +182,7 @@ def _slopes(low: Lowering, places: tuple[int, ...]) -> Function:
 
 def _constraint_slopes(low: Lowering, places: tuple[int, ...]) -> Function:
     """Write the derivatives of phi and Phi^T lambda by parameters, at a control point."""
-    point = replace(point_of_node(low, places), suffix="c", multipliers=low.multipliers)
+    point = replace(point_of_node(low), suffix="c", multipliers=low.multipliers)
     count, stores = len(low.multipliers), []
     for j, name in enumerate(low.varied):
         for c in range(count):
@@ -200,9 +195,9 @@ def _constraint_slopes(low: Lowering, places: tuple[int, ...]) -> Function:
     return Function("constraint_parameter_slopes", doc, low.statements(stores, (Level.ITERATION,)))
 
 
-def _rate_slopes(low: Lowering, places: tuple[int, ...]) -> list[Function]:
+def _rate_slopes(low: Lowering) -> list[Function]:
     """Write the derivatives of A v - b and of b by parameters, at a point."""
-    plain, point = low.equations.plain, replace(point_of_node(low, places), suffix="c")
+    plain, point = low.equations.plain, replace(point_of_node(low), suffix="c")
     rolling = range(len(plain.constraints), len(plain.held))
     wanted = {"rate": "A v - b"} if rolling else {}
     wanted |= {"carried": "b"} if plain.carried else {}
@@ -228,9 +223,7 @@ def _cost(low: Lowering, places: tuple[int, ...]) -> Function:
     keys: list[tuple[str, *tuple[int | str, ...]]] = [("g",)]
     keys += [(what, a) for what in ("g_q", "g_v") for a in places]
     keys += [("g_a", name) for name in low.varied]
-    values: list[Expression] = [
-        low.cost.entry(point_of_node(low, places), "cost", *key) for key in keys
-    ]
+    values: list[Expression] = [low.cost.entry(point_of_node(low), "cost", *key) for key in keys]
     stores = [Store(Row("NODE_COST", k), value) for k, value in enumerate(values)]
     doc = "The running cost and its derivatives, at a node."
     return Function("cost_slopes", doc, low.statements(stores, (Level.ITERATION,)))

@@ -175,6 +175,7 @@ def _looped_module(equations: DiscreteEquations) -> Module:
         names = ("jet", *(("forces",) if constant and not kicked else ()), *names)
     tables: dict[str, object] = {}
     places = sorted(range(low.n), key=storage.order.__getitem__)
+    low.stand(places)
     if alike and (storage.banded or _many(terms)):
         functions, family_tables = family_functions(low, terms, places, names)
         tables |= family_tables

@@ -194,6 +194,12 @@ class Lowering:
             symbols.append(symbol)
         return tuple(symbols)
 
+    def stand(self, places: Sequence[int]) -> None:
+        """Let nodes have each coordinate at its place, as bands and loops over them do."""
+        for rows, block in ((self.node_q, "NODE_POSITION"), (self.node_v, "NODE_VELOCITY")):
+            for symbol, place in zip(rows, places, strict=True):
+                self.rows[symbol] = Row(block, place)
+
     def known(self, value: Value) -> Expression:
         """Return a value that is made of parameters."""
         return self.graph.taken(self.equations.plain.graph, value, self._by_node)
