@@ -21,6 +21,7 @@ from symsimpson.program.observed import KINDS
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder, growth, ordered, told
 from symsimpson.stepping.recording import recorders_of
+from symsimpson.support.signals import listening
 
 __all__ = ["run_blocks"]
 
@@ -50,23 +51,23 @@ def run_blocks(program: Program, task: Task, count: Callable[[int], None]) -> tu
     _share(work, threads, queue)
     if task.t_end is not None:
         take_last_parts(program, task, results)
-    stopped = queue.stopped or run_singly(program, task, results)
+    stopped = bool(queue.heard) or run_singly(program, task, results)
     return ensemble_of(program, task, **results.columns()), stopped
 
 
 class _Queue:
-    """Hands out chunks of blocks, larger ones first; stopped by Ctrl-C."""
+    """Hands out chunks of blocks, larger ones first, until Ctrl-C is heard."""
 
     def __init__(self, blocks: int, threads: int) -> None:
         self._lock, self._first, self._last = threading.Lock(), 0, blocks
         self._threads = threads
-        self.stopped = False
+        self.heard: list[int] = []
 
     def next(self) -> tuple[int, int] | None:
         """Return the first and the last block of a chunk, None if there are none left."""
         with self._lock:
             left = self._last - self._first
-            if left <= 0 or self.stopped:
+            if left <= 0 or self.heard:
                 return None
             size = max(1, min(1024, left // (4 * self._threads)))
             self._first += size
@@ -75,14 +76,11 @@ class _Queue:
 
 def _share(work: Callable[[], None], threads: int, queue: _Queue) -> None:
     """Work in so many threads, this one among them, until all is done or Ctrl-C stops it."""
-    with ThreadPoolExecutor(max(1, threads - 1)) as pool:
+    with listening() as queue.heard, ThreadPoolExecutor(max(1, threads - 1)) as pool:
         others = [pool.submit(work) for _ in range(threads - 1)]
-        try:
-            work()
-            while wait(others, timeout=0.1).not_done:
-                pass
-        except KeyboardInterrupt:
-            queue.stopped = True
+        work()
+        while wait(others, timeout=0.1).not_done:
+            pass
     for other in others:
         other.result()
 
@@ -140,7 +138,7 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
         counted = np.zeros((task.stored, lanes), dtype=np.int64)
         lost = np.zeros(2 * lanes, dtype=np.int64)
         budget = FIRST_BUDGET
-        while cursor[0] < last and not queue.stopped:
+        while cursor[0] < last and not queue.heard:
             before, start = cursor[0], time.perf_counter()
             advance_blocks(
                 step,

@@ -2,6 +2,8 @@
 
 import hashlib
 import signal
+import threading
+import time
 import warnings
 
 import numpy as np
@@ -234,14 +236,19 @@ def test_a_start_at_a_singular_point_has_its_status():
 @pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2])
 def test_interrupt_keeps_what_is_done(stepper, threads, monkeypatch):
-    """Ctrl-C when a thread asks for more blocks, and again in another call."""
+    """Ctrl-C when the main thread asks for more blocks, and again in another call."""
     given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 200, "threads": threads}
     many, plain, asked = np.tile(ANGLES, (20, 1)), module._Queue.next, []
+    main = threading.main_thread().ident
 
     def next_one(queue):
-        asked.append(queue)
-        if asked.count(queue) == threads + 1:
+        asked.append((queue, threading.get_ident()))
+        mine = asked.count((queue, threading.get_ident()))
+        if threading.get_ident() == main and mine == 2:
             signal.raise_signal(signal.SIGINT)
+        elif threading.get_ident() != main and mine == 2:
+            while asked.count((queue, main)) < 2:  # else one thread might do all
+                time.sleep(1e-3)
         return plain(queue)
 
     monkeypatch.setattr(module._Queue, "next", next_one)
