@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.control.held import held_rates, implied
+from symsimpson.control.held import held_values, implied
 from symsimpson.control.points import PointFunctions
 from symsimpson.errors import InputError
 
@@ -55,8 +55,7 @@ def following(read: Reading) -> Following:
         If conditions contradict a constraint, or touch it.
     """
     positions = len(read.held.phi)
-    names = [*read.constraints[:positions], *read.constraints]
-    held = list(zip(names, [*read.held.phi, *held_rates(read)], strict=True))
+    held = held_values(read)
     known = [implied(read, end, held) for end in (0, 1)]
     rows = _Rows(read, [value for _, value in held])
     out = [False] * rows.conditions + known[0] + known[1]
@@ -67,7 +66,7 @@ def following(read: Reading) -> Following:
             what = rows.known(places, end, velocities=k >= positions)
             where = ("start", "end")[end]
             raise InputError(
-                f"{where} touches the constraint {names[k]!r}: where both hold, the slope of one "
+                f"{where} touches the constraint {held[k][0]!r}: where both hold, the slope of one "
                 "is that of the other, and no solver can tell an optimum.\n"
                 + (f"Give {what} at the {where}, too: it follows." if what else "Give more there.")
             )

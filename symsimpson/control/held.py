@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from symsimpson.control.reading import Limits, Reading
 
 __all__ = [
-    *("held_blocks", "held_rates", "implied", "onto", "pressed"),
+    *("held_blocks", "held_values", "implied", "onto", "pressed"),
     *("projected", "resolved", "turned"),
 ]
 
@@ -43,6 +43,12 @@ def held_rates(read: Reading) -> list[Value]:
     graph, held = read.graph, read.held
     turned = [graph.add(graph.products(gradient(graph, x, read.q), read.v)) for x in held.phi]
     return [*turned, *held.rates(graph, read.v)]
+
+
+def held_values(read: Reading) -> list[tuple[str, Value]]:
+    """Return phi of constraints of positions, and what all hold of velocities, with their names."""
+    names = [*read.constraints[: len(read.held.phi)], *read.constraints]
+    return list(zip(names, [*read.held.phi, *held_rates(read)], strict=True))
 
 
 def numbers_at(read: Reading, end: int) -> dict[int, Value]:

@@ -12,7 +12,7 @@ from scipy import sparse
 from symsimpson.control.ends import Following, following
 from symsimpson.control.functions import read_function, values_at
 from symsimpson.control.grid import Grid
-from symsimpson.control.held import held_blocks, held_rates, pressed
+from symsimpson.control.held import held_blocks, held_values, pressed
 from symsimpson.control.points import PointFunctions
 from symsimpson.control.reading import Limits
 from symsimpson.control.rows import Rows
@@ -332,7 +332,7 @@ class Layout:
             parts.append((at, some, np.ones(len(some))))
         return *block, parts
 
-    @property
+    @cached_property
     def _pressed(self) -> NDArray[np.bool_]:
         """Which limits conditions of the start, and of the end, press to a bound."""
         flags = [pressed(self.read, end, self.read.within) for end in (0, 1)]
@@ -390,10 +390,8 @@ class Layout:
     def _held(self, end: int) -> list[Limits]:
         """Return the constraints of an end that its own conditions, or steps, do not imply."""
         read, out = self.read, self.following.constraints[end]
-        values = [*read.held.phi, *held_rates(read)]
-        names = [*read.constraints[: len(read.held.phi)], *read.constraints]
         return [
             Limits(f"constraint {name!r}", value, 0.0, 0.0)
-            for k, (name, value) in enumerate(zip(names, values, strict=True))
+            for k, (name, value) in enumerate(held_values(read))
             if not (out[k] or (end and k < len(read.held.phi)))
         ]

@@ -119,9 +119,12 @@ def _solved(
         begun = form.inside(begun)
         bounds, limits = form.bounds(bounds, limits)
 
-    def told(outcome: Outcome) -> ControlResult:
-        best = optimal(form, outcome, bounds, limits, options["tol"])
-        best = best and downhill(form, outcome, bounds, limits) is None
+    def aside(outcome: Outcome) -> Floats | None:
+        ended = STATUSES.get(outcome.said) in FOUND
+        return downhill(form, outcome, bounds, limits) if ended else None
+
+    def told(outcome: Outcome, step: Floats | None) -> ControlResult:
+        best = step is None and optimal(form, outcome, bounds, limits, options["tol"])
         outcome = form.outcome(outcome) if isinstance(form, Condensed) else outcome
         return result_of(layout, scaled_form.outcome(outcome), best)
 
@@ -138,17 +141,16 @@ def _solved(
             return run_ipopt(form, x, bounds, limits, {**OPTIONS, **options, **more}, look)
 
         outcomes = [run(begun)]
-        while len(outcomes) <= MOST_ASIDE and STATUSES.get(outcomes[-1].said) in FOUND:
-            step = downhill(form, outcomes[-1], bounds, limits)
-            if step is None:
-                break
+        step = aside(outcomes[-1])
+        while step is not None and len(outcomes) <= MOST_ASIDE:
             outcomes.append(run(outcomes[-1].x + step))
-        result = told(outcomes[-1])
+            step = aside(outcomes[-1])
+        result = told(outcomes[-1], step)
         # the solver compares with 1: small costs are found once more, in a unit of their own
         size = max(abs(form.values(begun)[0]), abs(result.cost) / scaled_form.of_cost)
         if outcomes[-1].said == "Solve_Succeeded" and 0 < size < SMALL:
             outcomes.append(run(outcomes[-1].x, obj_scaling_factor=1 / max(size, SMALLEST)))
-            again = told(outcomes[-1])
+            again = told(outcomes[-1], aside(outcomes[-1]))
             result = again if again.success else result
     return replace(
         result,
