@@ -6,9 +6,11 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from symsimpson.graph.nodes import Exact, Graph
+import mpmath
 
-__all__ = ["evaluated", "line_value", "moduli"]
+from symsimpson.graph.nodes import Exact, Graph, Value
+
+__all__ = ["doubles", "evaluated", "line_value", "moduli"]
 
 
 def evaluated(
@@ -35,6 +37,12 @@ def evaluated(
             kind, parts, _ = graph.nodes[n]
             values[n] = line_value(kind, parts, values, context)
     return values
+
+
+def doubles(graph: Graph, values: Sequence[Value], symbols: Mapping[int, Any]) -> list[float]:
+    """Evaluate values in doubles; NaN where one is not real."""
+    numbers = evaluated(graph, [n for c, n in values if c], symbols, mpmath.fp)
+    return [float(c) * float(numbers[n]) if c else 0.0 for c, n in values]
 
 
 def moduli(graph: Graph, roots: Iterable[int], values: Mapping[int, float]) -> dict[int, float]:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-import mpmath
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.graph.evaluate import evaluated
+from symsimpson.graph.evaluate import doubles
 from symsimpson.graph.nodes import Value
 from symsimpson.mechanics import constraints
 from symsimpson.mechanics.declared import Declared
@@ -246,8 +245,7 @@ def _functions(
 
     def at(q: Reals) -> tuple[Reals, Reals, Reals]:
         point = known | dict(zip(places, q.tolist(), strict=True))
-        node_values = evaluated(graph, [k for _, k in wanted], point, mpmath.fp)
-        numbers = np.array([float(c) * float(node_values[k]) if c else 0.0 for c, k in wanted])
+        numbers = np.array(doubles(graph, wanted, point))
         m = len(phi) + len(rows)
         return (
             numbers[:m],

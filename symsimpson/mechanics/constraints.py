@@ -11,12 +11,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import count
 from typing import Any, NamedTuple
 
-import mpmath
 import numpy as np
 import sympy as sp
 
 from symsimpson.graph.derive import Derivatives, gradient
-from symsimpson.graph.evaluate import evaluated
+from symsimpson.graph.evaluate import doubles
 from symsimpson.graph.findings import Findings
 from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.mechanics.checks import fail, spell
@@ -255,8 +254,7 @@ def regular_mass(plain: Plain, parameters: Iterable[float]) -> bool:
         place = random.uniform(0.3, 1.0, len(plain.q))
         point = known | dict(zip(plain.numbers(plain.q), place.tolist(), strict=True))
         point[plain.time] = 0.5
-        node_values = evaluated(plain.graph, [n for _, n in entries], point, mpmath.fp)
-        matrix = [float(c) * float(node_values[n]) if c else 0.0 for c, n in entries]
+        matrix = doubles(plain.graph, entries, point)
         if conditioned(np.reshape(matrix, (len(size), len(size)))):
             return True
     return False

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import mpmath
 import numpy as np
 import sympy as sp
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError, ModelError
 from symsimpson.graph.derive import gradient
-from symsimpson.graph.evaluate import evaluated
+from symsimpson.graph.evaluate import doubles
 from symsimpson.graph.nodes import Value, scaled
 from symsimpson.mechanics.consistent import consistent
 from symsimpson.mechanics.constraints import accelerations
@@ -89,9 +88,8 @@ def linearised(
 
     def at(there: Sequence[float], wanted: Sequence[Sequence[Value]]) -> Floats:
         point = known | dict(zip(unknowns, there, strict=True))
-        nodes = [k for row in wanted for c, k in row if c]
-        numbers = evaluated(plain.graph, nodes, point, mpmath.fp)
-        return np.array([[c and float(c) * float(numbers[k]) for c, k in row] for row in wanted])
+        flat = doubles(plain.graph, [value for row in wanted for value in row], point)
+        return np.reshape(flat, (len(wanted), -1))
 
     size = len(unknowns)
     try:
