@@ -34,9 +34,7 @@ def shadow(s: Subject) -> Iterator[Check]:
     """shadow: check that the energy that the scheme keeps swings less than H over few steps."""
     if not shadow_is_testable(s.stepper):
         return
-    run = s.stepper.integrate(
-        s.z[: s.n], p0=s.z[s.n :], h=s.h / FINER, steps=FEW, parameters=s.precise.parameters
-    )
+    run = s.compiled(FEW, every=1, parts=FINER)
     scale = float(run.energy_scale)
     kept = run.shadow_energy
     # the linear oscillator's H does not swing with midpoint, nor does what is added to it
@@ -97,13 +95,7 @@ def _balance(s: Subject) -> Iterator[Check]:
         return
     largest: list[float] = []
     for parts in (1, 2, 4, 8):  # until steps are fine enough to show the order
-        run = s.stepper.integrate(
-            s.z[: s.n],
-            p0=s.z[s.n :],
-            h=s.h / parts,
-            steps=200 * parts,
-            parameters=s.precise.parameters,
-        )
+        run = s.compiled(200 * parts, every=1, parts=parts)
         largest.append(float(np.abs(run.energy_balance).max() / run.energy_scale))
         if parts == 1:
             continue
