@@ -44,8 +44,6 @@ SIGNATURES |= {
         types.int64,
     ),
 }
-#: A rate below this part of the first has nearly vanished.
-STANDING = 1e-8
 #: Steps that a kernel takes in one call.
 AT_ONCE = 1 << 62
 

@@ -26,6 +26,9 @@ RATE_BEHIND = 6
 #: and the one before. Values below a part of the size are rounding.
 WATCHED, SIZE_WATCHED, ZERO = 4, 1, 64 * 2.0**-52
 
+#: A rate dt/dtau below this part of the first has nearly vanished.
+STANDING = 1e-8
+
 # values in STATUS, and negative ones in ACTIVE
 SUCCESS, INTERRUPTED, NOT_CONVERGED, NOT_FINITE, STEP_TOO_LARGE, BAD_INPUT = range(6)
 COORDINATE_SINGULARITY, DIVERGED, SINGULAR_JACOBIAN, FILE_ERROR = range(6, 10)

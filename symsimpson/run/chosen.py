@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.program import Program
-from symsimpson.program.values import MOST_STEPS, read_array, read_number
+from symsimpson.program.values import read_array, read_number
 from symsimpson.results.sampled import Sampled, Saved, quantity
 from symsimpson.results.states import States
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.integrate import raise_failure
 from symsimpson.run.pieces import SLACK, Taken, by_pieces
 from symsimpson.stepping.driving import driven
-from symsimpson.stepping.inputs import read_failure, read_step
+from symsimpson.stepping.inputs import read_failure, read_step, refuse_too_many
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.names import spelled
@@ -89,8 +89,7 @@ def last_time(program: Program, request: Request) -> tuple[Any, int | None]:
             return far, None
         with np.errstate(over="ignore"):
             exact = float((far - start) / step)
-        if exact > MOST_STEPS:
-            raise InputError(f"{exact:.3g} steps are too many to count.\nUse a larger h.")
+        refuse_too_many(exact)
         return None, max(0, int(np.ceil(exact - SLACK)))
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.module.interface import STANDING
 from symsimpson.program.evaluating import evaluate, evaluate_in
 from symsimpson.program.program import Program
 from symsimpson.results.work import parts_of_work, rough_parts
@@ -45,8 +46,6 @@ FEWEST = 16
 MOST_LOOKED_AT = 4096
 #: The energy may stay so far from where it was, in units of the kinetic energy.
 LIMIT = 0.05
-#: A rate dt/dtau below this part of the first has nearly vanished.
-STANDING = 1e-8
 #: At the end, where a block is only begun, so many states may stay so far from it.
 LAST, LAST_LIMIT = 4, 0.1
 #: So many steps are taken again to know the work of forces.

@@ -23,6 +23,7 @@ __all__ = [
     "read_steps",
     "read_times",
     "refuse_together",
+    "refuse_too_many",
     "refused_start",
 ]
 
@@ -56,8 +57,7 @@ def read_steps(
             f"t_end={float(end):g} is not reached from t0={float(t0):g} with h={float(h):g}.\n"
             "Use a negative h to run backwards."
         )
-    if exact > MOST_STEPS:
-        raise InputError(f"{exact:.3g} steps are too many to count.\nUse a larger h.")
+    refuse_too_many(exact)
     number = round(exact)
     if abs(exact - number) > STEP_FRACTION:
         raise InputError(
@@ -129,6 +129,12 @@ def read_step(h: Any, numbers: Numbers) -> Any:
 def read_every(every: Any) -> int:
     """Read the stride of storage; None, for the last state only, becomes 0."""
     return 0 if every is None else read_count("every", every, least=1)
+
+
+def refuse_too_many(steps: float) -> None:
+    """Refuse more steps than can be counted."""
+    if steps > MOST_STEPS:
+        raise InputError(f"{steps:.3g} steps are too many to count.\nUse a larger h.")
 
 
 def refuse_together(request: Request) -> None:
