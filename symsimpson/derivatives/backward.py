@@ -19,7 +19,8 @@ from symsimpson.derivatives.costs import Measured, StateCost, pull_velocities
 from symsimpson.program.recorders import steps
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import workspace
-from symsimpson.run.integrate import begin_run, look_at_step, new_run, raise_failure, trajectory_of
+from symsimpson.run.outcome import raise_failure, trajectory_of
+from symsimpson.run.start import begin_run, look_at_step, new_run
 from symsimpson.stepping.spec import RunSpec
 
 if TYPE_CHECKING:

@@ -12,14 +12,9 @@ from symsimpson.errors import InputError
 from symsimpson.program.recorders import growth
 from symsimpson.program.values import read_count, whole_number
 from symsimpson.results.chaos import Chaos, chaos_of
-from symsimpson.run.integrate import (
-    begin_run,
-    integrate,
-    look_at_step,
-    new_run,
-    raise_failure,
-    trajectory_of,
-)
+from symsimpson.run.integrate import integrate
+from symsimpson.run.outcome import raise_failure, trajectory_of
+from symsimpson.run.start import begin_run, look_at_step, new_run
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec, read_run
 from symsimpson.stepping.variations import refuse_retimed, varied_program

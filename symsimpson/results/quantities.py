@@ -171,18 +171,19 @@ class Quantities:
         watched = names.invariants
         if key in watched.places:
             return self.invariants[watched.shown[watched.places[key]]]
-        if key == "t" or key in {scalar.name for scalar in SCALARS}:
-            return cast(NDArray[Any], getattr(self, key))
         if key in self.points:
             return self.points[key]
+        if key == "t" or key in QUANTITIES:
+            return cast(NDArray[Any], getattr(self, key))
         every = [
             name for vector in QUANTITIES.values() if vector.axis for name in vector.shown(names)
         ]
         every += [*watched.shown, *self._own_names(), *self.points, "t"]
-        every += [scalar.name for scalar in SCALARS]
+        every += [quantity.name for quantity in SCALARS]
+        whole = [quantity.name for quantity in VECTORS]
         raise UnknownNameError(
             f"there is no {key!r}.{did_you_mean(key, every)} "
-            f"There are {', '.join(every[:-1])} and {every[-1]}."
+            f"There are {', '.join(every)}, and all of {', '.join(whole)} together."
         )
 
     def _columns(self) -> dict[str, NDArray[Any]]:

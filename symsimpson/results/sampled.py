@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, UnknownNameError
@@ -285,10 +284,3 @@ class Saved(WithEvents, Outcome):
             f"Saved({self.program.system}, {self.program.scheme}: {', '.join(self.values)} at "
             f"{self.t.size} times, {self.status.name})"
         )
-
-
-def quantity(states: States, name: str) -> NDArray[Any]:
-    """Return a quantity of states by its name, "q", "p" and "v" among them."""
-    if name in VECTORS and name not in states.program.names.coordinates.places:
-        return np.asarray(getattr(states, name))
-    return np.asarray(states[name])

@@ -102,11 +102,12 @@ class States(Quantities):
     @overload
     def __getitem__(self, key: int | slice | NDArray[Any] | list[int]) -> States: ...
     def __getitem__(self, key: Any) -> NDArray[Any] | States:
-        """Return a quantity by its name, shape (N,), or some of the states.
+        """Return a quantity by its name, or some of the states.
 
-        Names are those of the coordinates, ``p_`` and ``v_`` before them, of the invariants, and
-        "t", "energy" and "kinetic_energy". A whole number selects one state; a slice or an array of
-        numbers selects several, as in numpy.
+        Names are those of the coordinates, ``p_`` and ``v_`` before them, of the invariants and
+        positions, and "t", "energy" and "kinetic_energy", shape (N,); or "q", "p" and "v", shape
+        (N, n). What the user named comes first. A whole number selects one state; a slice or an
+        array of numbers selects several, as in numpy.
 
         Raises
         ------

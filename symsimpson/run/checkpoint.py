@@ -22,12 +22,14 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, StorageError
 from symsimpson.module.header import digest
+from symsimpson.run.keeping import Keeper
+from symsimpson.stepping.kept import KeptStates
 from symsimpson.support.calling import warn
 from symsimpson.support.signals import undisturbed
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
-    from symsimpson.stepping.run import Run, Stored
+    from symsimpson.stepping.run import Run
     from symsimpson.stepping.spec import RunSpec
 
 __all__ = ["Checkpoint", "asked", "buffered", "read_asked"]
@@ -36,6 +38,8 @@ __all__ = ["Checkpoint", "asked", "buffered", "read_asked"]
 MAGIC, VERSION = "symsimpson checkpoint", 2
 #: A checkpoint is written after about so many seconds where no number of steps is given.
 SECONDS = 10.0
+#: So many steps are taken before the first one.
+FEWEST = 4096
 #: So many bytes of states at most are kept in memory.
 BUFFER = 2**24
 
@@ -77,8 +81,8 @@ class Record:
     last: Floats
 
 
-class Checkpoint:
-    """Keeps a run on disk.
+class Checkpoint(Keeper):
+    """All states of a run, and the run itself, on disk.
 
     Parameters
     ----------
@@ -94,11 +98,14 @@ class Checkpoint:
     def __init__(
         self, path: Any, asked: dict[str, Any], run: Run, every: int | None = None
     ) -> None:
-        self.path, self._asked, self._run, self._every = Path(path), asked, run, every
+        super().__init__(run)
+        self.path, self._asked, self._every = Path(path), asked, every
         self._rows, self._digest = 0, hashlib.sha256()
+        self._segment, self._began = every or FEWEST, 0.0
         try:
             if exists(self.path):
                 self._go_on()
+                self._kept = run.step
             else:
                 self._beside("states").write_bytes(b"")
                 with undisturbed():
@@ -110,38 +117,25 @@ class Checkpoint:
                 "Choose another file, or make room."
             ) from error
 
-    def advance(self, stop: int) -> None:
-        """Take steps, with a checkpoint now and then, and after the last one or Ctrl-C."""
-        run = self._run
-        room = len(run.q) * run.every - 1 if run.every else stop  # up to what has no place
-        segment = self._every or 4096
-        try:
-            while run.step < stop and run.alive:
-                begin, before = time.perf_counter(), run.step
-                run.advance(min(stop, run.step + segment, run.first + room))
-                spent = time.perf_counter() - begin
-                if self._every is None and run.step - before == segment and spent < SECONDS / 2:
-                    segment *= 2
-                self._keep()
-        except KeyboardInterrupt:
-            self._keep()
-            raise
+    def due(self, stop: int) -> int:
+        """Return the step at which the next checkpoint is to be written."""
+        self._began = time.perf_counter()
+        return min(stop, self._run.step + self._segment)
 
-    def states(self) -> Stored:
-        """Return what is stored, which stays on disk."""
-        n = self._run.header.n
-        shape = (self._rows, 2 * n + 1 + self._run.recorded.shape[1])
-        rows: Any = np.memmap(self._beside("states"), dtype="<f8", mode="r", shape=shape)
-        unwritten = self._since()
-        if len(unwritten):
-            rows = np.vstack([rows, unwritten])
-        iterations = rows[:, 2 * n].astype(np.int64)
-        return rows[:, :n], rows[:, n : 2 * n], iterations, rows[:, 2 * n + 1 :]
+    def take(self) -> None:
+        """Write a checkpoint, if there is anything new.
 
-    def _beside(self, suffix: str) -> Path:
-        return self.path.with_name(f"{self.path.name}.{suffix}")
-
-    def _keep(self) -> None:
+        Raises
+        ------
+        StorageError
+            If it cannot be written.
+        """
+        done = self._run.step - self._kept
+        if not done:
+            return
+        soon = time.perf_counter() - self._began < SECONDS / 2
+        if self._every is None and done == self._segment and soon:
+            self._segment *= 2
         try:
             with undisturbed():
                 self._append(self._since())
@@ -152,6 +146,23 @@ class Checkpoint:
                 "The one before is good: make room and go on with symsimpson.resume. What was "
                 "computed is in this error's .trajectory."
             ) from error
+
+    def states(self) -> KeptStates:
+        """Return what is stored, which stays on disk."""
+        if not self._run.every:
+            return super().states()
+        n = self._run.header.n
+        shape = (self._rows, 2 * n + 1 + self._run.recorded.shape[1])
+        rows: Any = np.memmap(self._beside("states"), dtype="<f8", mode="r", shape=shape)
+        unwritten = self._since()
+        if len(unwritten):
+            rows = np.vstack([rows, unwritten])
+        iterations = rows[:, 2 * n].astype(np.int64)
+        columns = rows[:, :n], rows[:, n : 2 * n], iterations, rows[:, 2 * n + 1 :]
+        return KeptStates(*columns, self._run.every)
+
+    def _beside(self, suffix: str) -> Path:
+        return self.path.with_name(f"{self.path.name}.{suffix}")
 
     def _since(self) -> Floats:
         """Return the states stored since the last checkpoint, one row each."""
@@ -200,6 +211,7 @@ class Checkpoint:
             os.replace(self.path, self._beside("previous"))
         os.replace(new, self.path)
         _sync(self.path.parent)
+        self._kept = run.step
 
     def _go_on(self) -> None:
         """Put the run where the file says, if it is asked for the same."""

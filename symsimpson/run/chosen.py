@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.program.program import Program
 from symsimpson.program.values import read_array, read_number
-from symsimpson.results.sampled import Sampled, Saved, quantity
+from symsimpson.results.sampled import Sampled, Saved
 from symsimpson.results.states import States
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.run.integrate import raise_failure
+from symsimpson.run.outcome import raise_failure
 from symsimpson.run.pieces import SLACK, Taken, by_pieces
 from symsimpson.stepping.driving import driven
 from symsimpson.stepping.inputs import read_failure, read_step, refuse_too_many
@@ -55,7 +55,7 @@ def chosen_run(
             states = piece.at(times[first:done]) if done > first else piece[:0]
         if names is None:
             return states.t, states.q, states.p
-        return states.t, *(quantity(states, name) for name in names)
+        return states.t, *(np.asarray(states[name]) for name in names)
 
     if names is not None:  # before anything is computed
         _check_names(program, spec, names)
@@ -149,7 +149,7 @@ def _check_names(program: Program, spec: RunSpec, names: list[str]) -> None:
         t=t, q=q, p=0 * q, program=program, parameter_values=spec.parameters, driven=begin
     )
     for name in names:
-        quantity(states, name)
+        states[name]
 
 
 def _stored(piece: Trajectory, before: int, spec: RunSpec) -> States:

@@ -17,6 +17,7 @@ from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
+    from symsimpson.stepping.kept import KeptStates
     from symsimpson.stepping.run import Run
 
 __all__ = [
@@ -73,7 +74,7 @@ def unknown_values(trajectory: Trajectory) -> tuple[tuple[str, float], ...]:
 
 
 def look_at_folds(
-    program: Program, run: Run, trajectory: Trajectory, q: Reals, p: Reals
+    program: Program, run: Run, trajectory: Trajectory, kept: KeptStates
 ) -> Trajectory:
     """Look at how independent the constraints were at states of a run.
 
@@ -81,10 +82,11 @@ def look_at_folds(
     states, it is warned of.
     """
     names = program.names.constraints.shown
-    if len(names) < 2 or not run.every or len(q) < 2:
+    q, p, *_, every = kept
+    if len(names) < 2 or len(q) < 2:
         return trajectory
     header = program.header
-    t = run.t0 + run.h * np.minimum(np.arange(len(q)) * run.every, trajectory.steps)
+    t = run.t0 + run.h * np.minimum(np.arange(len(q)) * every, trajectory.steps)
     pivots = evaluate_in(run.W, program, "multipliers", "HELD_PIVOT", len(names), (t, q, p))
     independence = independence_of(pivots)
     singular = np.flatnonzero(independence < SINGULAR)
@@ -102,15 +104,15 @@ def look_at_folds(
         which = name_dependent(names, slopes_of(header, rows).astype(np.float64))
         message = (
             f"{who}: the constraints {which} depend on each other at t={float(t[bad]):g}, at "
-            f"step {bad * run.every} of {trajectory.steps}. {Status.SINGULAR_CONSTRAINTS.message}"
+            f"step {bad * every} of {trajectory.steps}. {Status.SINGULAR_CONSTRAINTS.message}"
         )
         about = trajectory.__getstate__() | {"reduced_values": unknown_values(trajectory)}
         if trajectory.every is not None:
             about |= first_states(trajectory, bad)
-            about["steps"] = (bad - 1) * run.every
+            about["steps"] = (bad - 1) * every
         return Trajectory(**about | {"status": Status.SINGULAR_CONSTRAINTS, "message": message})
     near = np.flatnonzero(close(independence))
-    if run.every > 1 or not near.size:  # of states that are far apart nothing can be said
+    if every > 1 or not near.size:  # of states that are far apart nothing can be said
         return trajectory
     since = float(t[near[0] + 1])
     message = (

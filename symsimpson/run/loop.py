@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.numbers import NOTHING
-from symsimpson.run.integrate import begin_run, look_at_step, new_run, raise_failure, trajectory_of
+from symsimpson.run.outcome import raise_failure, trajectory_of
+from symsimpson.run.start import begin_run, look_at_step, new_run
 from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.request import of_a_step
 from symsimpson.stepping.spec import RunSpec

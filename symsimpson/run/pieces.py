@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,10 @@ import numpy as np
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.run.integrate import begin_run, look_at_step, new_run, trajectory_of
+from symsimpson.run.follow import follow
+from symsimpson.run.keeping import Samples
 from symsimpson.run.resolution import sampling_stride
-from symsimpson.run.verdict import verdict
+from symsimpson.run.start import begin_run, look_at_step, new_run
 from symsimpson.stepping.arrival import STRIDE
 from symsimpson.stepping.driving import driven, since
 from symsimpson.stepping.run import Run
@@ -27,11 +29,12 @@ SLACK = 1e-9
 
 #: Takes from a piece, which begins with the last state of the one before, what is to be kept: rows
 #: of which the first column is the time. It is told how many steps were done before.
+Take = Callable[[Trajectory, int], "Taken"]
 Taken = tuple[Any, ...]
 
 
 def by_pieces(
-    program: Program, spec: RunSpec, take: Callable[[Trajectory, int], Taken], progress: bool | None
+    program: Program, spec: RunSpec, take: Take, progress: bool | None
 ) -> tuple[Run, Trajectory, list[Taken]]:
     """Run, and keep what is taken of each piece.
 
@@ -45,73 +48,92 @@ def by_pieces(
     InputError
         If the run cannot begin.
     """
+    piece = min(PIECE, max(16, MOST_NUMBERS // (2 * program.n)))
     with program.numbers.working():
-        return _by_pieces(program, spec, take, progress)
+        run = new_run(program, spec, 1, piece + 1)
+        begin_run(program, run, spec)
+        look_at_step(program, run, spec)
+        stride = STRIDE if spec.t_end is not None else sampling_stride(program, spec.steps)
+        pieces = Pieces(program, run, spec, take)
+        last, _ = follow(
+            program,
+            run,
+            replace(spec, every=0),
+            Samples(run, stride or max(1, spec.steps)),
+            [pieces],
+            progress,
+        )
+        return run, last, pieces.up_to(last)
 
 
-def _by_pieces(
-    program: Program, spec: RunSpec, take: Callable[[Trajectory, int], Taken], progress: bool | None
-) -> tuple[Run, Trajectory, list[Taken]]:
-    count, piece = spec.steps, min(PIECE, max(16, MOST_NUMBERS // (2 * program.n)))
-    run = new_run(program, spec, 1, piece + 1)
-    begin_run(program, run, spec)
-    look_at_step(program, run, spec)
-    stride = STRIDE if spec.t_end is not None else sampling_stride(program, count)
-    taken, seen = [], [tuple(x[:1, ..., 0].copy() for x in (run.q, run.p, run.recorded))]
-    if not count:
-        taken.append(take(_piece(program, run, spec), 0))
-    with run.watched(count, progress if spec.t_end is None else bool(progress)):
-        while run.step < count and run.alive:
-            run.advance(min(run.step + piece, count))
-            taken.append(take(_piece(program, run, spec), run.first))
-            if stride:  # states to look at, behind those of the piece before
-                first = stride - run.first % stride
-                here = slice(first, run.step - run.first + 1, stride)
-                seen.append(tuple(x[here, :, 0].copy() for x in (run.q, run.p, run.recorded)))
-            run.forget()
-    # the states are gone, but for the last and those to look at
-    run.every = stride
-    q, p, kept = (np.concatenate(states) for states in zip(*seen, strict=True))
-    stored = q, p, np.zeros(0, dtype=np.int64), kept
-    last = trajectory_of(program, run, count, run.status, spec, stored, 0)
-    if run.arrived and last.success:
-        taken.append(take(_piece(program, run, spec, last), run.step))
-    if stride and run.status is not Status.INTERRUPTED and count:
-        last = verdict(program, run, last, stored)
-        sign, slack = (1 if spec.h > 0 else -1), abs(spec.h) * SLACK
-        taken = [tuple(x[sign * (part[0] - last.t[-1]) <= slack] for x in part) for part in taken]
-    return run, last, taken
+class Pieces:
+    """What is taken of each piece of a run; a sink.
 
+    Parameters
+    ----------
+    program : Program
+    run : Run
+        One that stores each state.
+    spec : RunSpec
+    take : callable
+    """
 
-def _piece(program: Program, run: Run, spec: RunSpec, end: Trajectory | None = None) -> Trajectory:
-    """Return the states that a run has stored, or the last one and the end."""
-    kept = run.step - run.first + 1
-    tau = np.arange(run.first, run.step + 1) * run.h
-    t = run.recorded[:kept, 0, 0] if run.header.retimed else run.t0 + tau
-    columns: tuple[Any, ...] = t, tau, run.q[:kept, :, 0], run.p[:kept, :, 0]
-    if end is not None:
-        ends = end.t, end.tau, end.q, end.p
-        columns = tuple(np.concatenate([x[-1:], y]) for x, y in zip(columns, ends, strict=True))
-    numbers = program.numbers
-    t, tau, q, p = map(numbers.result, columns)
-    inputs, h = numbers.result(since(spec.inputs, run.first)), numbers.single(run.h)
-    first = run.step if end is not None else run.first
-    acted = (record.since(first) for record in run.records if record.step >= first)
-    return Trajectory(
-        t=t,
-        q=q,
-        p=p,
-        newton_iterations=run.iterations[:kept, 0],
-        h=h,
-        steps=len(t) - 1,
-        every=1,
-        status=Status.SUCCESS,
-        message="",
-        program=program,
-        parameter_values=numbers.result(run.parameters),
-        input_values=inputs,
-        driven=driven(inputs, t[0], h, len(t) - 1),
-        tau_values=tau if run.header.retimed else None,
-        records=tuple(acted),
-        ended_by=None if end is None else end.ended_by,
-    )
+    def __init__(self, program: Program, run: Run, spec: RunSpec, take: Take) -> None:
+        self._program, self._run, self._spec, self._take = program, run, spec, take
+        self._taken, self._step = list[Taken](), -1
+
+    def due(self, stop: int) -> int:
+        """Return the step at which the piece is to end."""
+        return stop
+
+    def take(self) -> None:
+        """Take what is to be kept of a piece."""
+        if self._run.step > self._step:
+            self._taken.append(self._take(self._piece(), self._run.first))
+            self._step = self._run.step
+
+    def up_to(self, last: Trajectory) -> list[Taken]:
+        """Return all that was taken, up to where the run went well."""
+        run, h = self._run, self._spec.h
+        if run.arrived and last.success:
+            self._taken.append(self._take(self._piece(last), run.step))
+        if last.success or last.status is Status.INTERRUPTED:
+            return self._taken
+        sign, slack = (1 if h > 0 else -1), abs(h) * SLACK
+        return [
+            tuple(x[sign * (part[0] - last.t[-1]) <= slack] for x in part) for part in self._taken
+        ]
+
+    def _piece(self, end: Trajectory | None = None) -> Trajectory:
+        """Return the states that a run has stored, or the last one and the end."""
+        program, run = self._program, self._run
+        kept = run.step - run.first + 1
+        tau = np.arange(run.first, run.step + 1) * run.h
+        t = run.recorded[:kept, 0, 0] if run.header.retimed else run.t0 + tau
+        columns: tuple[Any, ...] = t, tau, run.q[:kept, :, 0], run.p[:kept, :, 0]
+        if end is not None:
+            ends = end.t, end.tau, end.q, end.p
+            columns = tuple(np.concatenate([x[-1:], y]) for x, y in zip(columns, ends, strict=True))
+        numbers = program.numbers
+        t, tau, q, p = map(numbers.result, columns)
+        inputs, h = numbers.result(since(self._spec.inputs, run.first)), numbers.single(run.h)
+        first = run.step if end is not None else run.first
+        acted = (record.since(first) for record in run.records if record.step >= first)
+        return Trajectory(
+            t=t,
+            q=q,
+            p=p,
+            newton_iterations=run.iterations[:kept, 0],
+            h=h,
+            steps=len(t) - 1,
+            every=1,
+            status=Status.SUCCESS,
+            message="",
+            program=program,
+            parameter_values=numbers.result(run.parameters),
+            input_values=inputs,
+            driven=driven(inputs, t[0], h, len(t) - 1),
+            tau_values=tau if run.header.retimed else None,
+            records=tuple(acted),
+            ended_by=None if end is None else end.ended_by,
+        )

@@ -23,6 +23,7 @@ from symsimpson.results.work import parts_of_work, rough_parts
 
 if TYPE_CHECKING:
     from symsimpson.results.trajectory import Trajectory
+    from symsimpson.stepping.kept import KeptStates
     from symsimpson.stepping.run import Run
     from symsimpson.stepping.spec import RunSpec
 
@@ -160,11 +161,11 @@ class Sampled:
 
 
 def energies_at(
-    program: Program, run: Run, steps: int, q: Reals, p: Reals, places: Places
+    program: Program, run: Run, steps: int, kept: KeptStates, places: Places
 ) -> Sampled:
-    """Evaluate the energy at some of the states q, p, in the workspace of a run that is over."""
-    t = run.t0 + run.h * np.minimum(places * run.every, steps)  # the last may stand behind a stride
-    states = t, q[places], p[places]
+    """Evaluate the energy at some states in the workspace of a run that is over."""
+    t = run.t0 + run.h * np.minimum(places * kept.every, steps)
+    states = t, kept.q[places], kept.p[places]
     energies = evaluate_in(run.W, program, "energy", "ENERGY", 2, states)
     total, kinetic = np.asarray(energies, dtype=np.float64).T
     standing = np.zeros(len(total), dtype=np.bool_)
@@ -238,20 +239,20 @@ def count_looked_at(program: Program, last: int) -> int:
 
 
 def look_at_energy(
-    program: Program, run: Run, trajectory: Trajectory, q: Reals, p: Reals
+    program: Program, run: Run, trajectory: Trajectory, kept: KeptStates
 ) -> Sampled | None:
-    """Evaluate the energy at stored states q, p of a run that is over, and came to a trajectory.
+    """Evaluate the energy at states of a run that is over, and came to a trajectory.
 
     At all of them if it need not be real, else at some of them, and at none of a short run.
     """
-    last, steps = len(q) - 1, trajectory.steps
+    last, steps = len(kept.q) - 1, trajectory.steps
     if not program.header.real_everywhere:
-        energies = energies_at(program, run, steps, q, p, np.arange(last + 1))
-        return _explained(energies, program, run, trajectory, q, p)
+        energies = energies_at(program, run, steps, kept, np.arange(last + 1))
+        return _explained(energies, program, run, trajectory, kept)
     few = count_looked_at(program, last)
     if not few:
         return None
-    if q.base is not None and q.base is run.q.base:
+    if kept.q.base is not None and kept.q.base is run.q.base:
         steady = program.numbers.driver("steady")
         energy, header = program.kernels.address("energy"), run.header
         rate = header.layout["RATE"] if header.retimed else 0
@@ -259,12 +260,12 @@ def look_at_energy(
         if steady(energy, setting, (run.q, run.p), (last, few, LIMIT), rate):
             return None
     places = np.arange(few + 1) * last // few
-    energies = energies_at(program, run, steps, q, p, places)
-    return _explained(energies, program, run, trajectory, q, p)
+    energies = energies_at(program, run, steps, kept, places)
+    return _explained(energies, program, run, trajectory, kept)
 
 
 def _explained(
-    seen: Sampled, program: Program, run: Run, trajectory: Trajectory, q: Reals, p: Reals
+    seen: Sampled, program: Program, run: Run, trajectory: Trajectory, kept: KeptStates
 ) -> Sampled:
     """Take the work that was done out of energies that change, first roughly, then exactly.
 
@@ -274,15 +275,16 @@ def _explained(
     header = program.header
     if header.conservative or seen.left_at is None or not trajectory.success:
         return seen
-    whole = len(q) if run.every * (len(q) - 1) <= trajectory.steps else len(q) - 1
-    every = np.arange(whole) * run.every
+    q, p, *_, stride = kept
+    whole = len(q) if stride * (len(q) - 1) <= trajectory.steps else len(q) - 1
+    every = np.arange(whole) * stride
     result, t = program.numbers.result, run.t0 + run.h * every
     states = replace(
         trajectory,
         t=result(t),
         q=result(q[:whole]),
         p=result(p[:whole]),
-        every=run.every,
+        every=stride,
         steps=int(every[-1]),
         newton_iterations=np.zeros(whole, dtype=np.int64),
         variations=None,
@@ -293,6 +295,6 @@ def _explained(
     if "work" in header.functions and states.steps <= AGAIN:
         if seen.with_work(parts).left_at is not None:
             parts = parts_of_work(states)
-    elif run.every > 1:  # what is done between states far apart is not known
+    elif stride > 1:  # what is done between states far apart is not known
         parts = np.nan * parts
     return seen.with_work(parts).with_exchange(parts)

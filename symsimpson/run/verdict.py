@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.errors import ResolutionWarning
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.folds import first_states, look_at_folds, unknown_values
 from symsimpson.run.resolution import Sampled, look_at_energy
-from symsimpson.stepping.run import Run, Stored
+from symsimpson.stepping.kept import KeptStates
+from symsimpson.stepping.run import Run
 from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ AT_POLES = (
 TRIES = 3
 
 
-def verdict(program: Program, run: Run, trajectory: Trajectory, stored: Stored) -> Trajectory:
+def verdict(program: Program, run: Run, trajectory: Trajectory, kept: KeptStates) -> Trajectory:
     """Judge a run by its states: all that it stored, or some that were kept for this.
 
     Where the energy is no number, or constraints follow from one another, the run ended before;
@@ -42,24 +42,24 @@ def verdict(program: Program, run: Run, trajectory: Trajectory, stored: Stored) 
     """
     if trajectory.records or trajectory.ended_by:  # energies change with what events do
         return trajectory
-    judged = _by_energy(program, run, trajectory, stored)
-    return look_at_folds(program, run, judged, *stored[:2])
+    judged = _by_energy(program, run, trajectory, kept)
+    return look_at_folds(program, run, judged, kept)
 
 
-def _by_energy(program: Program, run: Run, trajectory: Trajectory, stored: Stored) -> Trajectory:
+def _by_energy(program: Program, run: Run, trajectory: Trajectory, kept: KeptStates) -> Trajectory:
     """Judge a run by the energy at its states, and by singular points and kinks that it passed."""
     trajectory = _at_pole(program, trajectory)
     if not trajectory.success and program.header.real_everywhere:
         return trajectory
-    q, p, _, kept = stored
     if trajectory.every is None and not program.header.real_everywhere:  # the last state, too
         numbers = program.numbers
         with numbers.working():
             ends = [numbers.read(x[:1]) for x in (trajectory.q, trajectory.p)]
-        q, p = (np.concatenate(parts) for parts in zip((q, p), ends, strict=True))
-    energies = look_at_energy(program, run, trajectory, q, p)
+        q, p = (np.concatenate(parts) for parts in zip(kept[:2], ends, strict=True))
+        kept = kept._replace(q=q, p=p)
+    energies = look_at_energy(program, run, trajectory, kept)
     if energies is not None and energies.first_not_real is not None:
-        ended = _ended_before(program, run, trajectory, (q, p, stored[2], kept), energies)
+        ended = _ended_before(program, run, trajectory, kept, energies)
         return _at_pole(program, ended)
     if not trajectory.success:
         return trajectory
@@ -72,7 +72,7 @@ def _by_energy(program: Program, run: Run, trajectory: Trajectory, stored: Store
 
 
 def _unresolved(
-    program: Program, run: Run, trajectory: Trajectory, kept: NDArray[Any], energies: Sampled | None
+    program: Program, run: Run, trajectory: Trajectory, kept: KeptStates, energies: Sampled | None
 ) -> str:
     """Return what was not resolved, in words, or nothing."""
     tools, system, h = program.tools, program.declared, float(run.h)
@@ -100,23 +100,26 @@ def _unresolved(
     if energies is not None and energies.standing.any():
         place = int(energies.places[int(np.argmax(energies.standing))])
         return (
-            f"about t={float(kept[place, 0]):g} the rate dt/dtau nearly vanishes, and the energy "
-            "is off there: the motion may have been thrown back, and the states after it are "
-            "unreliable.\nTake a rate that is positive wherever the motion comes."
+            f"about t={float(kept.recorded[place, 0]):g} the rate dt/dtau nearly vanishes, and the "
+            "energy is off there: the motion may have been thrown back, and the states after it "
+            "are unreliable.\nTake a rate that is positive wherever the motion comes."
         )
     left = None if energies is None else energies.left_at
     if left is None:
         return ""
     place, off = left
-    since = float(kept[place, 0] if run.header.retimed else run.t0 + h * (place * run.every))
+    since = run.t0 + h * (place * kept.every)
+    if run.header.retimed:
+        since = kept.recorded[place, 0]
     energy, scale, but = "energy", "", ""
     if not run.header.conservative:
         energy, scale = "energy less the work of forces", " and this work"
         but = ", unless damping makes the motion forget how it came there"
     return (
-        f"from about t={since:g} on the {energy} is off by {off:.0%} of the kinetic energy{scale} "
-        "and does not come back. A fast part of the motion, such as a close encounter or a fast "
-        f"oscillation, was not resolved with h={h:g}; the states after it are unreliable{but}.\n"
+        f"from about t={float(since):g} on the {energy} is off by {off:.0%} of the kinetic "
+        f"energy{scale} and does not come back. A fast part of the motion, such as a close "
+        f"encounter or a fast oscillation, was not resolved with h={h:g}; the states after it are "
+        f"unreliable{but}.\n"
         "Take a smaller h, or a scheme of higher order."
     )
 
@@ -160,25 +163,28 @@ def _at_pole(program: Program, trajectory: Trajectory) -> Trajectory:
 
 
 def _ended_before(
-    program: Program, run: Run, trajectory: Trajectory, stored: Stored, energies: Sampled
+    program: Program, run: Run, trajectory: Trajectory, kept: KeptStates, energies: Sampled
 ) -> Trajectory:
     """Return a run that ended before the first state at which the energy is no number."""
-    q, p, _, kept = stored
+    q, p, _, recorded, every = kept
     bad = energies.first_not_real
     assert bad is not None
     about = trajectory.__getstate__() | {"reduced_values": unknown_values(trajectory)}
     result, good = program.numbers.result, max(bad - 1, 0)
-    done, at = good * run.every, min(bad * run.every, trajectory.steps)
+    done, at = good * every, min(bad * every, trajectory.steps)
     retimed, where = run.header.retimed, run.t0 + run.h * at
     if retimed:
-        where = kept[min(bad, len(kept) - 1), 0]
+        where = recorded[min(bad, len(recorded) - 1), 0]
     if trajectory.every is None:
         last = slice(good, good + 1)
         about |= {"q": result(q[last]), "p": result(p[last])}
-        about |= run.beside(kept[last], result)
+        about |= run.beside(recorded[last], result)
         about["t"] = trajectory.t - (trajectory.steps - done) * trajectory.h
         if retimed:
-            about |= {"t": result(kept[last, 0]), "tau_values": result(np.array([run.h * done]))}
+            about |= {
+                "t": result(recorded[last, 0]),
+                "tau_values": result(np.array([run.h * done])),
+            }
     else:
         about |= first_states(trajectory, done // trajectory.every + 1)
     message = (

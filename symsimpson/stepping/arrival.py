@@ -7,87 +7,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import StorageError
 from symsimpson.program.recorders import ordered
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import NO_INPUTS, workspace
-from symsimpson.stepping.run import Run, Stored
+from symsimpson.stepping.run import Run
 
 if TYPE_CHECKING:
     from symsimpson.program.numbers import Numbers
     from symsimpson.program.program import Program
 
-__all__ = ["ROOM", "STRIDE", "Collected", "last_part", "resolution", "states_at", "with_end"]
+__all__ = ["STRIDE", "last_part", "resolution", "states_at", "with_end"]
 
 Reals = NDArray[Any]
-#: So many states are stored before they are put away.
-ROOM = 4096
-#: Where no states are asked for, each so-many-th step is stored, and of those put away each
-#: so-many-th is kept to look at.
-STRIDE, KEPT = 16, 64
-#: After so many times that states were put away it is asked whether there is room for more: so many
-#: times as much as they take, in bytes.
-LOOKS, JOINING = 16, 3 / 8
-
-
-class Collected:
-    """The states that a run stores, however many these will be.
-
-    Parameters
-    ----------
-    run : Run
-        With room for ROOM states and one.
-    asked : bool
-        Whether all states are asked for, or some kept to look at.
-    """
-
-    def __init__(self, run: Run, *, asked: bool) -> None:
-        self._run, self._stride = run, 1 if asked else KEPT
-        self._parts: list[Any] = []
-
-    def advance(self, stop: int) -> None:
-        """Take steps until ``stop``, failure or arrival.
-
-        Raises
-        ------
-        StorageError
-            If there is no memory for more states; those so far are kept.
-        """
-        run = self._run
-        try:
-            self._advance(stop)
-        except MemoryError:
-            raise StorageError(
-                f"the states of a run of {run.header.system} do not fit into memory: "
-                f"{run.step} steps were taken, and those are kept.\nStore fewer: every=1000, or "
-                "every=None for the last state alone; or take a larger h."
-            ) from None
-
-    def _advance(self, stop: int) -> None:
-        run = self._run
-        while run.alive and run.step < stop:
-            full = run.first + ROOM * run.every if run.every else stop
-            run.advance(min(stop, full))
-            if run.every and run.alive:
-                q, p, iterations, kept = (x[:-1] for x in run.stored())
-                counted = np.add.reduceat(iterations, np.arange(0, len(iterations), self._stride))
-                self._parts.append(
-                    (
-                        *(x[:: self._stride].copy() for x in (q, p)),
-                        counted,
-                        kept[:: self._stride].copy(),
-                    )
-                )
-                run.forget()
-                if len(self._parts) % LOOKS == 0:  # is there room to join them?
-                    np.empty(int(JOINING * sum(x.nbytes for part in self._parts for x in part)))
-
-    def states(self) -> Stored:
-        """Return all stored states."""
-        q, p, iterations, kept = map(
-            np.concatenate, zip(*self._parts, self._run.stored(), strict=True)
-        )
-        return q, p, iterations, kept
+#: Where no states are asked for, each so-many-th step is stored to be looked at.
+STRIDE = 16
 
 
 def last_part(program: Program, run: Run, t_end: Any) -> tuple[Any, Reals, Reals, Status]:

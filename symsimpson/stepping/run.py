@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -17,16 +18,14 @@ from symsimpson.program.observed import Reduction
 from symsimpson.program.recorders import Recorder, ordered, split, told
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import NO_INPUTS, workspace
+from symsimpson.stepping.kept import KeptStates
 from symsimpson.support.progress import Watcher
 from symsimpson.support.signals import listening
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
 
-__all__ = ["Run", "Stored"]
-
-#: q, p, iterations and what recorders left, of stored states.
-Stored = tuple[NDArray[Any], NDArray[Any], NDArray[np.int64], NDArray[Any]]
+__all__ = ["Run"]
 
 #: The compiled loop is left after about so many seconds, so that Ctrl-C is heard.
 PATIENCE = 0.02
@@ -68,18 +67,16 @@ class Run:
         self.told = told(header, self._recorders)
         if any(recorder.renewed for recorder in recorders):
             self._driver = partial(numbers.driver, renewing=True)
-        self.W = workspace(
-            header, numbers, parameters, sum(recorder.room for recorder in recorders)
-        )
+        room = sum(recorder.room for recorder in recorders)
+        self.W = workspace(header, numbers, parameters, room)
         self._column, self._status = self.W[:, 0], header.layout["STATUS"]
         self._watcher: Watcher | None = None
         self._fallbacks = kernels.fallbacks if fallbacks is None else fallbacks
         self._stretch = self._longest = numbers.stretch
         self.q, self.p = numbers.zeros((2, stored, header.n, 1))
         #: What recorders left beside them, of one behind the other.
-        self.recorded = numbers.zeros(
-            (stored, sum(recorder.rows for recorder in self._recorders), 1)
-        )
+        width = sum(recorder.rows for recorder in self._recorders)
+        self.recorded = numbers.zeros((stored, width, 1))
         self.iterations = np.zeros((stored, 1), dtype=np.int64)
         self._stores = self.q, self.p, self.recorded, self.iterations
         #: Steps before those whose states stand in the arrays; and what was done since.
@@ -170,10 +167,7 @@ class Run:
 
     def left(self) -> NDArray[Any]:
         """Return what recorders have left beside the present state."""
-        rows = [
-            self._column[recorder.first : recorder.first + recorder.rows]
-            for recorder in self._recorders
-        ]
+        rows = [self._column[x.first : x.first + x.rows] for x in self._recorders]
         return np.concatenate([self._column[:0], *rows])
 
     def beside(self, recorded: NDArray[Any], result: Callable[[Any], Any]) -> dict[str, Any]:
@@ -207,11 +201,16 @@ class Run:
         n = self.header.n
         return self.rows("POSITION", n)[None].copy(), self.rows("MOMENTUM", n)[None].copy()
 
-    def stored(self) -> Stored:
-        """Return q, p and iterations of the states that were stored, and what recorders left."""
+    def stored(self) -> KeptStates:
+        """Return the states that stand in the arrays."""
         kept = self._progress.item(0) // self.every + 1 if self.every else 0
         q, p, rows, iterations = (x[:kept] for x in self._stores)
-        return q[..., 0], p[..., 0], iterations[:, 0], rows[..., 0]
+        return KeptStates(q[..., 0], p[..., 0], iterations[:, 0], rows[..., 0], self.every)
+
+    @property
+    def room(self) -> int:
+        """The last step of which there is room for the state, if it is to be stored."""
+        return self.first + len(self.q) * self.every - 1 if self.every else sys.maxsize
 
     @property
     def step(self) -> int:

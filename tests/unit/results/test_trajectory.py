@@ -21,6 +21,7 @@ def test_names(run):
     assert (run["t"] == run.t).all()
     assert (run["energy"] == run.energy).all()
     assert run["v_q2"][0] == pytest.approx(-2.0)
+    assert all((run[name] == getattr(run, name)).all() for name in "qpv")
     with pytest.raises(KeyError, match=r"there is no 'q3'\. There are q1, q2, p_q1"):
         run["q3"]
 

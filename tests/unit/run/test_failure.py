@@ -6,7 +6,7 @@ from support.cases import sweep
 from support.places import ROOT
 
 import symsimpson as ss
-from symsimpson.run.integrate import begin_run, new_run
+from symsimpson.run.start import begin_run, new_run
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import read_run

@@ -6,7 +6,7 @@ import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.run.integrate import begin_run, new_run
+from symsimpson.run.start import begin_run, new_run
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import read_run
 
@@ -98,7 +98,6 @@ def test_a_run_of_many_steps_is_not_begun_twice(stepper):
 
 
 def test_more_states_than_there_is_room_for(monkeypatch, stepper, run):
-    monkeypatch.setattr("symsimpson.stepping.arrival.ROOM", 16)
     monkeypatch.setattr("symsimpson.run.integrate.ROOM", 16)
     same(stepper.integrate(**START, t_end=7.0, progress=False), run)
 

@@ -1,0 +1,92 @@
+"""The one way through a run: pieces, which sinks take, what it came to, and a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from symsimpson.errors import StorageError
+from symsimpson.program.status import Status
+from symsimpson.results.trajectory import Trajectory
+from symsimpson.run.keeping import Keeper, Sink
+from symsimpson.run.outcome import trajectory_of
+from symsimpson.run.resolution import check_forces, each
+from symsimpson.run.verdict import verdict
+from symsimpson.stepping.kept import KeptStates
+from symsimpson.stepping.run import Run
+from symsimpson.stepping.spec import RunSpec
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+
+__all__ = ["follow"]
+
+#: So many steps are done before anybody looks for a bar.
+BRIEF = 10_000
+
+
+def follow(
+    program: Program,
+    run: Run,
+    spec: RunSpec,
+    keeper: Keeper,
+    sinks: Sequence[Sink] = (),
+    progress: bool | None = None,
+) -> tuple[Trajectory, StorageError | None]:
+    """Take the steps of a run that has begun, and judge it by the states that a keeper has.
+
+    Parameters
+    ----------
+    program : Program
+    run : Run
+    spec : RunSpec
+        Its ``every`` tells which states the trajectory has; 0 for the last one.
+    keeper : Keeper
+    sinks : sequence of Sink
+        What else takes the states.
+    progress : bool or None
+
+    Returns
+    -------
+    Trajectory, StorageError or None
+        What the run came to, and the error of a sink that ended it.
+
+    Raises
+    ------
+    InputError
+        If forces have no value at the start.
+    """
+    count, problem = spec.steps, None
+    shown = progress if count > BRIEF and spec.t_end is None else bool(progress)
+    with run.watched(count, shown):
+        try:
+            _take_pieces(run, count, (keeper, *sinks))
+        except StorageError as error:
+            problem = error
+    status = run.status if problem is None else Status.FILE_ERROR
+    if status is Status.NOT_FINITE and run.step == 0:
+        check_forces(program, spec)
+    kept = keeper.states()
+    asked = kept
+    if spec.every not in (0, kept.every):
+        q, p, iterations, recorded = each(spec.every // kept.every, *kept[:-1])
+        asked = KeptStates(q, p, iterations, recorded, spec.every)
+    count = run.step if run.arrived else count
+    trajectory = trajectory_of(program, run, count, status, spec, asked, spec.every)
+    if count and status is not Status.INTERRUPTED and problem is None:
+        trajectory = verdict(program, run, trajectory, kept)
+    return trajectory, problem
+
+
+def _take_pieces(run: Run, count: int, sinks: Sequence[Sink]) -> None:
+    """Take steps, and hand what was stored to the sinks whenever there is no room for more."""
+    while True:
+        stop = min(count, run.room)
+        try:
+            run.advance(min(sink.due(stop) for sink in sinks))
+        finally:  # Ctrl-C loses nothing
+            for sink in sinks:
+                sink.take()
+        if run.step >= count or not run.alive:
+            return
+        run.forget()

@@ -1,0 +1,120 @@
+"""What a run has come to, and the error of one that did not reach its end."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import ConvergenceError, Interrupted
+from symsimpson.program.status import Status
+from symsimpson.results.trajectory import Trajectory
+from symsimpson.stepping.arrival import last_part, with_end
+from symsimpson.stepping.driving import driven
+from symsimpson.stepping.kept import KeptStates
+from symsimpson.stepping.run import Run
+from symsimpson.stepping.spec import RunSpec
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+    from symsimpson.results.events import Events
+    from symsimpson.results.sampled import Sampled, Saved
+
+__all__ = ["raise_failure", "trajectory_of"]
+
+Reals = NDArray[Any]
+
+
+def trajectory_of(
+    program: Program,
+    run: Run,
+    count: int,
+    status: Status,
+    spec: RunSpec,
+    kept: KeptStates,
+    every: int,
+) -> Trajectory:
+    """Return what a run of so many steps has come to: each so-many-th state, or the last for 0."""
+    done, numbers = run.step, program.numbers
+    q, p, iterations, recorded, _ = kept
+    if every:
+        tau = numbers.counted(0, done + 1, every) * run.h
+    else:
+        tau = np.array([run.h * done], dtype=run.q.dtype)
+        q, p = run.end()
+        iterations = np.array([iterations.sum() + run.last_iterations], dtype=np.int64)
+    t = run.t0 + tau
+    if run.header.retimed:
+        t = recorded[:, 0] if every else run.rows("TIME", 1).copy()
+        if run.arrived:
+            part, *end, status = last_part(program, run, spec.t_end)
+            if status is Status.SUCCESS:
+                tau_end = run.h * done + part
+                t, tau, q, p, iterations = with_end(
+                    (t, tau, q, p, iterations), (spec.t_end, tau_end, *end), bool(every)
+                )
+    recorded = recorded if every else run.left()[None]
+    if run.end_within is not None:
+        t_end, *end = run.end_within
+        states = (t, tau, q, p, iterations), (t_end, t_end - run.t0, *np.array(end)[:, None])
+        before = len(t)
+        t, tau, q, p, iterations = with_end(*states, bool(every))
+        if len(t) > before:
+            recorded = np.vstack([recorded, run.left()])
+        elif every:  # it is at the last state, as that was before
+            q, p, recorded = (
+                np.vstack([x[:-1], end_of])
+                for x, end_of in ((q, end[0]), (p, end[1]), (recorded, run.left()))
+            )
+    message = run.reason or status.message
+    if status is not Status.SUCCESS:
+        of = f" of {count}" if spec.t_end is None else ""
+        time, h = float(run.now), float(run.h)
+        message = (
+            f"{program.system}, {program.scheme}: step {done}{of} at t={time:g} with h={h:g} was "
+            f"not taken. {message}"
+        )
+    result, single = program.numbers.result, program.numbers.single
+    t, q, p, values = result(t), result(q), result(p), result(run.parameters)
+    return Trajectory(
+        t=t,
+        q=q,
+        p=p,
+        newton_iterations=iterations,
+        h=program.numbers.single(run.h),
+        steps=done,
+        every=every or None,
+        status=status,
+        message=message,
+        program=program,
+        parameter_values=values,
+        input_values=result(spec.inputs),
+        driven=driven(result(spec.inputs), single(run.t0), single(run.h), done, run.ended_by),
+        **run.beside(recorded, result),
+        reduced_values=run.reduced(spec.reductions),
+        tau_values=result(tau) if run.header.retimed else None,
+    )
+
+
+def raise_failure(
+    run: Run, ended: Trajectory, result: Trajectory | Events | Sampled | Saved
+) -> None:
+    """Raise the error of a run that did not reach its end, with what it has come to."""
+    if ended.status is Status.INTERRUPTED:
+        raise Interrupted(ended.message, trajectory=result)
+    residual, detail = run.last_correction, ""
+    met = ended.status in (Status.EVENTS_ACCUMULATE, Status.BAD_INPUT)
+    if ended.steps == run.step and not met:  # else it is what was found afterwards
+        detail = (
+            f"The last of {run.last_iterations} iterations changed the step by a fraction of "
+            f"{residual:.1e}. "
+        )
+    raise ConvergenceError(
+        f"{ended.message} {detail}The states before are in this error's .trajectory.",
+        trajectory=result,
+        step=ended.steps,
+        time=float(ended.t[-1] if run.header.retimed else run.t0 + run.h * ended.steps),
+        residual=residual,
+        status=ended.status,
+    )

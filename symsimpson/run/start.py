@@ -1,0 +1,132 @@
+"""How a run begins: room for its states, the state that it begins with, and a look at its step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.program.recorders import Recorder
+from symsimpson.run.resolution import check_start
+from symsimpson.stepping.inputs import refused_start
+from symsimpson.stepping.recording import recorders_of
+from symsimpson.stepping.run import Run
+from symsimpson.stepping.spec import RunSpec
+from symsimpson.stepping.variations import begin_variations
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+
+__all__ = ["begin_run", "look_at_step", "new_run", "recorders_for"]
+
+Reals = NDArray[Any]
+
+
+def new_run(
+    program: Program,
+    spec: RunSpec,
+    stride: int,
+    stored: int,
+    inputs: Reals | None = None,
+    recorders: Sequence[Recorder] = (),
+) -> Run:
+    """Make a run that has room for so many states, and for what recorders leave beside them.
+
+    Raises
+    ------
+    InputError
+        If they do not fit into memory.
+    """
+    given = spec.inputs if inputs is None else inputs
+    asked = tuple(recorders) or recorders_for(program, spec)
+    try:
+        if spec.run_events is not None:
+            from symsimpson.run.event_run import EventRun  # few runs need it
+
+            return EventRun(program, spec, spec.run_events, stride, stored, given, asked)
+        return Run(
+            program,
+            spec.parameters,
+            spec.h,
+            spec.t0,
+            stride,
+            stored,
+            program.kernels.fallbacks,
+            given,
+            asked,
+        )
+    except InputError:
+        raise
+    except (MemoryError, ValueError):
+        raise InputError(
+            f"{stored} stored states of {2 * program.n} numbers do not fit into memory.\n"
+            "Store fewer: every=1000, or every=None for the last state only; or keep them on disk: "
+            "checkpoint='run.ckpt'."
+        ) from None
+
+
+def recorders_for(program: Program, spec: RunSpec) -> tuple[Recorder, ...]:
+    """Return the recorders that a run is asked for."""
+    header, count = program.header, None
+    if spec.tangents is not None:
+        count = spec.tangents.shape[1] + len(header.varied_by or ())
+    return recorders_of(header, count, spec.record, spec.reductions)
+
+
+def begin_run(program: Program, run: Run, spec: RunSpec) -> None:
+    """Put the initial state into a run.
+
+    Raises
+    ------
+    InputError
+        If M(q0) is not positive definite, or the energy has no value there.
+    """
+    numbers, q = program.numbers, spec.q0
+    run.begin(q, spec.other0, velocity=spec.velocities, t_end=spec.t_end)
+    pivot, velocities = float(run.value("MASS_PIVOT")), run.rows("VELOCITY", program.n)
+    if program.header.fast_sines and not numbers.all_finite(velocities):
+        run.begin(q, spec.other0, velocity=spec.velocities, any_angle=True, t_end=spec.t_end)
+        pivot = float(run.value("MASS_PIVOT"))
+    if pivot < 0 or not numbers.all_finite(velocities):
+        values = map(float, run.rows("PARAMETER", len(program.parameters)))
+        named = dict(zip(program.parameters, values, strict=True))
+        where = f"q0={q.tolist()} with the parameters {named}"
+        zero = [name for name, value in named.items() if value == 0]
+        finite, everywhere = numbers.all_finite(q), pivot == 0 and _singular_beside(run, spec)
+        raise refused_start(program.system, where, pivot, finite, zero=zero if everywhere else None)
+    if run.header.retimed and not run.parameters[-1] > 0:
+        raise InputError(
+            f"{program.system}: the rate dt/dtau is {float(run.parameters[-1]):g} at "
+            f"q0={q.tolist()}.\nTime must advance: start where it is positive, or change the rate."
+        )
+    run.apply("energy")
+    if not numbers.all_finite(run.rows("ENERGY", 1)):  # but for angles that fast sines do not take
+        position, momentum = (run.rows(name, program.n) for name in ("POSITION", "MOMENTUM"))
+        check_start(program, spec.t0, position, momentum, spec.parameters)
+    if spec.tangents is not None:
+        begin_variations(program, run, spec.tangents, velocity=spec.velocities)
+    run.look()
+
+
+def _singular_beside(run: Run, spec: RunSpec) -> bool:
+    """Return whether M is singular at a position beside the start, too; the run ends with this."""
+    beside = spec.q0 + run.h * 0 + np.sqrt(np.arange(2.0, run.header.n + 2)) / 7
+    run.begin(beside, spec.other0, velocity=spec.velocities, any_angle=True, t_end=spec.t_end)
+    return not np.isfinite(run.rows("VELOCITY", run.header.n).astype(np.float64)).all()
+
+
+def look_at_step(program: Program, run: Run, spec: RunSpec) -> None:
+    """Look once whether a step is within the limit of linear stability, and warn of it if not."""
+    key = spec.h, spec.parameters.tobytes()
+    plain = run.W.dtype == np.float64
+    if not plain or key in program.findings.checked_steps:
+        return
+    program.findings.checked_steps.add(key)
+    system, tools = program.declared, program.tools
+    if system is not None and tools is not None:
+        q, v = (run.rows(name, program.n) for name in ("POSITION", "VELOCITY"))
+        values = np.concatenate([run.parameters, spec.inputs[0, 0, 0]])
+        tools.check_step(program, system, q, v, values, run.h, run.t0)

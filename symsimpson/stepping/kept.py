@@ -1,0 +1,33 @@
+"""States of a run that were kept, at equal strides."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["KeptStates"]
+
+Reals = NDArray[Any]
+
+
+class KeptStates(NamedTuple):
+    """States of a run at equal strides; the last one may stand behind a part of a stride.
+
+    Attributes
+    ----------
+    q, p : ndarray, shape (N, n)
+    iterations : ndarray of int, shape (N,)
+        Since the state before; or, of a run of which none is asked for, all of them, shape (1,).
+    recorded : ndarray, shape (N, k)
+        What recorders left beside them.
+    every : int
+        Steps from one to the next; 0 where none were kept.
+    """
+
+    q: Reals
+    p: Reals
+    iterations: NDArray[np.int64]
+    recorded: Reals
+    every: int
