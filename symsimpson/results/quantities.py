@@ -171,7 +171,7 @@ class Quantities:
         watched = names.invariants
         if key in watched.places:
             return self.invariants[watched.shown[watched.places[key]]]
-        if key in self.points:
+        if key in (getattr(self.program.declared, "positions", None) or ()):
             return self.points[key]
         if key == "t" or key in QUANTITIES:
             return cast(NDArray[Any], getattr(self, key))
