@@ -31,13 +31,17 @@ def shadow_is_testable(stepper: Stepper) -> bool:
 
 
 def shadow(s: Subject) -> Iterator[Check]:
-    """shadow: check that the energy that the scheme keeps swings less than H over few steps."""
+    """shadow: check that the modified energy varies by less than half of what H does.
+
+    Over few steps of h/4, from peak to peak; or less than half of its largest distance from H,
+    where that is more.
+    """
     if not shadow_is_testable(s.stepper):
         return
     run = s.compiled(FEW, every=1, parts=FINER)
     scale = float(run.energy_scale)
     kept = run.shadow_energy
-    # the linear oscillator's H does not swing with midpoint, nor does what is added to it
+    # H of the linear oscillator is constant with midpoint, and so is its distance from the other
     swing = max(np.ptp(run.energy), np.abs(kept - run.energy).max()) / scale
     yield Check.at_most(
         "shadow",
@@ -49,11 +53,15 @@ def shadow(s: Subject) -> Iterator[Check]:
 
 
 def drift(s: Subject) -> Iterator[Check]:
-    """drift: check that energy, momenta and invariants have no trend over many steps."""
+    """drift: check that energy and momenta have no trend over many steps.
+
+    What fails with h is measured once more with h/2. Trends of a user's invariants are measured and
+    not judged. Of systems that are not conservative the balance of energy and work is checked.
+    """
     if not s.stepper.program.header.conservative:
         yield from _balance(s)
         return
-    for parts in (1, 2):  # coarse steps of chaotic motions change their level now and then
+    for parts in (1, 2):  # with coarse steps, chaotic motions jump between levels of the energy
         rows = list(_trends(s, parts))
         if all(row.passed for row in rows):
             break
@@ -65,7 +73,7 @@ def _trends(s: Subject, parts: int) -> Iterator[Check]:
     run = s.compiled(LONG, every=20, parts=parts)
     watched = {"energy": run.energy}
     watched |= {x.name: x.momentum(run.q, run.p) for x in s.symmetries}
-    # what they are made of may grow, as the way of a free centre of mass, and its rounding with it
+    # rounding grows with the terms of a momentum: those of a free centre of mass grow with its path
     sizes = {x.name: x.size(run.q, run.p) for x in s.symmetries}
     if s.timed is not None:  # K is zero, but for errors
         sizes["energy"] = float(run.energy_scale)

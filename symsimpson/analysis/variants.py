@@ -1,4 +1,4 @@
-"""Steppers that differ from a generated module in some constants: for comparison, never for use."""
+"""Steppers whose modules differ from generated ones: for comparison, never for use."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ def _with(stepper: Stepper, text: str, changes: Mapping[str, str]) -> Stepper:
 
 
 def in_tau(stepper: Stepper, values: Iterable[float] | None = None) -> Stepper:
-    """Return a stepper that takes the steps of a retimed one in its own time; others as they are.
+    """Return a stepper that knows a retimed system by the time tau of its steps alone.
 
-    Its energy is K = g (H - E0), E0 and the first rate are parameters as others are; ``values``
-    are those that all have unless given.
+    Its energy is K = g (H - E0), and E0 and the rate dt/dtau of the start are parameters;
+    ``values`` are the defaults of all. A stepper that is not retimed is returned as it is.
     """
     if not stepper.program.header.retimed:
         return stepper

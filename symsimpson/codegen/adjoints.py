@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from symsimpson.codegen.differentials import GO_TO_NODE
 from symsimpson.codegen.held_tangents import HeldDifferentials
-from symsimpson.codegen.ir import Call, Kernel, Loop, Statement, When
+from symsimpson.codegen.ir import Call, IfActive, Kernel, Loop, Statement
 from symsimpson.codegen.unrolled import lanes
 
 __all__ = ["adjoint_kernels"]
@@ -19,7 +19,7 @@ _AT_NODE = ("W", "h", "node", "lane")
 def adjoint_kernels(differentials: HeldDifferentials) -> list[Kernel]:
     """Return the adjoint of a step and of p0 = L_v(q0, v0), and what keeps steps for it."""
     timed = differentials.timed()
-    step = lanes((When(_step(timed)),))
+    step = lanes((IfActive(_step(timed)),))
     start = (
         *timed.loops.start(),
         Call("jet"),
@@ -30,7 +30,9 @@ def adjoint_kernels(differentials: HeldDifferentials) -> list[Kernel]:
     return [
         Kernel("adjoint", "Carry derivatives of a cost back over the step that was taken.", step),
         Kernel("start_adjoint", "Derivatives by q0 and v0 from those by q0 and p0.", lanes(start)),
-        Kernel("record", "Keep the step that was taken.", lanes((When((Call("record_step"),)),))),
+        Kernel(
+            "record", "Keep the step that was taken.", lanes((IfActive((Call("record_step"),)),))
+        ),
         *(_cost_kernels(timed) if timed.costly else ()),
     ]
 
@@ -79,7 +81,9 @@ def _cost_kernels(differentials: HeldDifferentials) -> list[Kernel]:
     here = (Call("take_for_velocity"), *differentials.loops.start(), *state, Call("cost_slopes"))
     return [
         Kernel(
-            "step_cost", "Add the running cost of the step that was taken.", lanes((When(step),))
+            "step_cost",
+            "Add the running cost of the step that was taken.",
+            lanes((IfActive(step),)),
         ),
         Kernel(
             "running_cost",

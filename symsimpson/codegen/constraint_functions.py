@@ -1,4 +1,7 @@
-"""The functions by which loops evaluate constraints: line by line, or family by family."""
+"""The functions by which kernels evaluate constraints: written out, or by loops over families.
+
+A family is a group of constraints of the same form, with other coordinates and parameters.
+"""
 
 from __future__ import annotations
 
@@ -17,27 +20,28 @@ from symsimpson.discrete.families import Family
 __all__ = ["constraint_family_functions", "constraint_functions"]
 
 DOCS = {
-    "constraint_slopes": "Phi at a point.",
-    "constrain": "phi, and derivatives of lambda.phi.",
+    "constraint_slopes": "Phi = dphi/dq at a point.",
+    "constrain": "phi, Phi = dphi/dq, and the second derivatives of lambda.phi by q.",
     "constraint_values": "phi at a point.",
-    "curves": "Phi v', -v.phi_qq.v.",
-    "pushes": "What accelerates, M v' + Phi^T lambda, and Phi v' at a state.",
-    "hold_velocities": "What constraints ask of velocities: Phi v = 0 and A v = b.",
+    "curves": "Phi v' = -v.phi_qq.v, at a state.",
+    "pushes": "Right-hand sides of M v' + Phi^T lambda, Phi v' and A v - b at a state.",
+    "hold_velocities": "Right-hand sides of Phi v = 0 and A v = b.",
     "rates": "A v - b and its derivatives by q and v at a point.",
     "carried_slopes": "Derivatives of b by q at a point.",
 }
 #: What is evaluated is asked for by its name and indices.
 Entry = Callable[..., Expression]
 #: The row for two coordinates or constraints: the latter are those behind the former.
-Pair = Callable[[int, int], Row]
+EntryRow = Callable[[int, int], Row]
 
 
 def constraint_functions(
     low: Lowering, held: Held, places: Sequence[int], *, drifting: bool
 ) -> list[Function]:
-    """Write constraints at a point, and what they do to a state, by lines of their own.
+    """Write phi, its derivatives and accelerations, each constraint by lines of its own.
 
-    ``places`` are those of coordinates in matrices. Drifts ask for phi alone, too.
+    With velocity constraints A v = b these are derived, too. ``places`` has the row of each
+    coordinate in matrices. Schemes with a drift, as RATTLE, call for phi alone (``drifting``).
     """
     point = Point("c", low.node_q, low.node_v, low.node_t, low.node_u, low.multipliers)
     both = (*places, *range(low.n, low.n + held.count))
@@ -45,17 +49,18 @@ def constraint_functions(
     def entry(what: str, *index: int) -> Expression:
         return low.held.entry(point, "constraints", what, *index)
 
-    def pair(i: int, j: int) -> Row:
+    def entry_row(i: int, j: int) -> Row:
+        """Return the row of an entry of the saddle-point matrix [[M, Phi^T], [Phi, 0]]."""
         return Row("CONSTRAINT_QQ", held.entry(both[i], both[j]))
 
     count = range(held.count)
-    slopes = _slopes(entry, pair, low.n, count)
+    slopes = _first_derivatives(entry, entry_row, low.n, count)
     values = [Store(Row("CONSTRAINT", c), entry("phi", c)) for c in count]
     curves = [Store(Row("CURVATURE", c), -entry("curve", c)) for c in count]
     pushes = [Store(Row("RESIDUAL", s), entry("push", a)) for a, s in enumerate(places)]
     stores = {
         "constraint_slopes": slopes,
-        "constrain": [*values, *slopes, *_bends(entry, pair, low.n, add=False)],
+        "constrain": [*values, *slopes, *_second_derivatives(entry, entry_row, low.n, add=False)],
         "constraint_values": values,
         "pushes": [*pushes, *curves],
     }
@@ -98,7 +103,10 @@ def constraint_functions(
 def constraint_family_functions(
     low: Lowering, families: Sequence[Family], places: Sequence[int], *, drifting: bool
 ) -> tuple[list[Function], dict[str, Table]]:
-    """Write constraints at a point, and what they do to a state, by loops over families."""
+    """Write phi, its derivatives and accelerations by loops over families, and their tables.
+
+    There are no velocity constraints among families.
+    """
     tables: dict[str, Table] = {}
     functions: list[Function] = []
     calls: dict[str, list[str]] = {
@@ -110,7 +118,7 @@ def constraint_family_functions(
         writer = FamilyWriter(
             low, family, f"CONSTRAINTS_{number}", derive_constraints(family.plain)
         )
-        tables[writer.table] = writer.members(places)
+        tables[writer.table] = writer.build_table(places)
         for name, stores, indices in _family_stores(low, writer):
             if name == "constraint_values" and not drifting:
                 continue
@@ -135,33 +143,42 @@ def _family_stores(
     def entry(what: str, *index: int) -> Expression:
         return writer.template.entry(writer.point, "constraints", what, *index)
 
-    def pair(i: int, j: int) -> Row:
+    def entry_row(i: int, j: int) -> Row:
+        """Return the row of an entry of the saddle-point matrix, by the looked-up places."""
         return Row("CONSTRAINT_QQ", f"{here[i]}*HELD_STRIDE + {here[j]} + HELD_OFFSET")
 
-    slopes = _slopes(entry, pair, n, range(1))
+    slopes = _first_derivatives(entry, entry_row, n, range(1))
     value = Store(Row("CONSTRAINT", c), entry("phi", 0))
     curve = Store(Row("CURVATURE", c), -entry("curve", 0))
     return [
         ("constraint_slopes", slopes, indices),
-        ("constrain", [value, *slopes, *_bends(entry, pair, n, add=True)], indices),
+        (
+            "constrain",
+            [value, *slopes, *_second_derivatives(entry, entry_row, n, add=True)],
+            indices,
+        ),
         ("constraint_values", [value], []),
         ("curves", [curve], []),
     ]
 
 
-def _slopes(entry: Entry, pair: Pair, n: int, constraints: range) -> list[Store]:
+def _first_derivatives(
+    entry: Entry, entry_row: EntryRow, n: int, constraints: range
+) -> list[Store]:
+    """Store Phi = dphi/dq in the rows of the constraints, and its transpose."""
     return [
         Store(row, entry("Phi", c, a))
         for c in constraints
         for a in range(n)
-        for row in (pair(n + c, a), pair(a, n + c))
+        for row in (entry_row(n + c, a), entry_row(a, n + c))
         if entry("Phi", c, a) != 0
     ]
 
 
-def _bends(entry: Entry, pair: Pair, n: int, *, add: bool) -> list[Store]:
+def _second_derivatives(entry: Entry, entry_row: EntryRow, n: int, *, add: bool) -> list[Store]:
+    """Store the second derivatives of lambda.phi by the coordinates."""
     return [
-        Store(pair(a, b), entry("pull", a, b), add=add)
+        Store(entry_row(a, b), entry("pull", a, b), add=add)
         for a in range(n)
         for b in range(n)
         if entry("pull", a, b) != 0

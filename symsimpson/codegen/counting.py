@@ -16,7 +16,9 @@ __all__ = ["Cost", "cost"]
 
 @dataclass(frozen=True)
 class Cost:
-    """The cost of a step, in operations on numbers; sine and cosine of an angle count as one.
+    """The cost of a step, in operations on numbers.
+
+    Sine and cosine of an angle count as one; signs, absolute values and comparisons as none.
 
     Attributes
     ----------
@@ -65,7 +67,7 @@ class _Counted:
 
 
 def _products(exponent: Any) -> int:
-    """Count the products of a whole power, as a compiler makes them; another one is a function."""
+    """Count the products of a whole power, as a compiler makes them; other powers count as one."""
     n = abs(exponent) if isinstance(exponent, int) else 1
     return n.bit_length() - 1 + n.bit_count() - 1 if n > 1 else 1
 
@@ -110,15 +112,17 @@ def cost(source: str) -> Cost:
     Cost
     """
 
-    def function(*arguments: Any) -> _Counted:
+    def any_function(*arguments: Any) -> _Counted:
+        """Stand for every elementary function: one operation, and some value."""
         _Counted.count += 1
         return _Counted(0.5)
 
     def sincos(x: Any) -> tuple[_Counted, _Counted]:
+        """Stand for a sine and a cosine: one operation, and some values."""
         _Counted.count += 1
         return _Counted(0.6), _Counted(0.8)
 
-    arithmetic = plain_arithmetic(function, _Counted) | {"sincos": sincos}
+    arithmetic = plain_arithmetic(any_function, _Counted) | {"sincos": sincos}
     module = bind(source, arithmetic)
     W = np.empty((module.ROWS, module.LANES), dtype=object)
     # any numbers will do, because no branch depends on them

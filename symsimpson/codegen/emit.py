@@ -15,8 +15,9 @@ from symsimpson.codegen.heading import banner, docstring, folded
 from symsimpson.codegen.ir import (
     Assign,
     Call,
-    Either,
     Function,
+    IfActive,
+    IfElse,
     Index,
     Kernel,
     Load,
@@ -27,7 +28,6 @@ from symsimpson.codegen.ir import (
     Statement,
     Store,
     Turn,
-    When,
 )
 from symsimpson.codegen.library import library_sources
 from symsimpson.codegen.printer import NAMED_CONSTANTS, Printer
@@ -348,14 +348,14 @@ def _statement(statement: Statement, printer: Printer, depth: int) -> list[str]:
             return [f"{pad}{target} = {source}"]
         case Loop(index, over, body):
             return [f"{pad}for {index} in {over}:", *_statements(body, printer, depth + 1)]
-        case Either(condition, first, second):
+        case IfElse(condition, first, second):
             return [
                 f"{pad}if {condition}:",
                 *_statements(first, printer, depth + 1),
                 f"{pad}else:",
                 *_statements(second, printer, depth + 1),
             ]
-        case When(body):
+        case IfActive(body):
             return [f"{pad}if W[ACTIVE, lane] != 0:", *_statements(body, printer, depth + 1)]
 
 

@@ -13,6 +13,8 @@ __all__ = [
     "Assign",
     "Call",
     "Function",
+    "IfActive",
+    "IfElse",
     "Index",
     "Kernel",
     "Load",
@@ -23,7 +25,6 @@ __all__ = [
     "SinCos",
     "Statement",
     "Store",
-    "When",
 ]
 
 
@@ -51,9 +52,9 @@ class Load:
 
 @dataclass(frozen=True)
 class Store:
-    """``W[row, lane] = value``; with ``keep``, only on active lanes, the others keep that.
+    """``W[row, lane] = value``, or ``+=`` with ``add``.
 
-    With ``add`` it is ``+=``.
+    With ``keep``, lanes that are not active get ``keep`` in place of the value.
     """
 
     row: Row
@@ -125,14 +126,14 @@ class Loop:
 
 
 @dataclass(frozen=True)
-class When:
-    """Statements for active lanes only; loops over nodes need no vector lanes."""
+class IfActive:
+    """Statements that are skipped in lanes that are not active."""
 
     body: tuple[Statement, ...]
 
 
 @dataclass(frozen=True)
-class Either:
+class IfElse:
     """Statements where a condition holds, and others where it does not."""
 
     condition: str
@@ -140,7 +141,9 @@ class Either:
     second: tuple[Statement, ...]
 
 
-Statement = Load | Store | Index | Assign | SinCos | Turn | Call | Section | Loop | When | Either
+Statement = (
+    Load | Store | Index | Assign | SinCos | Turn | Call | Section | Loop | IfActive | IfElse
+)
 
 
 @dataclass(frozen=True)
@@ -156,7 +159,7 @@ class Function:
 class Kernel:
     """One function ``(h, t, workspace)`` over all lanes of a block.
 
-    It is ``straight`` if its loops are worth to be walked turn by turn, however long.
+    It is ``straight`` if its loops are to be unrolled, however long.
     """
 
     name: str

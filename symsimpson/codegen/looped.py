@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from symsimpson.codegen.held import Held
-from symsimpson.codegen.ir import Call, Kernel, Loop, Statement, When
+from symsimpson.codegen.ir import Call, IfActive, Kernel, Loop, Statement
 from symsimpson.codegen.storage import Storage
 from symsimpson.codegen.unrolled import acceptance, convergence, lanes
 from symsimpson.discrete.reductions import Constrained, Coupled, Separable
@@ -173,7 +173,7 @@ class LoopKernels:
         leave = (_call("clear_following"),) if following else ()
         body = (*first, *self._corrected(*leave))
         doc = "One Newton iteration with row pivoting, where the fixed order of elimination fails."
-        return Kernel(PIVOTED, doc, lanes((When(body),)))
+        return Kernel(PIVOTED, doc, lanes((IfActive(body),)))
 
     def _corrected(self, *leave: Statement, in_order: bool = False) -> tuple[Statement, ...]:
         """Solve for a correction, leave out of it what follows, and apply it."""
@@ -239,7 +239,7 @@ class LoopKernels:
             *(() if constant else self._velocity("t + h")),
             *(following if part.columns else ()),
         )
-        step = lanes((When(advance),))
+        step = lanes((IfActive(advance),))
         beginning = [
             Kernel("start", "Begin at (q, p) with increments of constant velocity.", lanes(begin)),
             Kernel(
@@ -259,7 +259,7 @@ class LoopKernels:
                 "One Newton iteration, assembled node by node, with row pivoting."
                 if not self.in_order
                 else "One Newton iteration, assembled node by node.",
-                lanes((When(newton),)),
+                lanes((IfActive(newton),)),
             ),
             Kernel(
                 "advance",
@@ -304,7 +304,7 @@ class LoopKernels:
         end = (_call("free_velocity"), _call("take_momentum")) if self.held else ()
         kick = _call("first_kick", "W", "h", "lane")
         closing = (*again, kick, parts, *end, _call("close_composed"))
-        step = lanes((When(closing),))
+        step = lanes((IfActive(closing),))
         return [
             Kernel("start", "Begin at (q, p) with the force there.", lanes(begin)),
             Kernel("legendre", "p = dL/dv from q and v.", lanes((*momentum, _call("momentum")))),
@@ -337,7 +337,7 @@ class LoopKernels:
             ended = (*self.start("t + h"), _call("hold_velocities"), _call("add_carried_end"))
         step = (exchange, *first, nodes, *pulled, exchange, *ended, _call("sum_work"))
         doc = "Add the work of forces in the step that was taken, and the integral of dL/dt."
-        return Kernel("work", doc, lanes((When(step),)))
+        return Kernel("work", doc, lanes((IfActive(step),)))
 
     def before_state(self) -> tuple[Statement, ...]:
         """Return what finds the velocities of a state."""

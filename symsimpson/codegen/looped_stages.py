@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from symsimpson.codegen.ir import Call, Kernel, Loop, When
+from symsimpson.codegen.ir import Call, IfActive, Kernel, Loop
 from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.stages import NODES_AS_VECTOR
@@ -75,11 +75,11 @@ class LoopedStages:
             Call("check_stage_convergence"),
         )
         doc = "One iteration for the velocities and forces at all nodes."
-        return Kernel("iterate", doc, lanes((When(body),)))
+        return Kernel("iterate", doc, lanes((IfActive(body),)))
 
     def _advance(self) -> Kernel:
         left = (Call("leave_path"),) if self.low.equations.looked_at else ()
         more = map(Call, ("extrapolate_stages", "check_stage_acceptance"))
         body = (Call("close_stages"), *left, *more)
         doc = "Close a step by compensated sums, then extrapolate to the nodes of the next."
-        return Kernel("advance_stages", doc, lanes((When(body),)))
+        return Kernel("advance_stages", doc, lanes((IfActive(body),)))

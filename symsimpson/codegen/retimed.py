@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from symsimpson.codegen.expression import Expression
-from symsimpson.codegen.ir import Call, Function, Kernel, Row, Statement, Store, When
+from symsimpson.codegen.ir import Call, Function, IfActive, Kernel, Row, Statement, Store
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.lower import Lowering
@@ -116,4 +116,4 @@ class _Retimed:
             nodes = self._loops.nodes("range(NODES)", Call("time_rate"), Call("pass_time", _NODE))
             summed = (Call("begin_time"), Call("exchange_steps"), nodes, Call("exchange_steps"))
         body = (Call("keep_time"), *summed, Call("close_time", ("W", "h", "lane")))
-        return Kernel("clock", "Add the time that the step took.", lanes((When(body),)))
+        return Kernel("clock", "Add the time that the step took.", lanes((IfActive(body),)))

@@ -22,7 +22,8 @@ from symsimpson.codegen.coupled import end_of
 from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.ir import (
     Call,
-    Either,
+    IfActive,
+    IfElse,
     Index,
     Kernel,
     Load,
@@ -31,7 +32,6 @@ from symsimpson.codegen.ir import (
     Section,
     Statement,
     Store,
-    When,
 )
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
@@ -219,7 +219,7 @@ class StageKernels:
             for s in low.reached([*kicks, *closing])
         )
         doc = "One iteration for the velocities and forces at all nodes, which are the lanes."
-        return Kernel("iterate", doc, lanes((When(body),))), operations
+        return Kernel("iterate", doc, lanes((IfActive(body),))), operations
 
     def _opening(self, body: Sequence[Statement]) -> list[Statement]:
         """Go over the nodes; after a while sines and cosines are turned by what angles change."""
@@ -229,7 +229,7 @@ class StageKernels:
         if not self.angles:
             return self._over_nodes(body)
         condition = "W[STAGE_COUNT, lane] < W[STAGE_TURNED, lane]"
-        return [Either(condition, *(tuple(self._over_nodes(x)) for x in (fresh, turned)))]
+        return [IfElse(condition, *(tuple(self._over_nodes(x)) for x in (fresh, turned)))]
 
     def _afresh(self) -> list[Statement]:
         """Begin the next step with sines and cosines of its own."""
@@ -323,14 +323,14 @@ class StageKernels:
         following = self._over_nodes(low.statements(ahead, levels), closing)
         # steps that take many iterations are long: there a smoother extrapolation is closer
         smooth = (Index("smooth", str(self._nodes * self.stride)), *following)
-        extrapolated = Either(
+        extrapolated = IfElse(
             "W[STAGE_COUNT, lane] > MANY", smooth, (Index("smooth", "0"), *following)
         )
         left = (Call("leave_path"),) if low.equations.looked_at else ()
         accepted = (Call("check_stage_acceptance"), *self._afresh())
         body = (*closing, *left, extrapolated, *accepted)
         doc = "Close a step by compensated sums, then extrapolate to the nodes of the next."
-        return Kernel("advance_stages", doc, lanes((When(body),)))
+        return Kernel("advance_stages", doc, lanes((IfActive(body),)))
 
     def _cyclic_jump(
         self, q: Sequence[Expression], p: Sequence[Expression], cyclic: Sequence[int]

@@ -13,7 +13,7 @@ from dataclasses import replace
 from symsimpson.codegen.adjoints import adjoint_kernels
 from symsimpson.codegen.curvature import curvature_functions, curvature_kernel, curvature_tables
 from symsimpson.codegen.held_tangents import HeldDifferentials, each
-from symsimpson.codegen.ir import Call, Function, Index, Kernel, Loop, Statement, When
+from symsimpson.codegen.ir import Call, Function, IfActive, Index, Kernel, Loop, Statement
 from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.storage import Storage
@@ -82,7 +82,7 @@ def _tangent(differentials: HeldDifferentials, moved: Sequence[Statement]) -> Ke
         *differentials.loops.mass_again(),
     )
     doc = "Carry variations of the state to the end of the step that was taken."
-    return Kernel("tangent", doc, lanes((When(body),)))
+    return Kernel("tangent", doc, lanes((IfActive(body),)))
 
 
 def _by_variations(differentials: HeldDifferentials) -> tuple[Statement, ...]:

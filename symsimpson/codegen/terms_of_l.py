@@ -1,4 +1,7 @@
-"""The functions by which loops over nodes evaluate L: line by line, or family by family."""
+"""The functions by which kernels evaluate L at nodes: written out, or by loops over families.
+
+A family is a group of terms of L of the same form, with other coordinates and parameters.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,8 @@ __all__ = [
 #: Rows of integers.
 Table = tuple[tuple[int, ...], ...]
 
-#: What loops ask for, and which derivatives that is.
+#: Functions of a node, and the entries of the jet that they store: F = L_q + f with forces f,
+#: P = L_v, a = L_v at v = 0, and derivatives of these.
 FUNCTIONS = {
     "jet": ("F, P, F_q, F_v and P_v = M at a node.", ("F", "P", "F_q", "F_v", "M")),
     "forces": ("F and F_q at a node.", ("F", "F_q")),
@@ -60,7 +64,7 @@ _CLEARED = {
 def unrolled_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
     """Write every entry of the jet by lines of its own.
 
-    Large systems with forces are not families of terms: what is zero is cleared by loops.
+    With forces most entries of a large system are zero: loops clear them all before.
     """
     sparse = not low.equations.plain.conservative
     point = Point("i", low.node_q, low.node_v, low.node_t, low.node_u)
@@ -73,7 +77,7 @@ def unrolled_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
         asked = (*parts, *(("f_v",) if dragged and "F_v" in parts else ()))
         for what in asked:
             for index in _indices(what, size):
-                # L_qv is the transpose of P_q; F_v has what forces depend on beside it
+                # L_qv is the transpose of P_q, and df/dv is stored apart: F_v is their sum
                 turned = dragged and what == "F_v"
                 entry, places = ("P_q", index[::-1]) if turned else (what, index)
                 value = low.template.entry(point, "jet", entry, *places)
@@ -88,7 +92,7 @@ def unrolled_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
 
 
 def power_stores(low: Lowering, point: Point) -> list[Store]:
-    """Store what changes the energy at a point; constraints do so where multipliers are known."""
+    """Store the power of each force, and that of A v = b where multipliers are known."""
     plain = low.equations.plain
     powers = {name: low.template.entry(point, "powers", "power", name) for name in plain.powers}
     if plain.carried and point.multipliers:
@@ -100,28 +104,28 @@ def power_stores(low: Lowering, point: Point) -> list[Store]:
 
 
 def power_function(low: Lowering) -> Function:
-    """Write what changes the energy at a node."""
+    """Write the powers of all forces at a node."""
     stores = power_stores(low, Point("i", low.node_q, low.node_v, low.node_t, low.node_u))
-    doc = "Power of each force at a node, then dL/dt where L depends on t."
+    doc = "Power of each force at a node, then the partial dL/dt where L depends on t."
     return Function("node_power", doc, low.statements(stores, (Level.ITERATION,)))
 
 
 def family_functions(
     low: Lowering, families: Sequence[Family], places: Sequence[int], names: Iterable[str]
 ) -> tuple[list[Function], dict[str, Table]]:
-    """Write a loop over the members of each family.
+    """Write a loop over each family, and functions that call these loops.
 
     Returns
     -------
     functions : list of Function
     tables : dict
-        For each family the places of its members' coordinates, then the rows of their coefficients.
+        For each family its table, see :class:`FamilyWriter`.
     """
     tables: dict[str, Table] = {}
     writers = []
     for number, family in enumerate(families, 1):
         writer = FamilyWriter(low, family, f"FAMILY_{number}", derive_jet(family.plain))
-        tables[writer.table] = writer.members(places)
+        tables[writer.table] = writer.build_table(places)
         writers.append((number, writer))
     functions: list[Function] = []
     for name in names:
@@ -153,17 +157,20 @@ class FamilyWriter:
         size = range(len(plain.q))
         self.indices = [names.fresh(f"i{s}") for s in size]
         self.constraint = names.fresh("c") if family.constraints else ""
-        self._kinds = [names.fresh(f"k{s}") for s in range(family.slots)]
+        self._coefficient_rows = [names.fresh(f"k{s}") for s in range(family.slots)]
 
-        def base(hint: str, block: str, index: str) -> Expression:
+        def indexed(hint: str, block: str, index: str) -> Expression:
+            """Return a symbol for the row of a block that an index of the loop names."""
             symbol = low.graph.fresh(hint, Level.ITERATION)
             low.rows[symbol] = Row(block, index)
             return symbol
 
-        q = tuple(base(f"q_{s}", "NODE_POSITION", self.indices[s]) for s in size)
-        v = tuple(base(f"v_{s}", "NODE_VELOCITY", self.indices[s]) for s in size)
-        held = [base("l", "MULTIPLIER", self.constraint)] if family.constraints else []
-        coefficients = [base(f"c_{s}", "COEFFICIENT", kind) for s, kind in enumerate(self._kinds)]
+        q = tuple(indexed(f"q_{s}", "NODE_POSITION", self.indices[s]) for s in size)
+        v = tuple(indexed(f"v_{s}", "NODE_VELOCITY", self.indices[s]) for s in size)
+        held = [indexed("l", "MULTIPLIER", self.constraint)] if family.constraints else []
+        coefficients = [
+            indexed(f"c_{s}", "COEFFICIENT", kind) for s, kind in enumerate(self._coefficient_rows)
+        ]
         parameters = [
             *coefficients,
             *(low.parameters[a.name] for a in plain.parameters[family.slots :]),
@@ -177,8 +184,8 @@ class FamilyWriter:
             momenta=(),
         )
 
-    def members(self, places: Sequence[int]) -> Table:
-        """Return the table; coefficients that are new get rows of their own."""
+    def build_table(self, places: Sequence[int]) -> Table:
+        """Return the table; coefficients that are new get rows in the module."""
         family, rows = self._family, {x: i for i, x in enumerate(self._low.coefficients)}
         known = cache(self._low.known)
         table = []
@@ -193,19 +200,28 @@ class FamilyWriter:
     def function(
         self, name: str, doc: str, stores: Sequence[Store], more: Sequence[Index] = ()
     ) -> Function:
-        """Write the loop over members that stores something; ``more`` indices are found first."""
-        columns = [*self.indices, *([self.constraint] if self.constraint else []), *self._kinds]
+        """Write the loop over members with these stores.
+
+        Loads that are the same for all members stand before the loop; ``more`` indices are looked
+        up in each turn.
+        """
+        columns = [
+            *self.indices,
+            *([self.constraint] if self.constraint else []),
+            *self._coefficient_rows,
+        ]
         used: list[Statement] = [
             Index(target, f"{self.table}[term, {column}]") for column, target in enumerate(columns)
         ]
         first, *rest = self._low.statements(stores, (Level.ITERATION,))
         outside, inside = _split(first)
         members = self._family.coordinates
-        doc = f"{doc[:-1]}: {len(members)} terms {self._term()}."
+        doc = f"{doc[:-1]}: {len(members)} terms {self._term_text()}."
         loop = Loop("term", f"range({len(members)})", (*used, *more, *inside, *rest))
         return Function(name, doc, (*outside, loop))
 
-    def _term(self) -> str:
+    def _term_text(self) -> str:
+        """Return the form of the terms in words."""
         plain = self._family.plain
         (term,) = plain.constraints.values() or [plain.L]
         if tree_size(plain.graph, term) > _SHOWN:

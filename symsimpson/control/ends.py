@@ -202,13 +202,13 @@ class _Rows:
         """Return what all places have of an end, and is not given, in words."""
         read, n = self.read, len(self.read.q)
         given = {x.value[1] for x in self.equal[end]}
-        first, told = 2 * n * end + n * velocities, []
+        first, shared = 2 * n * end + n * velocities, list[str]()
         for a, node in enumerate(read.v if velocities else read.q):
             values = np.array([w[first + a] for w in places]) / self.sizes[first + a]
             if node not in given and np.ptp(values) < 10 * TOUCHING:
                 number = round(float(values.mean()), 3) * self.sizes[first + a] + 0.0
-                told.append(f"{'v_' * velocities}{read.names[a]} = {number:g}")
-        return ", ".join(told)
+                shared.append(f"{'v_' * velocities}{read.names[a]} = {number:g}")
+        return ", ".join(shared)
 
     def _measured(self, w: Floats, rows: list[int]) -> tuple[Floats, Floats]:
         """Return how far off rows are, and their slopes, each of length 1 unless it is 0."""

@@ -46,7 +46,7 @@ class Grid:
         return [slice(end - n, end) for end, n in zip(ends, self.steps, strict=True)]
 
     @property
-    def told(self) -> int | tuple[int, ...]:
+    def as_given(self) -> int | tuple[int, ...]:
         """The number of steps, of each phase if there are several."""
         return self.steps if len(self.steps) > 1 else self.count
 

@@ -49,7 +49,7 @@ class Outcome:
 
     x: Floats
     multipliers: Floats
-    said: str
+    ipopt_status: str
     iterations: int
     seconds: float
     in_functions: float
@@ -64,7 +64,7 @@ def run_ipopt(
     options: dict[str, Any],
     stopped: Callable[[float], bool],
 ) -> Outcome:
-    """Solve a programme from a guess; behind each iteration the cost is told, and asked to stop.
+    """Solve a programme from a guess; ``stopped`` gets the cost of each iterate.
 
     Raises
     ------
@@ -176,13 +176,13 @@ def run_ipopt(
     begin = perf_counter()
     solution = solver(x0=x0, lbx=bounds[0], ubx=bounds[1], lbg=limits[0], ubg=limits[1])
     seconds = perf_counter() - begin
-    told = solver.stats()
+    stats = solver.stats()
     return Outcome(
         np.array(solution["x"]).ravel(),
         np.array(solution["lam_g"]).ravel(),
-        str(told["return_status"]),
-        int(told.get("iter_count", 0)),
+        str(stats["return_status"]),
+        int(stats.get("iter_count", 0)),
         seconds,
         spent,
-        {name: list(map(float, values)) for name, values in told.get("iterations", {}).items()},
+        {name: list(map(float, values)) for name, values in stats.get("iterations", {}).items()},
     )

@@ -25,7 +25,7 @@ def result_of(layout: Layout, outcome: Outcome, best: bool) -> ControlResult:
     cost, rows = programme.values(outcome.x)
     off = np.maximum(np.maximum(low - rows, rows - high), 0.0) / sizes_at(layout, outcome.x)[1]
     worst = int(np.argmax(off)) if off.size else 0
-    status = STATUSES.get(outcome.said, ControlStatus.RESTORATION_FAILED)
+    status = STATUSES.get(outcome.ipopt_status, ControlStatus.RESTORATION_FAILED)
     known = layout.parameter_values(outcome.x)
     if status in FOUND and not (resolved(layout, outcome.x, known) and balanced(layout, outcome.x)):
         status = ControlStatus.NOT_RESOLVED

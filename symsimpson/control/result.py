@@ -25,14 +25,14 @@ from symsimpson.stepping.driving import driven
 if TYPE_CHECKING:
     from symsimpson.results.trajectory import Trajectory
 
-__all__ = ["FOUND", "TOLD", "ControlResult"]
+__all__ = ["FOUND", "SAVED", "ControlResult"]
 
 Floats = NDArray[np.float64]
 FOUND = (ControlStatus.SOLVED, ControlStatus.ACCEPTABLE)
 #: A cost that falls below that of the guess by so many times is not bounded.
 UNBOUNDED = 1e6
-#: What is told of a solution beside its numbers, as files hold it: the kinds of its parts.
-TOLD: dict[str, Any] = {
+#: What is text of a solution beside its numbers, as files hold it: the kinds of its parts.
+SAVED: dict[str, Any] = {
     "cost": float,
     "status": ControlStatus.__getitem__,
     "iterations": int,
@@ -94,10 +94,10 @@ class ControlResult:
             return self.status.value
         if not np.isfinite(self.violation):
             return f"{self.status.value} Where the search ended, the {self.worst} has no value."
-        told = f"{self.status.value} The {self.worst} is off by {self.violation:.1e}."
+        text = f"{self.status.value} The {self.worst} is off by {self.violation:.1e}."
         if self.cost < -UNBOUNDED * max(1.0, abs(self.history.get("obj", [0.0])[0])):
-            told += f" The cost fell to {self.cost:.1e}: bound what makes it negative."
-        return told
+            text += f" The cost fell to {self.cost:.1e}: bound what makes it negative."
+        return text
 
     @property
     def duration(self) -> float:
@@ -351,9 +351,9 @@ class ControlResult:
         InputError
             If the name does not end in ``.npz``.
         """
-        told: dict[str, Any] = {name: getattr(self, name) for name in TOLD}
-        told |= {"scheme": self.layout.scheme.name, "steps": self.layout.grid.told}
-        write_solution(path, told | {"status": self.status.name}, self.x, self.multipliers)
+        text: dict[str, Any] = {name: getattr(self, name) for name in SAVED}
+        text |= {"scheme": self.layout.scheme.name, "steps": self.layout.grid.as_given}
+        write_solution(path, text | {"status": self.status.name}, self.x, self.multipliers)
 
     def plot(self) -> Any:
         """Draw coordinates and inputs over the time, inputs with their bounds.

@@ -26,9 +26,9 @@ DAMAGE = (
 
 
 def write_solution(
-    path: str | os.PathLike[str], told: dict[str, Any], x: Floats, multipliers: Floats
+    path: str | os.PathLike[str], saved: dict[str, Any], x: Floats, multipliers: Floats
 ) -> None:
-    """Write a solution to a file of NumPy's kind ``.npz``, and what is told of it as JSON.
+    """Write a solution to a file of NumPy's kind ``.npz``, and what is saved of it as JSON.
 
     Raises
     ------
@@ -37,20 +37,20 @@ def write_solution(
     InputError
         If the name ends otherwise.
     """
-    place, text = read_path("path", path), np.array(json.dumps(told))
+    place, text = read_path("path", path), np.array(json.dumps(saved))
     if place.suffix != ".npz":
         raise InputError(
             f"{str(place)!r} is no name of NumPy's kind, as solutions are written.\nEnd it in "
             ".npz; result.trajectory.save writes the motion to files of other kinds."
         )
     with written_beside(place, "solution") as whole, whole.open("wb") as file:
-        np.savez_compressed(file, told=text, x=x, multipliers=multipliers)
+        np.savez_compressed(file, saved=text, x=x, multipliers=multipliers)
 
 
 def read_solution(
     path: str | os.PathLike[str], kinds: dict[str, Any]
 ) -> tuple[Path, dict[str, Any], Floats, Floats]:
-    """Read what :func:`write_solution` wrote, each part of what is told by a function of its kind.
+    """Read what :func:`write_solution` wrote, each part of what is saved by a function of its kind.
 
     Raises
     ------
@@ -60,13 +60,13 @@ def read_solution(
     place = read_path("path", path)
     try:
         with place.open("rb") as file, np.load(file, allow_pickle=False) as held:
-            told = json.loads(str(held["told"]))
+            saved = json.loads(str(held["saved"]))
             x, multipliers = (np.asarray(held[k]) for k in ("x", "multipliers"))
         if any(vector.ndim != 1 or vector.dtype != np.float64 for vector in (x, multipliers)):
             raise ValueError("these are no vectors of numbers")
         if not (np.isfinite(x).all() and np.isfinite(multipliers).all()):
             raise ValueError("they are not all numbers")
-        return place, {key: kind(told[key]) for key, kind in kinds.items()}, x, multipliers
+        return place, {key: kind(saved[key]) for key, kind in kinds.items()}, x, multipliers
     except DAMAGE as error:
         raise StorageError(
             f"{place}: this is no solution that symsimpson saved: {type(error).__name__}.\n"

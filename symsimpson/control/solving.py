@@ -1,4 +1,4 @@
-"""The way from a guess to a result."""
+"""Solve the discretised problem of optimal control, from a guess to a result."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from symsimpson.control.layout import Layout
 from symsimpson.control.optimality import downhill, optimal
 from symsimpson.control.points import PointFunctions
 from symsimpson.control.reading import read_family
-from symsimpson.control.result import FOUND, TOLD, ControlResult
+from symsimpson.control.result import FOUND, SAVED, ControlResult
 from symsimpson.control.saving import read_solution
 from symsimpson.control.scaling import Scaled, scaled, sizes_at
 from symsimpson.control.status import STATUSES, ControlStatus
@@ -41,11 +41,12 @@ Floats = NDArray[np.float64]
 #: Measured on several problems and meshes: 12 to 33 iterations, where larger barriers fall into
 #: other optima; relaxed bounds would move a minimum time by 1e-8.
 OPTIONS = {"mu_init": 1e-3, "bound_relax_factor": 0.0, "sb": "yes"}
-#: So often steps are halved to make the error small.
+#: So often steps are halved to make the error small; so often while no solution is resolved, which
+#: one that is too coarse may come to.
 MOST_REFINEMENTS, MOST_UNRESOLVED = 6, 3
-#: So often a search begins again, aside from where the cost falls to both sides.
-MOST_ASIDE = 3
-#: Costs between these are small: they are scaled to 1.
+#: So many searches begin again beside a saddle or a maximum.
+MOST_RESTARTS = 3
+#: Costs below the first are scaled to 1, by no more than the second allows.
 SMALL, SMALLEST = 0.1, 1e-12
 #: The cost of a solution in a file is computed again, and may differ by so much, relatively.
 ROUNDED = 1e-9
@@ -61,23 +62,23 @@ def solve(
     progress: bool | None,
     condensed: bool = False,
 ) -> ControlResult:
-    """Solve a problem for the motions of a scheme; with more steps, until the error is small.
+    """Solve a problem; halve the steps until the relative error of the cost is at most ``error``.
 
     Raises
     ------
     InputError
         If the guess does not fit, conditions are too many, or casadi is not installed.
     """
-    _look_at_nodes(read, scheme)
+    _warn_of_undetermined_inputs(read, scheme)
     result = _solved(Layout(read, scheme, grid), guess, options, progress, condensed)
-    for doubled in range(MOST_REFINEMENTS if error is not None else 0):
+    for refinements in range(MOST_REFINEMENTS if error is not None else 0):
         unresolved = result.status is ControlStatus.NOT_RESOLVED
-        if not result.success and not (unresolved and doubled < MOST_UNRESOLVED):
+        if not result.success and not (unresolved and refinements < MOST_UNRESOLVED):
             break
         layout = Layout(read, scheme, result.layout.grid.halved)
         finer = _solved(layout, result, options, progress, condensed)
         off = abs(finer.cost - result.cost) / (abs(finer.cost) or 1.0)
-        # what is left behind a change from h to h / 2 of order 2: switches leave no more
+        # an error of order 2 is a third of this change; where inputs jump, the order is no higher
         result = replace(finer, error=off / 3)
         if result.success and off / 3 <= (error or 0.0):
             return result
@@ -94,7 +95,7 @@ def solve(
 def _solved(
     layout: Layout, guess: Any, options: dict[str, Any], progress: bool | None, condensed: bool
 ) -> ControlResult:
-    """Solve a problem once."""
+    """Solve a problem with one number of steps; begin again beside points that are no minima."""
     programme, low, high = layout.programme
     equations, size = int((low == high).sum()), layout.size
     if equations > size:
@@ -102,7 +103,7 @@ def _solved(
             f"{layout.read.system.name}: {equations} equations for {size} unknowns: there are more "
             "conditions than inputs can satisfy.\nLeave conditions out, or add inputs or steps."
         )
-    x0 = np.clip(begin(layout, guess), *layout.bounds)
+    x0 = np.clip(initial_point(layout, guess), *layout.bounds)
     scaled_form = scaled(programme, layout, x0)
     x0 = moved(layout, at_start(layout, x0)) if condensed else x0
     bounds, limits = scaled_form.bounds(layout.bounds, (low, high))
@@ -119,11 +120,13 @@ def _solved(
         begun = form.inside(begun)
         bounds, limits = form.bounds(bounds, limits)
 
-    def aside(outcome: Outcome) -> Floats | None:
-        ended = STATUSES.get(outcome.said) in FOUND
+    def escape_step(outcome: Outcome) -> Floats | None:
+        """Return a step along which the cost falls, where a search ended at no minimum."""
+        ended = STATUSES.get(outcome.ipopt_status) in FOUND
         return downhill(form, outcome, bounds, limits) if ended else None
 
-    def told(outcome: Outcome, step: Floats | None) -> ControlResult:
+    def to_result(outcome: Outcome, step: Floats | None) -> ControlResult:
+        """Return the result, judged by its conditions of optimality unless the cost still falls."""
         best = step is None and optimal(form, outcome, bounds, limits, options["tol"])
         outcome = form.outcome(outcome) if isinstance(form, Condensed) else outcome
         return result_of(layout, scaled_form.outcome(outcome), best)
@@ -132,25 +135,26 @@ def _solved(
     bar = Progress(options["max_iter"] + 1, progress, look="{desc}, {elapsed}", what=name)
     with listening() as heard, bar:
 
-        def look(cost: float) -> bool:
+        def stopped(cost: float) -> bool:
+            """Show the cost of an iterate, and return whether Ctrl-C was pressed."""
             bar.say(f"{name}: cost {cost * scaled_form.of_cost:.6g}, {bar.count} iterations")
             bar.add(1)
             return bool(heard)
 
         def run(x: Floats, **more: Any) -> Outcome:
-            return run_ipopt(form, x, bounds, limits, {**OPTIONS, **options, **more}, look)
+            return run_ipopt(form, x, bounds, limits, {**OPTIONS, **options, **more}, stopped)
 
         outcomes = [run(begun)]
-        step = aside(outcomes[-1])
-        while step is not None and len(outcomes) <= MOST_ASIDE:
+        step = escape_step(outcomes[-1])
+        while step is not None and len(outcomes) <= MOST_RESTARTS:
             outcomes.append(run(outcomes[-1].x + step))
-            step = aside(outcomes[-1])
-        result = told(outcomes[-1], step)
+            step = escape_step(outcomes[-1])
+        result = to_result(outcomes[-1], step)
         # the solver compares with 1: small costs are found once more, in a unit of their own
         size = max(abs(form.values(begun)[0]), abs(result.cost) / scaled_form.of_cost)
-        if outcomes[-1].said == "Solve_Succeeded" and 0 < size < SMALL:
+        if outcomes[-1].ipopt_status == "Solve_Succeeded" and 0 < size < SMALL:
             outcomes.append(run(outcomes[-1].x, obj_scaling_factor=1 / max(size, SMALLEST)))
-            again = told(outcomes[-1], aside(outcomes[-1]))
+            again = to_result(outcomes[-1], escape_step(outcomes[-1]))
             result = again if again.success else result
     return replace(
         result,
@@ -161,34 +165,35 @@ def _solved(
 
 
 def opened(read: Reading, path: str | os.PathLike[str], scheme: Any) -> ControlResult:
-    """Read a solution of a problem from a file.
+    """Read a solution of a problem from a file; its cost and conditions are computed again.
 
     Raises
     ------
     StorageError
-        If the file is none of these, or is damaged.
+        If the file holds no solution, or is damaged.
     InputError
         If it is the solution of another problem.
     """
-    place, told, x, multipliers = read_solution(path, {**TOLD, "scheme": str, "steps": _as_grid})
-    name, grid = told.pop("scheme"), told.pop("steps")
+    place, saved, x, multipliers = read_solution(path, {**SAVED, "scheme": str, "steps": _as_grid})
+    name, grid = saved.pop("scheme"), saved.pop("steps")
     galerkin_scheme, fits = read_family(scheme or name), 0
-    if len(grid.steps) == len(read.phases) and grid.count <= len(x):  # no larger layout is made
+    # a damaged number of steps must not ask for more memory than the file has numbers
+    if len(grid.steps) == len(read.phases) and grid.count <= len(x):
         layout = Layout(read, galerkin_scheme, grid)
         programme, low, high = layout.programme
         fits = (len(multipliers), len(x)) == programme.shape
     if fits:
         cost, rows = programme.values(x)
         of_unknowns, of_rows = sizes_at(layout, x)
-        within = [
+        violations = [
             (np.maximum(a - y, y - b) / size).max(initial=0.0)
             for a, y, b, size in (
                 (low, rows, high, of_rows),
                 (layout.bounds[0], x, layout.bounds[1], of_unknowns),
             )
         ]
-        off = abs(cost - told["cost"]) / (abs(cost) or 1.0)
-        fits = off <= ROUNDED and max(within) <= told["violation"] + ROUNDED
+        off = abs(cost - saved["cost"]) / (abs(cost) or 1.0)
+        fits = off <= ROUNDED and max(violations) <= saved["violation"] + ROUNDED
     if not fits:
         raise InputError(
             f"{place}: the file holds the solution of another problem, of {grid.count} steps of "
@@ -197,19 +202,19 @@ def opened(read: Reading, path: str | os.PathLike[str], scheme: Any) -> ControlR
             "equations are not satisfied. Write down the problem as it was, with the same "
             "parameters."
         )
-    return ControlResult(layout, x, multipliers, **told)
+    return ControlResult(layout, x, multipliers, **saved)
 
 
 def _as_grid(steps: Any) -> Grid:
-    """Return the grid of a file."""
+    """Return the grid of the numbers of steps that a file holds; raises ValueError."""
     try:
         return read_grid(steps, len(steps) if isinstance(steps, list) else 1)
     except InputError as error:
         raise ValueError(str(error)) from None
 
 
-def _look_at_nodes(read: Reading, scheme: Scheme) -> None:
-    """Warn of schemes whose steps feel sums of inputs alone."""
+def _warn_of_undetermined_inputs(read: Reading, scheme: Scheme) -> None:
+    """Warn of schemes that have more nodes in a step than its motion can tell apart."""
     nodes, degree = scheme.stages, scheme.degree
     shared = scheme.quadrature.nodes[0] == 0 and scheme.quadrature.nodes[-1] == 1
     if read.inputs and nodes > degree + shared:
@@ -221,13 +226,15 @@ def _look_at_nodes(read: Reading, scheme: Scheme) -> None:
         )
 
 
-def begin(layout: Layout, guess: Any) -> Floats:
-    """Return the unknowns of a guess.
+def initial_point(layout: Layout, guess: Any) -> Floats:
+    """Return unknowns to begin with: coordinates, inputs, momenta, steps, parameters.
+
+    Without a guess, straight lines between the ends.
 
     Raises
     ------
     InputError
-        If it is none, or has other names or shapes.
+        If the guess has other names or shapes, or momenta are not finite.
     """
     read, N = layout.read, layout.steps
     low, high = read.duration
@@ -284,7 +291,7 @@ def begin(layout: Layout, guess: Any) -> Floats:
     ends_of_steps, h = grid.times(sizes), sizes[grid.phase]
     starts = ends_of_steps[:-1]
     times = starts[:, None] + h[:, None] * layout.places
-    ends = [_given(limits, read) for limits in read.ends]
+    ends = [_fixed_coordinates(limits, read) for limits in read.ends]
     for a, name in enumerate(read.names):
         first = ends[0].get(name, ends[1].get(name, 0.0))
         last = ends[1].get(name, first)
@@ -318,8 +325,8 @@ def begin(layout: Layout, guess: Any) -> Floats:
     return x
 
 
-def _given(limits: Any, read: Any) -> dict[str, float]:
-    """Return the coordinates that are given at an end, as numbers or as multiples of them."""
+def _fixed_coordinates(limits: Any, read: Any) -> dict[str, float]:
+    """Return the coordinates that conditions factor * q = value fix at an end, by name."""
     return {
         read.names[read.q.index(node)]: limit.low / float(factor)
         for limit in limits

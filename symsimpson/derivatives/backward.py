@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.derivatives.costs import Measured, StateCost, pull_velocities
-from symsimpson.program.recorders import steps
+from symsimpson.program.recorders import tape
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import workspace
 from symsimpson.run.outcome import raise_failure, trajectory_of
-from symsimpson.run.start import begin_run, look_at_step, new_run
+from symsimpson.run.start import begin_run, new_run, warn_of_step
 from symsimpson.stepping.spec import RunSpec
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ class Way:
 
     def __init__(self, program: Program, spec: RunSpec, progress: bool | None) -> None:
         header, count = program.header, spec.steps
-        recorder = steps(header)
+        recorder = tape(header)
         whole = count * recorder.rows <= RECORDED
         self.piece = max(1, count if whole else isqrt(count))
         self._count = count
@@ -120,7 +120,7 @@ class Way:
         begin_run(program, run, spec)
         self.q0, self.p0 = (run.rows(x, program.n).copy() for x in ("POSITION", "MOMENTUM"))
         if count:
-            look_at_step(program, run, spec)
+            warn_of_step(program, run, spec)
         self._places: list[tuple[list[int], Reals]] = []
         with run.watched(count, progress):
             while run.step < count and run.alive:
@@ -192,7 +192,7 @@ class _Back:
         jumps = self._jumps(first, q, p)
         numbers.driver("carry_back")(
             tuple(self._kernels),
-            (spec.h, spec.t0, self._W, header.told),
+            (spec.h, spec.t0, self._W, header.driver_layout),
             (header.layout["ADJOINT"], header.layout["COST_SLOPE"]),
             first,
             (records, jumps, spec.inputs),

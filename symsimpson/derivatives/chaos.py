@@ -14,7 +14,7 @@ from symsimpson.program.values import read_count, whole_number
 from symsimpson.results.chaos import Chaos, chaos_of
 from symsimpson.run.integrate import integrate
 from symsimpson.run.outcome import raise_failure, trajectory_of
-from symsimpson.run.start import begin_run, look_at_step, new_run
+from symsimpson.run.start import begin_run, new_run, warn_of_step
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec, read_run
 from symsimpson.stepping.variations import refuse_retimed, varied_program
@@ -95,7 +95,7 @@ def run_lyapunov(
     begin_run(program, run, spec)
     run.rows("TANGENTS", 1)[:] = count
     run.begin_growth(_tangent_to_constraints(program, spec, directions(2 * program.n, count)))
-    look_at_step(program, run, spec)
+    warn_of_step(program, run, spec)
     with run.watched(spec.steps, progress):
         run.advance(spec.steps)
     trajectory = trajectory_of(program, run, spec.steps, run.status, spec, run.stored(), stride)

@@ -171,7 +171,7 @@ def pull_velocities(
     varied, nodes = len(header.varied_by or ()), header.nodes
     out, slopes = given.copy(), numbers.zeros((len(q), max(1, varied * nodes)))
     addresses = tuple(map(kernels.address, ("prepare", "start", "start_adjoint")))
-    setting = numbers.read(1.0).item(), t, W, header.told
+    setting = numbers.read(1.0).item(), t, W, header.driver_layout
     rows = header.layout["ADJOINT"], header.layout["COST_SLOPE"]
     numbers.driver("pull_velocities")(addresses, setting, (q, p), rows, out, slopes)
     return out, slopes[:, : varied * nodes : nodes]

@@ -186,7 +186,7 @@ class _Step:
             (program.kernels.address("prepare"), 0, program.kernels.address(kernel)),
             self.h,
             run.W,
-            program.header.told,
+            program.header.driver_layout,
             (numbers.read([self.t]), self.q[None, :], p[None, :]),
             layout["RESIDUAL"],
             numbers.zeros((1, 0)),

@@ -42,7 +42,7 @@ from symsimpson.errors import SchemeError
 from symsimpson.graph.nodes import ZERO, Value
 from symsimpson.graph.read import Reader
 from symsimpson.mechanics.checks import spell
-from symsimpson.mechanics.damping import damping_rates, undamped
+from symsimpson.mechanics.damping import decay_rates, forces_at_rest
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
@@ -227,9 +227,9 @@ def discretise(
     parts = reduce(structure, scheme, wanted)
     explicit = any(isinstance(part, Composed) for part in parts)
     if explicit and plain.dragged:
-        rates = damping_rates(plain)
+        rates = decay_rates(plain)
         assert rates is not None
-        plain = replace(plain, rates=rates, acting=undamped(plain))
+        plain = replace(plain, rates=rates, acting=forces_at_rest(plain))
     free = not (explicit or plain.held)
     # weights are not differentiated: where what is varied stands in them, damping is a force
     still = _free_of(plain, structure.damping, varied or ()) and plain.step[0] not in (varied or ())
@@ -324,7 +324,7 @@ def _check_explicit(system: MechanicalSystem, scheme: Scheme) -> None:
         )
     structure = system.structure
     linear = plain.dragged and structure.constant_mass and not structure.gyroscopic
-    if linear and damping_rates(structure.plain):
+    if linear and decay_rates(structure.plain):
         if scheme.order > LOW_ORDER and not scheme.of_verlet:
             raise SchemeError(
                 f"{scheme.name} has order {scheme.order} for forces of positions alone; with "

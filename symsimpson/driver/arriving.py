@@ -11,14 +11,14 @@ from symsimpson.driver.between import states_at
 from symsimpson.driver.brief import take_all
 from symsimpson.driver.explicit import steady
 from symsimpson.driver.solving import DRIVER_OPTIONS, call
-from symsimpson.driver.steps import COUNTS, INPUTS, SET, SIGNATURES, TOLD_ROWS, WORKSPACE
+from symsimpson.driver.steps import COUNTS, DRIVER_LAYOUT_ROWS, INPUTS, SET, SIGNATURES, WORKSPACE
 from symsimpson.module.interface import *
 
 SIGNATURES |= {
     "run_to_end": types.int64(
         SET,
         types.UniTuple(types.int64, 3),
-        types.Tuple((types.float64[::1], WORKSPACE, TOLD_ROWS)),
+        types.Tuple((types.float64[::1], WORKSPACE, DRIVER_LAYOUT_ROWS)),
         START_OF_RUN,
         types.Tuple((types.int64, types.int64, types.int64, types.float64)),
         types.Tuple(
@@ -49,7 +49,7 @@ def run_to_end(kernels, addresses, setting, start, asked, results, inputs):
     part, and then that behind it; and of the last part how long it is, and all iterations.
     """
     (legendre, energy, retime), (times, W, at) = addresses, setting
-    (most, every, few, limit), (states, times_out, iterations, end, told) = asked, results
+    (most, every, few, limit), (states, times_out, iterations, end, tail) = asked, results
     h, t0, t_end, near = times[0], times[1], times[2], times[3]
     parameters, n, time = start[0], at[DIMENSION], at[TIME]
     begin_anew(kernels, legendre, (h, t0, W, at), start)
@@ -67,9 +67,9 @@ def run_to_end(kernels, addresses, setting, start, asked, results, inputs):
     if W[at[STATUS], 0] != ARRIVED:
         return -2 if progress[0] == most else -1
     steps = progress[0] - 1
-    last, told[1] = steps // every, W[at[ITERATIONS], 0]
+    last, tail[1] = steps // every, W[at[ITERATIONS], 0]
     for i in range(1, last + 1):
-        told[1] += iterations[i, 0]
+        tail[1] += iterations[i, 0]
     ends, before = np.empty((2, 2, n)), W[time + 2 : time + 3, 0].copy()
     for a in range(n):
         end[0, a] = W[at[PREVIOUS] + a, 0]
@@ -78,7 +78,7 @@ def run_to_end(kernels, addresses, setting, start, asked, results, inputs):
         W[row, 0] = 0.0
     fine, when = np.zeros(1, dtype=np.bool_), np.full(1, t_end)
     sought = np.zeros(1, dtype=np.int64), when, near
-    last_part = ends[0], ends[1], told[:1], fine
+    last_part = ends[0], ends[1], tail[:1], fine
     given = inputs, parameters.reshape(1, -1)
     here = h, before, W, at
     states_at(kernels, energy, here, (end[:1], end[1:]), sought, last_part, 1, given)

@@ -1,6 +1,6 @@
-"""The compiled loops that carry derivatives of a cost back from the end of a run to its start.
+"""The compiled loops of the adjoint: derivatives of a cost, from the end of a run to its start.
 
-Compiled behind the text of the driver, whose names it uses.
+This text is appended to that of the driver, whose names it uses, and compiled with it.
 """
 
 from numba import njit, types
@@ -34,13 +34,14 @@ SIGNATURES |= {
 
 @njit(**DRIVER_OPTIONS)
 def carry_back(addresses, setting, rows, first, given, totals, chosen, slopes):
-    """Carry derivatives by the state, from the first of ``rows`` on, back over steps.
+    """Carry derivatives of a cost by the state back over as many steps as ``slopes`` has rows.
 
-    ``addresses`` are those of prepare and of the adjoint. The last of the records that are
-    ``given`` are those of the steps from number ``first`` on; behind them, jumps are added at the
-    states behind these steps, if there are any, and inputs. What stands from the second of ``rows``
-    on is added to ``totals``, and what rounding takes from these to its second row; ``slopes``
-    takes those that are ``chosen``, step by step.
+    ``addresses`` are those of the kernels prepare and adjoint; ``rows`` the first rows of the
+    derivatives by the state, which are carried, and by parameters, which each step gives anew.
+    ``first`` is the number of the first step. Of what is ``given``, records[i + 1] is step i,
+    jumps[i] the derivative of the cost by the state behind it, if any, and inputs those of the
+    whole run. The first row of ``totals`` takes sums of the derivatives by parameters, the second
+    what rounding has taken from them; ``slopes`` those that are ``chosen``, step by step.
     """
     (prepare, adjoint), (h, t0, W, at) = addresses, setting
     (row, slope_row), (records, jumps, inputs) = rows, given
@@ -69,7 +70,7 @@ def carry_back(addresses, setting, rows, first, given, totals, chosen, slopes):
 
 @njit(**DRIVER_OPTIONS)
 def pull_velocities(addresses, setting, states, rows, out, slopes):
-    """Turn derivatives by q and p at states into those by q and v, in ``out``.
+    """Turn derivatives by q and p at states, given in ``out``, into those by q and v.
 
     ``addresses`` are those of prepare, of the start, and of the adjoint there; ``rows`` where
     derivatives by the state, and by parameters, begin. ``slopes`` takes the latter at given v.

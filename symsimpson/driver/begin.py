@@ -7,16 +7,26 @@ import numpy as np
 from numba import njit, types
 
 from symsimpson.driver.solving import DRIVER_OPTIONS, LANES, RARE, call
-from symsimpson.driver.steps import SET, SETTING, SIGNATURES, TOLD_ROWS, WORKSPACE, keep, put_back
+from symsimpson.driver.steps import (
+    DRIVER_LAYOUT_ROWS,
+    SET,
+    SETTING,
+    SIGNATURES,
+    WORKSPACE,
+    keep,
+    put_back,
+)
 from symsimpson.module.interface import *
 
 #: Parameters, positions, and momenta or velocities.
 START_OF_RUN = types.UniTuple(types.float64[::1], 3)
 SIGNATURES |= {
-    "begin_growth": types.void(WORKSPACE, TOLD_ROWS, types.float64[:, ::1]),
-    "begin": types.void(SET, types.int64, types.float64, types.float64, WORKSPACE, TOLD_ROWS),
+    "begin_growth": types.void(WORKSPACE, DRIVER_LAYOUT_ROWS, types.float64[:, ::1]),
+    "begin": types.void(
+        SET, types.int64, types.float64, types.float64, WORKSPACE, DRIVER_LAYOUT_ROWS
+    ),
     "begin_anew": types.void(SET, types.int64, SETTING, START_OF_RUN),
-    "switch": types.void(SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS),
+    "switch": types.void(SET, types.float64, types.float64, WORKSPACE, DRIVER_LAYOUT_ROWS),
 }
 
 

@@ -10,11 +10,11 @@ from symsimpson.driver.begin import begin
 from symsimpson.driver.explicit import finite, take_explicit_steps
 from symsimpson.driver.solving import DRIVER_OPTIONS, RARE, call
 from symsimpson.driver.steps import (
+    DRIVER_LAYOUT_ROWS,
     INPUTS,
     SET,
     SIGNATURES,
     SUSPICIOUS,
-    TOLD_ROWS,
     WORKSPACE,
     take_steps,
 )
@@ -26,7 +26,7 @@ MOST_PARTS = 200
 #: Stored states may be on disk, or belong to somebody else: they are only read.
 TIMES, GIVEN = (types.Array(types.float64, n, "C", readonly=True) for n in (1, 2))
 #: The setting of a run whose states have these times, and their q and p.
-BETWEEN = types.Tuple((types.float64, TIMES, WORKSPACE, TOLD_ROWS))
+BETWEEN = types.Tuple((types.float64, TIMES, WORKSPACE, DRIVER_LAYOUT_ROWS))
 STATES_GIVEN = types.UniTuple(GIVEN, 2)
 INTEGERS, REALS, TRUTHS = types.int64[::1], types.float64[::1], types.boolean[::1]
 SIGNATURES |= {

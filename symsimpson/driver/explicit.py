@@ -8,12 +8,12 @@ from numba import njit, types
 
 from symsimpson.driver.solving import DRIVER_OPTIONS, INLINE, LANES, call
 from symsimpson.driver.steps import (
+    DRIVER_LAYOUT_ROWS,
     INPUTS,
     RENEWING,
     SETTING,
     SIGNATURES,
     STATES,
-    TOLD_ROWS,
     WORKSPACE,
     give,
     keep,
@@ -30,7 +30,7 @@ SIGNATURES |= {
         types.UniTuple(types.int64, 3),
         types.float64,
         WORKSPACE,
-        TOLD_ROWS,
+        DRIVER_LAYOUT_ROWS,
         types.Tuple((types.float64[::1], types.float64[:, :], types.float64[:, :])),
         types.int64,
         WORKSPACE,

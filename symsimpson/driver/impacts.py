@@ -14,12 +14,12 @@ from symsimpson.driver.between import take
 from symsimpson.driver.brief import take_all
 from symsimpson.driver.solving import DRIVER_OPTIONS, RARE, call
 from symsimpson.driver.steps import (
+    DRIVER_LAYOUT_ROWS,
     INPUTS,
     SET,
     SETTING,
     SIGNATURES,
     STORES,
-    TOLD_ROWS,
     WORKSPACE,
     store_lane,
 )
@@ -42,12 +42,12 @@ RATE_AT, SLOPES_AT, WHEN_AT, SIZE_AT, SIGN = range(5)
 #: and behind it.
 EVENT, TIME_OF, STEP_OF, IMPULSE, STATES_OF = range(5)
 
-#: Kernels that take parts of steps, their workspace, and what the driver is told of it.
-PARTING = types.Tuple((SET, WORKSPACE, TOLD_ROWS))
-#: What evaluates all that is asked for: prepare, the energy and the kernel; its workspace, what the
-#: driver is told of it, and how much is asked for.
-LOOKING = types.Tuple((types.UniTuple(types.int64, 3), WORKSPACE, TOLD_ROWS, types.int64))
-#: What is told of the events, restitutions, the first row of what is watched, records, and how
+#: Kernels that take parts of steps, their workspace, and the layout for the driver.
+PARTING = types.Tuple((SET, WORKSPACE, DRIVER_LAYOUT_ROWS))
+#: What evaluates all that is asked for: prepare, the energy and the kernel; its workspace,
+#: the layout for the driver, and how much is asked for.
+LOOKING = types.Tuple((types.UniTuple(types.int64, 3), WORKSPACE, DRIVER_LAYOUT_ROWS, types.int64))
+#: Numbers of the events, restitutions, the first row of what is watched, records, and how
 #: many there are of these.
 IMPACTS = types.Tuple(
     (types.int64[:, ::1], types.float64[::1], types.int64, WORKSPACE, types.int64[::1])

@@ -8,10 +8,10 @@ from numba import njit, types
 
 from symsimpson.driver.solving import LANES, RARE, call, rounding, solve
 from symsimpson.driver.steps import (
+    DRIVER_LAYOUT_ROWS,
     FAILED,
     SET,
     SIGNATURES,
-    TOLD_ROWS,
     WORKSPACE,
     keep,
     put_back,
@@ -20,7 +20,9 @@ from symsimpson.driver.steps import (
 from symsimpson.module.interface import *
 
 SIGNATURES |= {
-    "recover": types.void(SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS, types.int64)
+    "recover": types.void(
+        SET, types.float64, types.float64, WORKSPACE, DRIVER_LAYOUT_ROWS, types.int64
+    )
 }
 #: A step is looked at by taking so many more, and the same way in so many finer ones each; their
 #: ends may be so far apart, squared, in units of the largest increments.

@@ -33,13 +33,13 @@ FAILED, SUSPICIOUS = 1, 2
 
 #: Whether variations are made orthonormal on the way; a driver that does takes longer to compile.
 RENEWING = False
-SET, TOLD_ROWS, WORKSPACE = types.int64[::1], types.int64[::1], types.float64[:, ::1]
+SET, DRIVER_LAYOUT_ROWS, WORKSPACE = types.int64[::1], types.int64[::1], types.float64[:, ::1]
 STATES, COUNTS = types.float64[:, :, ::1], types.int64[:, ::1]
 #: Inputs by member, step, node and number; one stands for all, or the last for those behind it.
 INPUTS = types.Array(types.float64, 4, "A", readonly=True)
-#: A run, as functions take it: the step, the time of its start, the workspace, and what the driver
-#: is told of it; where states are stored, q, p, what is kept beside them, and iterations.
-SETTING = types.Tuple((types.float64, types.float64, WORKSPACE, TOLD_ROWS))
+#: A run, as functions take it: the step, the time of its start, the workspace, and the layout for
+#: the driver; where states are stored, q, p, what is kept beside them, and iterations.
+SETTING = types.Tuple((types.float64, types.float64, WORKSPACE, DRIVER_LAYOUT_ROWS))
 STORES = types.Tuple((STATES, STATES, STATES, COUNTS))
 #: What is called from Python, each compiled by itself when it is first needed.
 SIGNATURES = {

@@ -19,7 +19,7 @@ from symsimpson.ensemble.task import Results, Task, ensemble_of
 from symsimpson.errors import InputError
 from symsimpson.program.observed import KINDS
 from symsimpson.program.program import Program
-from symsimpson.program.recorders import Recorder, growth, ordered, told
+from symsimpson.program.recorders import Recorder, driver_layout, growth, with_clock
 from symsimpson.stepping.recording import recorders_of
 from symsimpson.support.signals import listening
 
@@ -113,7 +113,7 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
         asked += task.run_events.watchers(
             header, header.rows + sum(recorder.room for recorder in asked)
         )
-    called = ordered(header, asked)
+    called = with_clock(header, asked)
     rows = {
         recorder.kernel: (recorder.first, recorder.room) for recorder in called if recorder.room
     }
@@ -122,7 +122,7 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
     retime = kernels.address("retime") if header.retimed else 0
     more = np.array([legendre, slopes, retime, *observed, *watched], dtype=np.int64)
     kinds = np.array([KINDS.index(r.kind) for r in task.reductions], dtype=np.float64)
-    step, at = kernels.set(kernels.fallbacks[0], called), told(header, called)
+    step, at = kernels.set(kernels.fallbacks[0], called), driver_layout(header, called)
     advance_blocks = program.numbers.driver("advance_blocks", lanes, renewing=task.of_variations)
     width, room = results.recorded.shape[2], sum(recorder.room for recorder in called)
 

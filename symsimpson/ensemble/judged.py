@@ -51,11 +51,11 @@ def look_at_steps(program: Program, task: Task) -> None:
             )
             v = evaluate(program, kernel, "VELOCITY", program.n, state, values)[0]
         inputs = task.inputs[min(member, len(task.inputs) - 1), 0, 0]
-        with warnings.catch_warnings(record=True) as told:
+        with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
             constants = np.concatenate([values, inputs])
             tools.check_step(program, system, q, v, constants, task.h, task.t0)
-        for warning in told:
+        for warning in warned:
             if issubclass(warning.category, StabilityWarning):
                 warn(f"member {member}: {warning.message}", warning.category)
                 return
@@ -79,11 +79,11 @@ def look_at_ends(program: Program, task: Task, ensemble: Ensemble) -> None:
     left = _energies_left(program, task, ensemble, some)
     worst = some[np.argsort(-left)[:AGAIN]][: int((left > LAST_LIMIT).sum())]
     for member in worst:
-        with warnings.catch_warnings(record=True) as told:
+        with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
             every = 1 if task.steps <= WHOLE else None
             run(program, task.of_member(member, program, every=every), None, False, "return")
-        for warning in told:
+        for warning in warned:
             if issubclass(warning.category, ResolutionWarning):
                 warn(f"member {member}, as others may: {warning.message}", ResolutionWarning)
                 return

@@ -112,9 +112,9 @@ def _of_variations(program: Program, task: Task, member: Any, values: list[float
         inputs=task.inputs[min(member, len(task.inputs) - 1)][None],
     )
     chaos = run_lyapunov(program, member_task, PAIR, RENEWAL, progress=False)
-    told = {"lyapunov": chaos.exponents[0], "megno": chaos.megno[-1], "sali": chaos.sali[-1]}
+    known = {"lyapunov": chaos.exponents[0], "megno": chaos.megno[-1], "sali": chaos.sali[-1]}
     pairs = zip(task.reductions, values, strict=True)
-    return [float(told.get(reduction.kind, value)) for reduction, value in pairs]
+    return [float(known.get(reduction.kind, value)) for reduction, value in pairs]
 
 
 def _real(program: Program, task: Task, results: Results) -> NDArray[np.bool_]:

@@ -178,7 +178,7 @@ def _asked(program: Program, task: Task) -> dict[str, Any]:
     """Say what is to be computed, such that what is equal here has equal results."""
     return {
         "module": digest(program.source),
-        **task.said(),
+        **task.as_json(),
         "given": task.given,
         "members": task.members,
         "tangents": None if task.tangents is None else task.tangents.tolist(),

@@ -12,7 +12,7 @@ from symsimpson.ensemble.ensemble import Ensemble
 from symsimpson.module.header import Header
 from symsimpson.module.interface import MET
 from symsimpson.program.program import Program
-from symsimpson.program.recorders import Recorder, ordered, split
+from symsimpson.program.recorders import Recorder, split, with_clock
 from symsimpson.program.status import Status
 from symsimpson.stepping.driving import driven
 from symsimpson.stepping.recording import recorders_of
@@ -63,7 +63,7 @@ class Task(RunSpec):
     def recorded(self, header: Header) -> tuple[Recorder, ...]:
         """Return the recorders that leave numbers beside each state, in their order."""
         count = None if self.tangents is None else self.tangents.shape[1]
-        return ordered(header, recorders_of(header, count, self.record, ()))
+        return with_clock(header, recorders_of(header, count, self.record, ()))
 
     @property
     def of_variations(self) -> bool:

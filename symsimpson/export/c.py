@@ -23,7 +23,7 @@ from symsimpson.export.expressions import HELPERS, Expressions, number
 from symsimpson.export.kinds import INT, KERNEL, POINTER, REAL, SET, Kinds
 from symsimpson.export.single import Functions, Source
 from symsimpson.export.statements import WIDTH, WORDS, comment, written_function
-from symsimpson.module.blocks import BLOCKS, TOLD
+from symsimpson.module.blocks import BLOCKS, DRIVER_LAYOUT
 from symsimpson.module.definitions import syntax
 from symsimpson.module.header import Header
 from symsimpson.module.interface import EXPLICIT, NEWTON_AFTER_STAGES, STAGES, constants
@@ -130,11 +130,11 @@ class _Writer:
     def _expressions(self) -> Expressions:
         """Functions that a step calls, with the kinds of their numbers."""
         text, driver = self.program.source, self._driver
-        told = dict(zip(TOLD, self._header.told.tolist(), strict=True))
+        driver_layout = dict(zip(DRIVER_LAYOUT, self._header.driver_layout.tolist(), strict=True))
         module = read_text(text)
         sources = [
-            Source(module.functions, module.constants, told, text.splitlines()),
-            Source(driver.functions, driver.constants, told, driver_text().splitlines()),
+            Source(module.functions, module.constants, driver_layout, text.splitlines()),
+            Source(driver.functions, driver.constants, driver_layout, driver_text().splitlines()),
         ]
         functions = Functions(sources)
         kinds = Kinds(functions)

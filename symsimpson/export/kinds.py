@@ -160,7 +160,7 @@ def constant_of(name: str, function: Function) -> Any:
     """Return the value of a constant that a function names."""
     source = function.source
     if name.startswith("at."):
-        return source.told[name[3:]]
+        return source.driver_layout[name[3:]]
     return source.constants[name]
 
 

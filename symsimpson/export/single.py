@@ -1,8 +1,8 @@
-"""Functions of a module or of the driver for one trajectory: lanes and what the driver is told go.
+"""Functions of a module or of the driver for one trajectory, without lanes and layout.
 
 The texts are those that are walked and compiled. Their columns are lanes; in C there is one, so
 that an index of a lane, a loop over lanes and an argument that names one say nothing. What the
-driver is told of a module, ``at[NAME]``, is a constant of this module.
+driver gets of the layout, ``at[NAME]``, is a constant of this module.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Source:
     ----------
     functions : mapping from str to ast.FunctionDef
     constants : mapping from str to number, tuple or ndarray
-    told : mapping from str to int
+    driver_layout : mapping from str to int
         What ``at[NAME]`` is.
     lines : list of str
         Lines of the text, for its comments.
@@ -37,7 +37,7 @@ class Source:
 
     functions: Mapping[str, ast.FunctionDef]
     constants: Mapping[str, Any]
-    told: Mapping[str, int]
+    driver_layout: Mapping[str, int]
     lines: list[str]
 
 

@@ -20,7 +20,7 @@ from symsimpson.graph.findings import Findings
 from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.mechanics.checks import fail, spell
 from symsimpson.mechanics.plain import Held, Plain, Symbols
-from symsimpson.mechanics.quadratic import SAMPLES, conditioned, rank, samples
+from symsimpson.mechanics.quadratic import SAMPLES, is_well_conditioned, rank, samples
 
 __all__ = [
     "Accelerations",
@@ -255,7 +255,7 @@ def regular_mass(plain: Plain, parameters: Iterable[float]) -> bool:
         point = known | dict(zip(plain.numbers(plain.q), place.tolist(), strict=True))
         point[plain.time] = 0.5
         matrix = doubles(plain.graph, entries, point)
-        if conditioned(np.reshape(matrix, (len(size), len(size)))):
+        if is_well_conditioned(np.reshape(matrix, (len(size), len(size)))):
             return True
     return False
 
@@ -265,7 +265,8 @@ def _clearly_independent(symbols: Symbols, rows: Sequence[Sequence[Value]]) -> b
     values = [value for row in rows for value in row]
     shape = len(rows), len(rows[0])
     return any(
-        conditioned(np.array(numbers).reshape(shape)) for numbers in samples(symbols, values)
+        is_well_conditioned(np.array(numbers).reshape(shape))
+        for numbers in samples(symbols, values)
     )
 
 

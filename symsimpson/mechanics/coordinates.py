@@ -1,4 +1,4 @@
-"""Coordinates, velocities and momenta as symbols."""
+"""What users write energies of: coordinates, their momenta, and the time."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def coordinates(names: str, *more: str) -> tuple[AppliedUndef, ...]:
     names : str
         Names separated by spaces or commas; ``"q:3"`` stands for q0, q1, q2.
     *more
-        Nothing: all names stand in one text.
+        Not accepted: a second text is refused in words.
 
     Returns
     -------
@@ -35,7 +35,7 @@ def coordinates(names: str, *more: str) -> tuple[AppliedUndef, ...]:
     Raises
     ------
     ModelError
-        If there are no names.
+        If there are no names, or something else than one text.
 
     Examples
     --------

@@ -8,7 +8,7 @@ from symsimpson.graph.nodes import ZERO, Value, scaled
 from symsimpson.graph.rebuild import fixed, rebuilt
 from symsimpson.mechanics.plain import Plain
 
-__all__ = ["damping_rate", "damping_rates", "undamped"]
+__all__ = ["damping_rate", "decay_rates", "forces_at_rest"]
 
 
 def damping_rate(plain: Plain) -> Value | None:
@@ -40,10 +40,11 @@ def damping_rate(plain: Plain) -> Value | None:
     return fixed(graph, rate, present) if present else rate
 
 
-def damping_rates(plain: Plain) -> tuple[Value, ...] | None:
+def decay_rates(plain: Plain) -> tuple[Value, ...] | None:
     """Return Gamma_i where forces are f_i = g_i(t, q, u) - Gamma_i (M v)_i; else None.
 
-    M is constant, and the rates are made of parameters, each zero or known to be positive.
+    M must be constant. The rates are made of parameters, each zero or known to be positive; where
+    all are alike they are twice the gamma of :func:`damping_rate`.
     """
     graph, v = plain.graph, plain.numbers(plain.v)
     n, derivatives = len(v), Derivatives(graph)
@@ -67,7 +68,7 @@ def damping_rates(plain: Plain) -> tuple[Value, ...] | None:
     return tuple(rates) if known else None
 
 
-def undamped(plain: Plain) -> tuple[Value, ...]:
-    """Return the forces at rest."""
+def forces_at_rest(plain: Plain) -> tuple[Value, ...]:
+    """Return the forces with v = 0."""
     still = dict.fromkeys(plain.numbers(plain.v), ZERO)
     return tuple(rebuilt(plain.graph, list(plain.f), still))

@@ -22,7 +22,7 @@ from symsimpson.mechanics.expressions import read_expression
 from symsimpson.mechanics.forces import check_used, read_forces
 from symsimpson.mechanics.plain import Plain, Symbols
 from symsimpson.mechanics.quadratic import (
-    Polynomial,
+    QuadraticInVelocities,
     check_degenerate,
     check_mass_matrix,
     polynomial,
@@ -36,7 +36,7 @@ Positions = Mapping[str, Sequence[Any]]
 
 
 def energies(
-    lagrangian: sp.Expr, parts: Polynomial, symbols: Symbols
+    lagrangian: sp.Expr, parts: QuadraticInVelocities, symbols: Symbols
 ) -> tuple[sp.Expr, sp.Expr, sp.Expr]:
     """Return T, a.v and V of a Lagrangian; what would be a large tree is left as it is written."""
     graph, restored = symbols.graph, symbols.restored
@@ -114,7 +114,7 @@ def read_energies(
     if rows:
         check_held_mass(name, parts.M, list(rows.values()), s)
     else:
-        check_degenerate(name, Polynomial(parts.M, gyroscopic.a, ZERO), s)
+        check_degenerate(name, QuadraticInVelocities(parts.M, gyroscopic.a, ZERO), s)
         if not given.mass_checked:
             check_mass_matrix(name, parts.M, s)
     if gyroscopic.M or not Findings(s.graph, [gyroscopic.rest]).vanishes(gyroscopic.rest):

@@ -24,11 +24,11 @@ from symsimpson.mechanics.checks import fail, spell
 from symsimpson.mechanics.plain import Symbols
 
 __all__ = [
-    "Polynomial",
+    "QuadraticInVelocities",
     "check_degenerate",
     "check_mass_matrix",
-    "conditioned",
     "connected",
+    "is_well_conditioned",
     "polynomial",
     "quadratic_form",
     "rank",
@@ -42,7 +42,7 @@ SAMPLES = 3
 
 
 @dataclass(frozen=True)
-class Polynomial:
+class QuadraticInVelocities:
     """An energy v.M(q).v/2 + a(q).v + rest(q); M on and below its diagonal, without zeros."""
 
     M: Mapping[tuple[int, int], Value]
@@ -59,13 +59,13 @@ def quadratic_form(graph: Graph, M: Mapping[tuple[int, int], Value], v: Sequence
     )
 
 
-def polynomial(system: str, what: str, energy: Value, symbols: Symbols) -> Polynomial:
-    """Split an energy by its powers of the velocities; refuse what is not of degree two.
+def polynomial(system: str, what: str, energy: Value, symbols: Symbols) -> QuadraticInVelocities:
+    """Split an energy by its powers of the velocities; refuse what is not of degree two at most.
 
     Raises
     ------
     ModelError
-        If the second derivatives depend on a velocity.
+        If the second derivatives depend on a velocity, or there is no value at rest, or nowhere.
     """
     graph, v = symbols.graph, symbols.numbers(symbols.v)
     momenta = gradient(graph, energy, v)
@@ -96,7 +96,7 @@ def polynomial(system: str, what: str, energy: Value, symbols: Symbols) -> Polyn
         entries = {place: entry for place, entry in entries.items() if not findings.vanishes(entry)}
     rest = dict.fromkeys(v, ZERO)
     *a, constant = _at_rest(system, what, symbols, [*momenta, energy], rest)
-    return Polynomial(entries, tuple(a), constant)
+    return QuadraticInVelocities(entries, tuple(a), constant)
 
 
 def _at_rest(
@@ -116,7 +116,13 @@ def _at_rest(
 def _simplified(
     system: str, what: str, entry: Value, place: tuple[int, int], symbols: Symbols
 ) -> Value:
-    """Let SymPy look at a second derivative that the velocities seem to be in."""
+    """Remove velocities that only seem to be in a second derivative, by SymPy.
+
+    Raises
+    ------
+    ModelError
+        If they stay, or the expression is too long.
+    """
     graph, moving = symbols.graph, set(symbols.numbers(symbols.v))
     short = tree_size(graph, entry) <= TOO_LONG
     rest = sp.simplify(symbols.restored(entry)) if short else None
@@ -136,12 +142,15 @@ def _simplified(
     )
 
 
-def check_degenerate(system: str, lagrangian: Polynomial, symbols: Symbols) -> None:
-    """Refuse coordinates whose velocities enter L linearly alone, or not at all beside others'.
+def check_degenerate(system: str, lagrangian: QuadraticInVelocities, symbols: Symbols) -> None:
+    """Refuse coordinates of whose velocities L has terms of first order, but none of second.
+
+    So are those that have no velocity in L, and stand in terms of first order of others.
 
     Raises
     ------
     ModelError
+        With the coordinate.
     """
     graph = symbols.graph
     coupled = frozenset().union(*(graph.nodes[n].symbols for c, n in lagrangian.a if c))
@@ -160,7 +169,9 @@ def check_degenerate(system: str, lagrangian: Polynomial, symbols: Symbols) -> N
 
 
 def check_mass_matrix(system: str, M: Mapping[tuple[int, int], Value], symbols: Symbols) -> None:
-    """Refuse a mass matrix that is singular for all q, or negative for some velocity.
+    """Refuse a mass matrix that is singular for all q, or has an entry M_ii that is negative.
+
+    Whether it is positive definite depends on q, and is looked at where a run begins.
 
     Raises
     ------
@@ -222,12 +233,12 @@ def connected(size: int, pairs: Iterable[tuple[int, int]]) -> list[list[int]]:
 def _clearly_regular(
     M: Mapping[tuple[int, int], Value], symbols: Symbols, blocks: Sequence[Sequence[int]]
 ) -> Iterable[bool]:
-    """Tell of blocks of M whether they are regular at a sample, by singular values in doubles."""
+    """Tell of blocks of M whether they are regular at a sample, in doubles; if not, it is open."""
     for numbers in samples(symbols, list(M.values())):
         matrix = np.zeros((len(symbols.q),) * 2)
         for (i, j), number in zip(M, numbers, strict=True):
             matrix[i, j] = matrix[j, i] = number
-        answers = [conditioned(matrix[np.ix_(block, block)]) for block in blocks]
+        answers = [is_well_conditioned(matrix[np.ix_(block, block)]) for block in blocks]
         if all(answers):
             break
     return answers
@@ -235,7 +246,7 @@ def _clearly_regular(
 
 def samples(symbols: Symbols, values: Sequence[Value]) -> Iterator[list[float]]:
     """Evaluate values at a few random points, in doubles."""
-    generator = random.Random(20)
+    generator = random.Random(20)  # the same points each time
     everything = (*symbols.q, *symbols.v, *symbols.a, symbols.t)
     for _ in range(SAMPLES):
         point = {
@@ -253,13 +264,14 @@ def _double(number: Exact) -> float:
         return math.inf
 
 
-def conditioned(matrix: Any) -> bool:
+def is_well_conditioned(matrix: Any) -> bool:
     """Return whether a matrix in doubles has full rank beyond doubt."""
+    # far from 1e16, where rounding hides a zero determinant
     return bool(np.isfinite(matrix).all() and np.linalg.cond(matrix) < 1e8)
 
 
 def _regular(M: Mapping[tuple[int, int], Value], symbols: Symbols, block: Sequence[int]) -> bool:
-    """Return whether the determinant of a block of M is not zero in a field."""
+    """Return whether a block of M has full rank at random points of a prime field."""
     matrix = [[M.get((max(i, j), min(i, j)), ZERO) for j in block] for i in block]
     return rank(symbols.graph, matrix) == len(block)
 

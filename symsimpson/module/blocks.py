@@ -1,4 +1,4 @@
-"""Where the blocks of the workspace stand: their layout, and what the driver is told of it."""
+"""Where the blocks of the workspace stand: their layout, and the part that the driver gets."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from itertools import pairwise
 from symsimpson.module.dimensions import Sizes
 from symsimpson.module.table import TABLE
 
-__all__ = ["ADJACENT", "BLOCKS", "TOLD", "layout", "rows_of_blocks", "scratch"]
+__all__ = ["ADJACENT", "BLOCKS", "DRIVER_LAYOUT", "layout", "rows_of_blocks", "scratch"]
 
 BLOCKS = {block.name: block for block in TABLE}
 
@@ -19,18 +19,18 @@ ADJACENT = (
     ("TIME", "TIME_END", "RATE"),
 )
 
-#: Places in what the driver is told of a module: the first row of blocks; the row behind the
+#: Places in the layout for the driver: the first row of blocks; the row behind the
 #: unknowns, the number of coordinates, of rows, how many of the unknowns are measured, how many
-#: steps an explicit kernel may take in one call, as it is told the time of the first, from one
+#: steps an explicit kernel may take in one call, as it gets the time of the first, from one
 #: input to the next how many rows; where it stands how variations grow, and how many of them are
 #: made orthonormal, after each so many steps; how many recorders look for events, before all
 #: others, and how many are called last, both with the time of the state. Behind all that, the first
 #: row and the number of those that are stored with states, of each recorder.
-TOLD = {
+DRIVER_LAYOUT = {
     name: place
     for place, name in enumerate(
         (
-            *(block.name for block in TABLE if block.told),
+            *(block.name for block in TABLE if block.for_driver),
             *("STATE_END", "DIMENSION", "ROWS", "MEASURED", "STEPS_A_CALL", "INPUT_STRIDE"),
             *("GROWN", "RENEWED", "RENEWAL", "OF_EVENTS", "OF_STATES"),
         )

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import StaleKernelError
-from symsimpson.module.blocks import ADJACENT, BLOCKS, TOLD
+from symsimpson.module.blocks import ADJACENT, BLOCKS, DRIVER_LAYOUT
 from symsimpson.module.definitions import definitions, outline, redefined
 from symsimpson.module.interface import INTERFACE, PIVOTED
 
@@ -146,7 +146,7 @@ class Header:
         return PIVOTED in self.functions
 
     @cached_property
-    def told(self) -> NDArray[np.int64]:
+    def driver_layout(self) -> NDArray[np.int64]:
         """The numbers of the layout that the driver must know, in its order."""
         more = {
             "STATE_END": self.layout["INCREMENT"] + self.layout["UNKNOWNS"],
@@ -166,7 +166,9 @@ class Header:
             "OF_EVENTS": 0,
             "OF_STATES": 0,
         }
-        return np.array([{**none, **self.layout, **more}[name] for name in TOLD], dtype=np.int64)
+        return np.array(
+            [{**none, **self.layout, **more}[name] for name in DRIVER_LAYOUT], dtype=np.int64
+        )
 
 
 def read_header(text: str, where: str) -> Header:

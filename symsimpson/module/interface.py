@@ -3,10 +3,10 @@
 A kernel is a function ``kernel(h, t, workspace)``. Everything that a run remembers stands in the
 workspace: blocks of rows, one column for each lane (:mod:`symsimpson.module.blocks`). What both
 sides must know is said here and there, and nowhere else. The driver's text names these constants,
-and the places in TOLD, which stand in this module by their names, too.
+and the places in DRIVER_LAYOUT, which stand in this module by their names, too.
 """
 
-from symsimpson.module.blocks import TOLD
+from symsimpson.module.blocks import DRIVER_LAYOUT
 
 #: Number of the agreement; modules with another number are refused.
 INTERFACE = 11
@@ -16,9 +16,9 @@ INTERFACE = 11
 SIGNATURE = "void(float64, float64, CPointer(float64))"
 OPTIONS = '{"fastmath": {"contract", "nsz"}, "error_model": "numpy"}'
 
-globals().update(TOLD)
+globals().update(DRIVER_LAYOUT)
 #: Behind these, what recorders leave to be stored: pairs of a first row and a number of rows.
-RECORDED = len(TOLD)
+RECORDED = len(DRIVER_LAYOUT)
 #: From TIME to RATE, which stands behind it.
 RATE_BEHIND = 6
 

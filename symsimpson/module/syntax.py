@@ -26,7 +26,7 @@ IMPORTS = {"math": _MATH, "numba": frozenset(["carray", "njit"]), "numpy": froze
 BUILTINS = frozenset(
     ["abs", "enumerate", "float", "int", "len", "max", "min", "range", "sum", "tuple", "zip"]
 )
-#: What the compiler is told; another value might have Python run the kernels.
+#: What the compiler is fixed_part; another value might have Python run the kernels.
 SETTINGS = {"SIGNATURE": SIGNATURE, "OPTIONS": ast.literal_eval(OPTIONS)}
 NODES = (
     ast.Module,
@@ -110,7 +110,7 @@ def _hidden(tree: ast.Module, read: ast.Module) -> Iterator[tuple[ast.AST, str]]
     Constants are read in a text without functions, and are replaced by whole lines.
     """
 
-    def told(node: ast.stmt | None) -> object:
+    def fixed_part(node: ast.stmt | None) -> object:
         """Return all of a statement, and where it stands, but what a function does."""
         if not isinstance(node, ast.FunctionDef):
             return node and ast.dump(node, include_attributes=True)
@@ -118,7 +118,7 @@ def _hidden(tree: ast.Module, read: ast.Module) -> Iterator[tuple[ast.AST, str]]
         return node.name, node.lineno, [ast.dump(x, include_attributes=True) for x in parts]
 
     for mine, other in zip_longest(tree.body, read.body):
-        if told(mine) != told(other):
+        if fixed_part(mine) != fixed_part(other):
             yield mine or tree, "text at the left margin"
     for before, behind in pairwise(tree.body):
         if first_line(behind) <= (before.end_lineno or 0):

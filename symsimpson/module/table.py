@@ -1,4 +1,4 @@
-"""Blocks of the workspace: what stands in them, how many rows they have, who is told of them."""
+"""Blocks of the workspace: their contents, their sizes, and which ones the driver knows."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class Block:
     doc : str
     size : callable
         Gives the number of rows.
-    told : bool
-        Whether the driver is told where it stands.
+    for_driver : bool
+        Whether the driver needs to know where it stands.
     optional : bool
         Whether a module has it only if it has rows in it.
     scratch : bool
@@ -49,63 +49,63 @@ class Block:
     name: str
     doc: str
     size: Size = one
-    told: bool = False
+    for_driver: bool = False
     optional: bool = False
     scratch: bool = False
 
 
 def part(
-    name: str, doc: str, size: Size = one, told: bool = False, *, scratch: bool = False
+    name: str, doc: str, size: Size = one, for_driver: bool = False, *, scratch: bool = False
 ) -> Block:
     """Return a block of systems that need it: with constraints, inputs, stages, derivatives."""
-    return Block(name, doc, size, told, optional=True, scratch=scratch)
+    return Block(name, doc, size, for_driver, optional=True, scratch=scratch)
 
 
 #: All of them, in their order. Sizes that are spoken of are squared norms with the diagonal of
 #: M(q0) as weights.
 TABLE = (
-    Block("ACTIVE", "1: to be solved, 0: done, negative: failed, with a status", told=True),
+    Block("ACTIVE", "1: to be solved, 0: done, negative: failed, with a status", for_driver=True),
     Block("CORRECTION_SQUARED", "size of the last correction"),
-    Block("INCREMENT_SQUARED", "size of the increments", told=True),
+    Block("INCREMENT_SQUARED", "size of the increments", for_driver=True),
     Block(
         "VELOCITY_JUMP_SQUARED",
         "between the end of a path and the velocity there, times h",
-        told=True,
+        for_driver=True,
     ),
     Block(
         "PREDICTION_ERROR_SQUARED", "size of what the increments differ by from the predicted ones"
     ),
     Block("CYCLIC_JUMP_SQUARED", "the velocity jump of cyclic coordinates alone"),
     Block("CYCLIC_MASS_CHANGE", "relative change of M of cyclic coordinates over the step"),
-    Block("MASS_PIVOT", "below 0 if M is not positive definite", told=True),
-    Block("ENERGY", "the Hamiltonian", told=True),
+    Block("MASS_PIVOT", "below 0 if M is not positive definite", for_driver=True),
+    Block("ENERGY", "the Hamiltonian", for_driver=True),
     Block("KINETIC", "its kinetic part"),
-    Block("STATUS", "0: going on, else why the lane stopped", told=True),
-    Block("RELATIVE", "correction relative to the increments, squared", told=True),
-    Block("CONTRACTION", "rate at which corrections shrink", told=True),
-    Block("LARGEST_SQUARED", "size of the largest increments so far", told=True),
+    Block("STATUS", "0: going on, else why the lane stopped", for_driver=True),
+    Block("RELATIVE", "correction relative to the increments, squared", for_driver=True),
+    Block("CONTRACTION", "rate at which corrections shrink", for_driver=True),
+    Block("LARGEST_SQUARED", "size of the largest increments so far", for_driver=True),
     Block(
         "IN_DOUBT",
         "0: accepted, 1: to be verified, 2: unresolved, 3: possibly unresolved",
-        told=True,
+        for_driver=True,
     ),
-    Block("ITERATIONS", "since the last stored state", told=True),
-    Block("COUNT", "steps that an explicit kernel takes in one call", told=True),
-    Block("POSITION", "q", coordinates, told=True),
+    Block("ITERATIONS", "since the last stored state", for_driver=True),
+    Block("COUNT", "steps that an explicit kernel takes in one call", for_driver=True),
+    Block("POSITION", "q", coordinates, for_driver=True),
     Block("POSITION_LOW", "what rounding has taken from q", coordinates),
-    Block("MOMENTUM", "p", coordinates, told=True),
+    Block("MOMENTUM", "p", coordinates, for_driver=True),
     Block("MOMENTUM_LOW", "what rounding has taken from p", coordinates),
-    Block("INCREMENT", "control points of the path less q0", unknowns, told=True),
+    Block("INCREMENT", "control points of the path less q0", unknowns, for_driver=True),
     Block("PREDICTED", "those that the iteration began with", unknowns),
     Block(
         "PREVIOUS",
         "the state before the step, and the increments predicted then",
         lambda s: 4 * s.n + s.unknowns,
-        told=True,
+        for_driver=True,
     ),
-    Block("SOLVED", "the increments of the step", unknowns, told=True),
-    Block("VELOCITY", "v", coordinates, told=True),
-    Block("PARAMETER", "parameters", lambda s: s.parameters, told=True),
+    Block("SOLVED", "the increments of the step", unknowns, for_driver=True),
+    Block("VELOCITY", "v", coordinates, for_driver=True),
+    Block("PARAMETER", "parameters", lambda s: s.parameters, for_driver=True),
     Block("INVARIANT", "quantities to watch", lambda s: s.invariants),
     Block("HOISTED", "values that are computed once a run or a step", lambda s: s.hoisted),
     Block("NODE_POSITION", "q at a node", coordinates, scratch=True),
@@ -116,7 +116,7 @@ TABLE = (
     Block("NODE_L_QV", "F_v at a node", entries, scratch=True),
     Block("NODE_L_VV", "M at a node", entries),
     Block("MASS", "a constant M", lambda s: s.constant_mass * s.entries),
-    Block("MASS_DIAGONAL", "diagonal of M(q0)", coordinates, told=True),
+    Block("MASS_DIAGONAL", "diagonal of M(q0)", coordinates, for_driver=True),
     Block("COEFFICIENT", "factors of the terms of L", lambda s: s.coefficients),
     part(
         "NODE_F_V",
@@ -129,7 +129,7 @@ TABLE = (
         "INPUT",
         "inputs of the step, of each its values at all nodes",
         lambda s: s.inputs * s.stride,
-        told=True,
+        for_driver=True,
     ),
     part("NODE_INPUT", "inputs at a node", lambda s: s.inputs, scratch=True),
     part(
@@ -341,7 +341,7 @@ TABLE = (
         "TIME",
         "t and what rounding has taken from it, then both before the step",
         lambda s: 4 * s.retimed,
-        told=True,
+        for_driver=True,
     ),
     part("TIME_END", "1 and the time at which the run ends, or 0", lambda s: 2 * s.retimed),
     part("RATE", "dt/dtau at a node or a state", lambda s: s.retimed),
@@ -351,5 +351,5 @@ TABLE = (
         "number of variations of the state that are carried along",
         lambda s: s.differentiated,
     ),
-    part("TANGENT", "these variations, or the record of a step", none, told=True),
+    part("TANGENT", "these variations, or the record of a step", none, for_driver=True),
 )

@@ -136,7 +136,7 @@ def watching(
     driver, first, about, count = (
         numbers.driver("evaluate"),
         header.rows,
-        header.told,
+        header.driver_layout,
         len(observed),
     )
 
@@ -164,7 +164,7 @@ def _evaluated(
     numbers, (first, count) = program.numbers, block
     out = numbers.zeros((len(q), count))
     addresses, states = (program.kernels.address("prepare"), *kernels), map(numbers.read, (t, q, p))
-    setting = numbers.read(1.0).item(), W, program.header.told
+    setting = numbers.read(1.0).item(), W, program.header.driver_layout
     numbers.driver("evaluate")(addresses, *setting, tuple(states), first, out, inputs)
     return numbers.result(out)
 

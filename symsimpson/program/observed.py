@@ -194,9 +194,9 @@ def read_reductions(
             )
         reader = Reader(program, f"reduce[{name!r}]")
         text = reader.read_any(pair[1])
-        told = reader.portable(pair[1], text)
+        portable = reader.portable(pair[1], text)
         reductions.append(
-            Reduction(told, text, reader.energetic, name=str(name), kind=str(pair[0]))
+            Reduction(portable, text, reader.energetic, name=str(name), kind=str(pair[0]))
         )
     return tuple(reductions)
 

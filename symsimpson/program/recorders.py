@@ -10,10 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.module.blocks import TOLD
+from symsimpson.module.blocks import DRIVER_LAYOUT
 from symsimpson.module.header import Header
 
-__all__ = ["NAMED", "Recorder", "growth", "ordered", "split", "steps", "tangents", "told", "work"]
+__all__ = [
+    "NAMED",
+    "Recorder",
+    "driver_layout",
+    "growth",
+    "split",
+    "tangents",
+    "tape",
+    "with_clock",
+    "work",
+]
 
 
 @dataclass(frozen=True)
@@ -32,7 +42,7 @@ class Recorder:
     text : str
         The text of the kernel, where it is none of the module's.
     of_states : bool
-        Whether it is told the time of the state, not that of the step that led there.
+        Whether it gets the time of the state, not that of the step that led there.
     of_events : bool
         Whether it looks for events before all others are called, and may stop the run.
     renewed, renewal : int
@@ -54,38 +64,41 @@ class Recorder:
 
 
 def clock(header: Header) -> Recorder:
-    """Return what keeps the time of the user, where it is not that of the steps."""
+    """Return the recorder of the physical time, for steps that are uniform in another time."""
     return Recorder("clock", header.layout["TIME"], rows=1)
 
 
 def tangents(header: Header, count: int) -> Recorder:
-    """Return what carries so many variations of the state along."""
+    """Return the recorder of so many variations, columns of the derivative of the state."""
     room = count * (3 * header.n + header.layout["UNKNOWNS"])
     return Recorder("tangent", header.rows, 2 * header.n * count, room)
 
 
 def growth(header: Header, count: int, every: int) -> Recorder:
-    """Return what carries variations along that are made orthonormal now and then."""
+    """Return the recorder of Lyapunov exponents: variations made orthonormal after ``every`` steps.
+
+    It leaves how often that was done, MEGNO, SALI, the sums of ln R_jj, and GALI of two and more.
+    """
     room, rows = tangents(header, count).room, 2 * count + 2
     whole = room + rows + 2 + 2 * count**2
     return Recorder("tangent", header.rows + room, rows, whole, renewed=count, renewal=every)
 
 
-def steps(header: Header) -> Recorder:
-    """Return what keeps each step, for the way back."""
+def tape(header: Header) -> Recorder:
+    """Return the recorder of whole steps, states and control points, for the adjoint."""
     rows = 4 * header.n + header.layout["UNKNOWNS"]
     return Recorder("record", header.rows, rows, rows)
 
 
 def work(header: Header, first: int = 0) -> Recorder | None:
-    """Return what adds up the work of forces; None where nothing works.
+    """Return the recorder of the work of forces; None for a conservative system.
 
-    The module has rows for it, and none behind its own are needed, from the ``first`` free one on.
+    The module has rows for it: the ``first`` free row is not used.
 
     Raises
     ------
     InputError
-        If steps have no nodes.
+        If the scheme is explicit: its steps have no nodes.
     """
     if header.conservative:
         return None
@@ -97,13 +110,13 @@ def work(header: Header, first: int = 0) -> Recorder | None:
     return Recorder("work", header.layout["WORK"], header.powers, name="work")
 
 
-#: What users may ask for by name; made of a header and the first row that is free. What a recorder
-#: leaves begins with zeros: sums, then what rounding takes from them.
+#: What users may ask for by name; made of a header and the first row that is free. All rows are 0
+#: at the start: they hold sums, and behind them what rounding has taken from each sum.
 NAMED: dict[str, Callable[[Header, int], Recorder | None]] = {"work": work}
 
 
-def ordered(header: Header, recorders: Sequence[Recorder]) -> tuple[Recorder, ...]:
-    """Return recorders in the order of their calls: of events, the clock, others, of states."""
+def with_clock(header: Header, recorders: Sequence[Recorder]) -> tuple[Recorder, ...]:
+    """Add the clock of retimed steps, and return all in their order: first events, last states."""
     first = (clock(header),) if header.retimed else ()
     return tuple(
         sorted((*first, *recorders), key=lambda recorder: recorder.of_states - recorder.of_events)
@@ -113,9 +126,9 @@ def ordered(header: Header, recorders: Sequence[Recorder]) -> tuple[Recorder, ..
 def split(
     recorders: Sequence[Recorder], recorded: NDArray[Any], n: int
 ) -> tuple[NDArray[Any] | None, dict[str, NDArray[Any]]]:
-    """Return variations, shape (..., 2 n, k), and what has a name, of what was recorded at states.
+    """Split what was recorded at states: variations, shape (..., 2 n, k), and rows by their names.
 
-    The variations are None where none are carried along.
+    The variations are None unless :func:`tangents` recorded them; rows without a name are left out.
     """
     variations, named, first = None, dict[str, NDArray[Any]](), 0
     for recorder in recorders:
@@ -128,15 +141,21 @@ def split(
     return variations, named
 
 
-def told(header: Header, recorders: Sequence[Recorder]) -> NDArray[np.int64]:
-    """Return what the driver is told of a module and of the recorders of a run."""
-    numbers = header.told.copy()
-    numbers[TOLD["OF_EVENTS"]] = sum(recorder.of_events for recorder in recorders)
-    numbers[TOLD["OF_STATES"]] = sum(recorder.of_states for recorder in recorders)
+def driver_layout(header: Header, recorders: Sequence[Recorder]) -> NDArray[np.int64]:
+    """Return the layout for the driver, of a module and of the recorders of a run.
+
+    Behind the places of DRIVER_LAYOUT stand the first row and the number of rows of each recorder.
+    """
+    numbers = header.driver_layout.copy()
+    numbers[DRIVER_LAYOUT["OF_EVENTS"]] = sum(recorder.of_events for recorder in recorders)
+    numbers[DRIVER_LAYOUT["OF_STATES"]] = sum(recorder.of_states for recorder in recorders)
     for entry in recorders:
         if entry.renewed:
-            numbers[TOLD["GROWN"]] = entry.first
-            numbers[TOLD["RENEWED"]], numbers[TOLD["RENEWAL"]] = entry.renewed, entry.renewal
+            numbers[DRIVER_LAYOUT["GROWN"]] = entry.first
+            numbers[DRIVER_LAYOUT["RENEWED"]], numbers[DRIVER_LAYOUT["RENEWAL"]] = (
+                entry.renewed,
+                entry.renewal,
+            )
     stored = [
         number
         for recorder in recorders

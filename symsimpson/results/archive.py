@@ -127,10 +127,10 @@ def _trajectory(dataset: Any, program: Program) -> Trajectory:
     h, steps, every = float(about["h"]), int(about["steps"]), int(about["every"])
     stored = steps // every + 1 if every > 0 else 1
     tau, retimed = t - t[0], program.header.retimed
-    told: dict[str, Any] = {"names": [], "ended_by": None, "records": []}
+    acted: dict[str, Any] = {"names": [], "ended_by": None, "records": []}
     if EVENTS in dataset:
-        told = json.loads(np.asarray(dataset[EVENTS], dtype=np.uint8).tobytes().decode())
-    if told["ended_by"] is not None:  # within a step
+        acted = json.loads(np.asarray(dataset[EVENTS], dtype=np.uint8).tobytes().decode())
+    if acted["ended_by"] is not None:  # within a step
         stored += int(every > 0 and len(t) == stored + 1)
     if retimed:
         tau = np.asarray(dataset["tau"], dtype=np.float64)
@@ -178,7 +178,7 @@ def _trajectory(dataset: Any, program: Program) -> Trajectory:
     for name, rows in recorded:
         if name not in NAMED or rows.ndim != 2 or len(rows) != stored:
             raise ValueError(f"{name} is not recorded, or has shape {rows.shape}")
-    ended = told["ended_by"]
+    ended = acted["ended_by"]
     begin = t[0] if every else t[0] - h * steps
     return Trajectory(
         t=t,
@@ -199,7 +199,7 @@ def _trajectory(dataset: Any, program: Program) -> Trajectory:
         varied_by=varied,
         recorded_values=tuple(recorded),
         reduced_values=tuple((str(k), float(x)) for k, x in reduced),
-        records=tuple(Record.read(entry) for entry in told["records"]),
-        event_names=tuple(told["names"]),
-        ended_by=told["ended_by"],
+        records=tuple(Record.read(entry) for entry in acted["records"]),
+        event_names=tuple(acted["names"]),
+        ended_by=acted["ended_by"],
     )

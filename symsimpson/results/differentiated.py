@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NoReturn
 
 from numpy.typing import NDArray
 
@@ -25,7 +25,7 @@ class Differentiated:
 
     @property
     def tangent(self) -> NDArray[Any]:
-        """Variations (dq, dp) of the stored states, shape (N + 1, 2 n, k).
+        """Variations (dq, dp) of N stored states of n coordinates, shape (N, 2 n, k) for k of them.
 
         Raises
         ------
@@ -41,12 +41,13 @@ class Differentiated:
         >>> stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, tangents=2).tangent.shape
         (2, 2, 2)
         """
-        count = len(self._names_varied)
-        return self._carried("tangents=4")[..., : -count or None]
+        variations = self._carried("tangents=4")
+        count = variations.shape[-1] - len(self._names_varied)
+        return variations[..., :count] if count else self._missing("tangents=4")
 
     @property
     def sensitivity(self) -> dict[str, NDArray[Any]]:
-        """Derivatives of the stored states (q, p) by parameters and inputs, shape (N + 1, 2 n).
+        """Derivatives of N stored states (q, p), by name of parameter or input, shape (N, 2 n).
 
         Raises
         ------
@@ -61,15 +62,17 @@ class Differentiated:
         >>> run.sensitivity["l"].shape
         (51, 2)
         """
-        names = self._names_varied
-        variations = self._carried("sensitivities='l'")
+        variations, names = self._carried("sensitivities='l'"), self._names_varied
+        if not names:
+            self._missing("sensitivities='l'")
         first = variations.shape[-1] - len(names)
         return {name: variations[..., first + j] for j, name in enumerate(names)}
 
-    def _carried(self, how: str) -> NDArray[Any]:
-        if self.variations is None:
-            raise InputError(
-                "this run carried no derivatives along.\n"
-                f"Ask for them: stepper.integrate(..., {how})."
-            )
-        return self.variations
+    def _carried(self, ask: str) -> NDArray[Any]:
+        """Return all variations; those by parameters stand behind those of the state."""
+        return self._missing(ask) if self.variations is None else self.variations
+
+    def _missing(self, ask: str) -> NoReturn:
+        raise InputError(
+            f"this run carried no such derivatives along.\nAsk for them: integrate(..., {ask})."
+        )

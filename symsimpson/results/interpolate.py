@@ -197,7 +197,7 @@ class DenseOutput:
                 well = np.zeros(some.size, dtype=np.bool_)
                 between(
                     kernels.set(kernels.fallbacks[0], again=True),
-                    (step.item(), t, W, header.told),
+                    (step.item(), t, W, header.driver_layout),
                     (q, p),
                     (start[some], whole[some], rest[some]),
                     (q_out, p_out, well),

@@ -79,7 +79,7 @@ class Part(States):
 
 
 def part_of(run: Stored, places: NDArray[np.int64], key: Any) -> Part:
-    """Return some of the states at these places of a run."""
+    """Return the states of a run that a key selects among those with numbers ``places``."""
     some = np.atleast_1d(places[key])
     return Part(
         t=run.t[some],

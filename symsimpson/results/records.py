@@ -31,7 +31,7 @@ class Record(NamedTuple):
     simultaneous: bool
 
     @property
-    def told(self) -> list[Any]:
+    def as_json(self) -> list[Any]:
         """The record in values of JSON."""
         return [x.tolist() if isinstance(x, np.ndarray) else x for x in self]
 
@@ -40,9 +40,9 @@ class Record(NamedTuple):
         return self._replace(step=self.step - step)
 
     @classmethod
-    def read(cls, told: list[Any]) -> Record:
-        """Return the record that was told."""
-        numbers: list[Any] = [np.array(x) if isinstance(x, list) else x for x in told]
+    def read(cls, values: list[Any]) -> Record:
+        """Return the record with these values of JSON."""
+        numbers: list[Any] = [np.array(x) if isinstance(x, list) else x for x in values]
         return cls(*numbers)
 
 

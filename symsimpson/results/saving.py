@@ -64,12 +64,12 @@ def _dataset(run: Stored) -> Any:
 
 def _of_events(run: Stored) -> str:
     """Return what events did, as JSON."""
-    told = {
+    about = {
         "names": run.event_names,
         "ended_by": run.ended_by,
-        "records": [x.told for x in run.records],
+        "records": [x.as_json for x in run.records],
     }
-    return json.dumps(told)
+    return json.dumps(about)
 
 
 def digest_of(run: Stored) -> str:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.program.evaluating import evaluate
 from symsimpson.program.program import Program
-from symsimpson.program.recorders import Recorder, told
+from symsimpson.program.recorders import Recorder, driver_layout
 from symsimpson.program.workspace import workspace
 from symsimpson.results.stored import Stored
 from symsimpson.stepping.variations import varied_program
@@ -88,7 +88,7 @@ def _discrete_actions(program: Program, run: Stored) -> Reals:
     t, q, p = (np.ascontiguousarray(numbers.read(x)) for x in (run.t, run.q, run.p))
     reached = numbers.driver("replay")(
         kernels.set("newton", (recorder,), again=True),
-        (float(run.h), t, W, told(header, (recorder,))),
+        (float(run.h), t, W, driver_layout(header, (recorder,))),
         (q, p),
         1,
         True,

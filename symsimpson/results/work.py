@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.program.evaluating import evaluate
 from symsimpson.program.program import Program
-from symsimpson.program.recorders import told, work
+from symsimpson.program.recorders import driver_layout, work
 from symsimpson.program.workspace import workspace
 from symsimpson.results.stored import Stored
 from symsimpson.stepping.driving import inputs_there, since
@@ -129,7 +129,7 @@ def _added_up(run: Stored, count: int) -> Reals:
     out, inputs = numbers.zeros((len(run), count)), numbers.read(run.input_values)
     recorder, sets = work(header), kernels.fallbacks
     assert recorder is not None
-    at = told(header, (recorder,))
+    at = driver_layout(header, (recorder,))
     done, number = 0, 0
     while done < len(run) - 1:
         last = len(run) if number == 0 else min(len(run), done + 1 + FALLBACK_STRETCH)

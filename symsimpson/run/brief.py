@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.program.numbers import FLOAT64
-from symsimpson.program.recorders import ordered, told
+from symsimpson.program.recorders import driver_layout, with_clock
 from symsimpson.program.status import Status
 from symsimpson.program.values import MOST_STEPS, read_vector
 from symsimpson.program.workspace import NO_INPUTS, workspace
@@ -77,8 +77,11 @@ class BriefRunner:
     def __init__(self, program: Program) -> None:
         header, kernels = program.header, program.kernels
         numbers = program.numbers
-        recorders = ordered(header, ())
-        self.W, self.told = workspace(header, numbers, program.defaults), told(header, recorders)
+        recorders = with_clock(header, ())
+        self.W, self.driver_layout = (
+            workspace(header, numbers, program.defaults),
+            driver_layout(header, recorders),
+        )
         self.kernels = kernels.set(kernels.fallbacks[0], recorders)
         self.legendre, self.energy = kernels.address("legendre"), kernels.address("energy")
         iterated = header.newton_unknowns > 0
@@ -101,7 +104,7 @@ class BriefRunner:
         count: int = self.run_briefly(
             self.kernels,
             (self.legendre if asked.velocity else 0, self.energy),
-            (h, t0, self.W, self.told),
+            (h, t0, self.W, self.driver_layout),
             (asked.values, asked.q, asked.other),
             (steps, every, few, LIMIT),
             (*stored, end),
@@ -117,20 +120,20 @@ class BriefRunner:
         few: int,
         stored: Stored,
         end: Floats,
-        told: Floats,
+        tail: Floats,
     ) -> int:
         """Take steps to t_end; return how many whole ones, or less than 0 on failure.
 
-        ``end`` takes the state there, ``told`` the part of a step that was taken last, and the
+        ``end`` takes the state there, ``tail`` the part of a step that was taken last, and the
         iterations; ``asked.values`` those of E0 and the first rate.
         """
         steps: int = self.run_to_end(
             self.kernels,
             (self.legendre if asked.velocity else 0, self.energy, self.retime),
-            (np.array([*times, resolution(FLOAT64)]), self.W, self.told),
+            (np.array([*times, resolution(FLOAT64)]), self.W, self.driver_layout),
             (asked.values, asked.q, asked.other),
             (self.most, every, few, LIMIT),
-            (stored[0], self.times, stored[1], end, told),
+            (stored[0], self.times, stored[1], end, tail),
             NO_INPUTS,
         )
         return steps
@@ -241,15 +244,15 @@ def _to_end(
         return None
     every, n = asked.every, program.n
     stored = room(runner.most // every, n) if every else runner.sampled
-    end, told = np.empty((2, n)), np.empty(2)
+    end, tail = np.empty((2, n)), np.empty(2)
     few = SAMPLES - 1 if program.header.conservative else 0
-    steps = runner.run_to_time(asked, (h, t0, t_end), every or STRIDE, few, stored, end, told)
+    steps = runner.run_to_time(asked, (h, t0, t_end), every or STRIDE, few, stored, end, tail)
     if steps < 0:
         if steps == TOO_LONG:
             program.findings.long.add(key)
         return None
     t, q, p = np.array([t_end]), end[:1], end[1:]
-    tau, iterations = np.array([h * steps + told[0]]), np.array([int(told[1])])
+    tau, iterations = np.array([h * steps + tail[0]]), np.array([int(tail[1])])
     if every:
         last = steps // every + 1
         (Q, P), counts = stored

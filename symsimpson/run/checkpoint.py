@@ -58,7 +58,7 @@ def asked(program: Program, run: Run, spec: RunSpec) -> dict[str, Any]:
         "source": program.source,
         **({"names": program.names.users} if program.names.users else {}),
         "parameters": spec.parameters.tolist(),
-        **spec.said(),
+        **spec.as_json(),
         "q0": run.rows("POSITION", program.n).tolist(),
         "p0": run.rows("MOMENTUM", program.n).tolist(),
         **({"recorded": run.recorded.shape[1]} if run.recorded.shape[1] else {}),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from symsimpson.driver.impacts import NOTHING, TOGETHER
 from symsimpson.errors import InputError
-from symsimpson.module.blocks import TOLD
+from symsimpson.module.blocks import DRIVER_LAYOUT
 from symsimpson.module.interface import ARRIVED, MET, RECORDERS, WATCHED, ZERO
 from symsimpson.program.observed import OF_EVENTS, Reduction
 from symsimpson.program.recorders import Recorder
@@ -78,8 +78,8 @@ class EventRun(Run):
 
     def beside(self, recorded: NDArray[Any], result: Any) -> dict[str, Any]:
         """Return what is known beside states, with what events did."""
-        told = {"records": tuple(self.records), "event_names": self._events.names}
-        return {**super().beside(recorded, result), **told, "ended_by": self.ended_by}
+        acted = {"records": tuple(self.records), "event_names": self._events.names}
+        return {**super().beside(recorded, result), **acted, "ended_by": self.ended_by}
 
     def look(self) -> None:
         """Look at the start: impacts that touch act there, none may be behind its wall."""
@@ -130,13 +130,13 @@ class EventRun(Run):
 
     def position(self) -> list[Any]:
         """Return what tells, beside the workspace, where the run is."""
-        return [*super().position(), self.reason, [record.told for record in self.records]]
+        return [*super().position(), self.reason, [record.as_json for record in self.records]]
 
     def put_back(self, position: Sequence[Any], workspace: Floats) -> None:
         """Go on where another run was."""
-        *rest, reason, told = position
+        *rest, reason, records = position
         super().put_back(rest, workspace)
-        self.records[:] = [Record.read(entry) for entry in told]
+        self.records[:] = [Record.read(entry) for entry in records]
         self._look_for_end()
         self.reason = reason
 
@@ -199,13 +199,14 @@ class EventRun(Run):
         self.rows("POSITION", 4 * self.header.n)[:] = 0
         self.rows("POSITION", len(q))[:], self.rows("MOMENTUM", len(p))[:] = q, p
         kept = self.rows("ITERATIONS", 1).copy()
-        self._driver("begin")(self._kernels(), 0, self.h, self._time(), self.W, self.told)
+        self._driver("begin")(self._kernels(), 0, self.h, self._time(), self.W, self.driver_layout)
         self.rows("ITERATIONS", 1)[:] = kept
 
     def _call(self, passed: Any, *, of_states: bool, h: Any = None) -> None:
         """Call recorders of states, or those of steps."""
-        kernels, last = self._kernels(), len(self._kernels()) - self.told[TOLD["OF_STATES"]]
-        first = RECORDERS + self.told[TOLD["OF_EVENTS"]]
+        kernels, at = self._kernels(), DRIVER_LAYOUT
+        first = RECORDERS + self.driver_layout[at["OF_EVENTS"]]
+        last = len(kernels) - self.driver_layout[at["OF_STATES"]]
         self.rows("ACTIVE", 1)[:] = 1
         for kernel in kernels[last:] if of_states else kernels[first:last]:
             self._driver("apply")(kernel, self.h if h is None else h, passed, self.W)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["follow"]
 
-#: So many steps are done before anybody looks for a bar.
+#: Runs of fewer steps end before a bar would be drawn, and need not look for a terminal.
 BRIEF = 10_000
 
 
@@ -33,7 +33,7 @@ def follow(
     sinks: Sequence[Sink] = (),
     progress: bool | None = None,
 ) -> tuple[Trajectory, StorageError | None]:
-    """Take the steps of a run that has begun, and judge it by the states that a keeper has.
+    """Take the steps of a run that has begun; judge its energy by the states that a keeper has.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def follow(
 
 
 def _take_pieces(run: Run, count: int, sinks: Sequence[Sink]) -> None:
-    """Take steps, and hand what was stored to the sinks whenever there is no room for more."""
+    """Take steps; hand states to the sinks when one asks for them, or there is room for no more."""
     while True:
         stop = min(count, run.room)
         try:

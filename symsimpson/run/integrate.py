@@ -19,7 +19,7 @@ from symsimpson.run.follow import follow
 from symsimpson.run.keeping import Collected, Keeper, Samples
 from symsimpson.run.outcome import raise_failure
 from symsimpson.run.resolution import finer_stride, sampling_stride
-from symsimpson.run.start import begin_run, look_at_step, new_run, recorders_for
+from symsimpson.run.start import begin_run, new_run, recorders_for, warn_of_step
 from symsimpson.stepping.arrival import STRIDE
 from symsimpson.stepping.inputs import read_failure
 from symsimpson.stepping.run import Run
@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 
 __all__ = ["integrate"]
 
-#: So many states of a run whose number of steps nobody knows stand in its arrays.
+#: Where the number of steps is not known before, so many states behind the first are put away at
+#: a time: few enough to cost no memory, many enough to cost no time.
 ROOM = 4096
 
 
@@ -48,7 +49,9 @@ def integrate(
 
     Raises
     ------
-    InputError, StorageError, ConvergenceError, Interrupted
+    InputError
+    StorageError, ConvergenceError, Interrupted
+        Unless ``on_failure`` is ``"return"``.
     """
     read_failure(on_failure)
     with program.numbers.working(), silence() if progress is False else NOTHING:
@@ -57,7 +60,7 @@ def integrate(
         begin_run(program, run, spec)
         if spec.steps:
             make_ready(program)
-            look_at_step(program, run, spec)
+            warn_of_step(program, run, spec)
         if checkpoint is not None:
             keeper: Keeper = _checkpoint(checkpoint, checkpoint_every, program, run, spec)
         elif spec.t_end is not None:

@@ -14,9 +14,9 @@ from symsimpson.stepping.run import Run
 
 __all__ = ["Collected", "Keeper", "Samples", "Sink"]
 
-#: After so many times that states were put away it is asked whether there is room for more: so many
-#: times as much as they take, in bytes.
-LOOKS, JOINING = 16, 3 / 8
+#: After so many times that states were put away, memory is asked for so many times their size: they
+#: are copied when they are joined, and a lack of memory is better met before.
+LOOKS, JOINING = 16, 3
 
 Reals = NDArray[Any]
 
@@ -25,14 +25,14 @@ class Sink(Protocol):
     """What takes the states of each piece of a run, before the run forgets them."""
 
     def due(self, stop: int) -> int:
-        """Return the step at which the piece is to end, ``stop`` or one before."""
+        """Return the step at which the piece is to end, ``stop`` or an earlier one."""
 
     def take(self) -> None:
         """Take what was stored since the last call, which may be nothing."""
 
 
 class Keeper:
-    """All states of a run that has room for them: they stay where they are.
+    """Keeps states of a run; all of them, in its own arrays, unless a subclass does otherwise.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class Collected(Keeper):
             self._parts.append(tuple(x[:-1].copy() for x in self._left()))
             self._taken += len(self._parts[-1][0])
             if len(self._parts) % LOOKS == 0:  # is there room to join them?
-                np.empty(int(JOINING * sum(x.nbytes for part in self._parts for x in part)))
+                np.empty(JOINING * sum(x.nbytes for part in self._parts for x in part), np.uint8)
         except MemoryError:
             run = self._run
             raise StorageError(
@@ -126,7 +126,7 @@ class Samples(Keeper):
             self._number, self._every = len(self._parts[0][0]), 2 * self._every
 
     def states(self) -> KeptStates:
-        """Return those that were kept, and the sum of all iterations."""
+        """Return those that were kept; iterations have shape (1,), the sum of all."""
         q, p, recorded = self._joined()
         return KeptStates(q, p, np.array([self._iterations]), recorded, self._every)
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.program.numbers import NOTHING
 from symsimpson.run.outcome import raise_failure, trajectory_of
-from symsimpson.run.start import begin_run, look_at_step, new_run
+from symsimpson.run.start import begin_run, new_run, warn_of_step
 from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.request import of_a_step
 from symsimpson.stepping.spec import RunSpec
@@ -59,7 +59,7 @@ class ControlLoop:
             #: Whether a step is that of compiled code, in which nobody hears Ctrl-C.
             self._at_once = numbers.compiled and spec.run_events is None
             begin_run(program, self._run, spec)
-            look_at_step(program, self._run, spec)
+            warn_of_step(program, self._run, spec)
 
     def __reduce__(self) -> tuple[Any, ...]:
         run = self._run

@@ -14,7 +14,7 @@ from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.follow import follow
 from symsimpson.run.keeping import Samples
 from symsimpson.run.resolution import sampling_stride
-from symsimpson.run.start import begin_run, look_at_step, new_run
+from symsimpson.run.start import begin_run, new_run, warn_of_step
 from symsimpson.stepping.arrival import STRIDE
 from symsimpson.stepping.driving import driven, since
 from symsimpson.stepping.run import Run
@@ -28,7 +28,7 @@ PIECE, MOST_NUMBERS = 8192, 2**23
 SLACK = 1e-9
 
 #: Takes from a piece, which begins with the last state of the one before, what is to be kept: rows
-#: of which the first column is the time. It is told how many steps were done before.
+#: of which the first column is the time. It gets the number of steps done before.
 Take = Callable[[Trajectory, int], "Taken"]
 Taken = tuple[Any, ...]
 
@@ -52,7 +52,7 @@ def by_pieces(
     with program.numbers.working():
         run = new_run(program, spec, 1, piece + 1)
         begin_run(program, run, spec)
-        look_at_step(program, run, spec)
+        warn_of_step(program, run, spec)
         stride = STRIDE if spec.t_end is not None else sampling_stride(program, spec.steps)
         pieces = Pieces(program, run, spec, take)
         last, _ = follow(

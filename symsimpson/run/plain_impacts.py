@@ -70,7 +70,7 @@ class PlainImpacts:
         self._driver = numbers.driver("take_bouncing", iterated=iterated)
         self._parting = parts.parting
         addresses, W = observer(program, events.watched, parts.parameters)
-        self._looking = addresses, W, header.told, len(events.watched)
+        self._looking = addresses, W, header.driver_layout, len(events.watched)
         when = [-1 if place is None else place for place in events.when]
         signs = [event.sign for event in events.events]
         columns = events.rate, events.slopes, when, events.sizes, signs

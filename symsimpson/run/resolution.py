@@ -256,7 +256,7 @@ def look_at_energy(
         steady = program.numbers.driver("steady")
         energy, header = program.kernels.address("energy"), run.header
         rate = header.layout["RATE"] if header.retimed else 0
-        setting = run.h, run.t0, run.W, header.told
+        setting = run.h, run.t0, run.W, header.driver_layout
         if steady(energy, setting, (run.q, run.p), (last, few, LIMIT), rate):
             return None
     places = np.arange(few + 1) * last // few

@@ -20,7 +20,7 @@ from symsimpson.stepping.variations import begin_variations
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
 
-__all__ = ["begin_run", "look_at_step", "new_run", "recorders_for"]
+__all__ = ["begin_run", "new_run", "recorders_for", "warn_of_step"]
 
 Reals = NDArray[Any]
 
@@ -33,7 +33,9 @@ def new_run(
     inputs: Reals | None = None,
     recorders: Sequence[Recorder] = (),
 ) -> Run:
-    """Make a run that has room for so many states, and for what recorders leave beside them.
+    """Make a run that stores each ``stride``-th state and has room for ``stored`` of them.
+
+    Without ``inputs`` and ``recorders`` it has those of the request.
 
     Raises
     ------
@@ -77,12 +79,12 @@ def recorders_for(program: Program, spec: RunSpec) -> tuple[Recorder, ...]:
 
 
 def begin_run(program: Program, run: Run, spec: RunSpec) -> None:
-    """Put the initial state into a run.
+    """Put the initial state, and the variations that are asked for, into a run.
 
     Raises
     ------
     InputError
-        If M(q0) is not positive definite, or the energy has no value there.
+        If M(q0) is not positive definite, the energy has no value there, or time does not advance.
     """
     numbers, q = program.numbers, spec.q0
     run.begin(q, spec.other0, velocity=spec.velocities, t_end=spec.t_end)
@@ -95,7 +97,7 @@ def begin_run(program: Program, run: Run, spec: RunSpec) -> None:
         named = dict(zip(program.parameters, values, strict=True))
         where = f"q0={q.tolist()} with the parameters {named}"
         zero = [name for name, value in named.items() if value == 0]
-        finite, everywhere = numbers.all_finite(q), pivot == 0 and _singular_beside(run, spec)
+        finite, everywhere = numbers.all_finite(q), pivot == 0 and _singular_elsewhere(run, spec)
         raise refused_start(program.system, where, pivot, finite, zero=zero if everywhere else None)
     if run.header.retimed and not run.parameters[-1] > 0:
         raise InputError(
@@ -103,7 +105,8 @@ def begin_run(program: Program, run: Run, spec: RunSpec) -> None:
             f"q0={q.tolist()}.\nTime must advance: start where it is positive, or change the rate."
         )
     run.apply("energy")
-    if not numbers.all_finite(run.rows("ENERGY", 1)):  # but for angles that fast sines do not take
+    # no value may mean an angle that is too large for fast sines: check_start takes others
+    if not numbers.all_finite(run.rows("ENERGY", 1)):
         position, momentum = (run.rows(name, program.n) for name in ("POSITION", "MOMENTUM"))
         check_start(program, spec.t0, position, momentum, spec.parameters)
     if spec.tangents is not None:
@@ -111,15 +114,17 @@ def begin_run(program: Program, run: Run, spec: RunSpec) -> None:
     run.look()
 
 
-def _singular_beside(run: Run, spec: RunSpec) -> bool:
-    """Return whether M is singular at a position beside the start, too; the run ends with this."""
-    beside = spec.q0 + run.h * 0 + np.sqrt(np.arange(2.0, run.header.n + 2)) / 7
-    run.begin(beside, spec.other0, velocity=spec.velocities, any_angle=True, t_end=spec.t_end)
+def _singular_elsewhere(run: Run, spec: RunSpec) -> bool:
+    """Return whether M is singular at another position, too; the state of the run is lost."""
+    # irrational distances from the start, so that no symmetry keeps M singular; h gives the kind of
+    # number, which has many digits as well
+    elsewhere = spec.q0 + run.h * 0 + np.sqrt(np.arange(2.0, run.header.n + 2)) / 7
+    run.begin(elsewhere, spec.other0, velocity=spec.velocities, any_angle=True, t_end=spec.t_end)
     return not np.isfinite(run.rows("VELOCITY", run.header.n).astype(np.float64)).all()
 
 
-def look_at_step(program: Program, run: Run, spec: RunSpec) -> None:
-    """Look once whether a step is within the limit of linear stability, and warn of it if not."""
+def warn_of_step(program: Program, run: Run, spec: RunSpec) -> None:
+    """Warn once of a step beyond the limit of linear stability."""
     key = spec.h, spec.parameters.tobytes()
     plain = run.W.dtype == np.float64
     if not plain or key in program.findings.checked_steps:

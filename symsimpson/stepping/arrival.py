@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.program.recorders import ordered
+from symsimpson.program.recorders import with_clock
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import NO_INPUTS, workspace
 from symsimpson.stepping.run import Run
@@ -79,9 +79,9 @@ def states_at(
         q_out, p_out = numbers.zeros((2, some.size + 1, header.n))
         part_out, well = numbers.zeros(some.size), np.zeros(some.size, dtype=np.bool_)
         numbers.driver("states_at")(
-            kernels.set(name, ordered(header, ()), again=True),
+            kernels.set(name, with_clock(header, ()), again=True),
             kernels.address("energy"),
-            (h, states[0], workspace(header, numbers, rows[0]), header.told),
+            (h, states[0], workspace(header, numbers, rows[0]), header.driver_layout),
             states[1:],
             (start[some], asked[some], near),
             (q_out, p_out, part_out, well),

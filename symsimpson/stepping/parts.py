@@ -40,7 +40,7 @@ class Parts:
     ----------
     parameters : ndarray
     parting : tuple
-        The kernels that take a part, their workspace, and what the driver is told of it.
+        The kernels that take a part, their workspace, and the layout for the driver.
     """
 
     def __init__(
@@ -49,7 +49,11 @@ class Parts:
         numbers, header = program.numbers, program.header
         self._program, self.parameters, self._h, self._inputs = program, parameters, h, inputs
         kernels = program.kernels.set(program.kernels.fallbacks[0], again=True)
-        self.parting = kernels, workspace(header, numbers, numbers.read(parameters)), header.told
+        self.parting = (
+            kernels,
+            workspace(header, numbers, numbers.read(parameters)),
+            header.driver_layout,
+        )
         self._between = numbers.driver("between")
         self._places = places(program)
         self.works = works
@@ -70,13 +74,13 @@ class Parts:
         q, p = state
         if size == 0.0:
             return (q, p), Status.SUCCESS
-        (kernels, W, told), n = self.parting, len(q)
+        (kernels, W, driver_layout), n = self.parting, len(q)
         rests = self._rests(size, step, share)
         ends, fine = np.zeros((2, 2, n)), np.zeros(1, dtype=np.bool_)
         zero = np.zeros(1, dtype=np.int64)
         self._between(
             kernels,
-            (self._h, np.array([t]), W, told),
+            (self._h, np.array([t]), W, driver_layout),
             (np.ascontiguousarray(q[None]), np.ascontiguousarray(p[None])),
             (zero, zero, np.array([size])),
             (ends[0], ends[1], fine),

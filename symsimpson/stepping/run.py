@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from symsimpson.module.interface import ARRIVED, RATE_NOT_POSITIVE
 from symsimpson.program.numbers import NOTHING
 from symsimpson.program.observed import Reduction
-from symsimpson.program.recorders import Recorder, ordered, split, told
+from symsimpson.program.recorders import Recorder, driver_layout, split, with_clock
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import NO_INPUTS, workspace
+from symsimpson.stepping.failing import failure
 from symsimpson.stepping.kept import KeptStates
 from symsimpson.support.progress import Watcher
 from symsimpson.support.signals import listening
@@ -63,8 +64,8 @@ class Run:
         self._declared, self._tools = program.declared, program.tools
         self._parameters, self._inputs = parameters, inputs
         self._driver = numbers.driver
-        self._recorders = ordered(header, recorders)
-        self.told = told(header, self._recorders)
+        self._recorders = with_clock(header, recorders)
+        self.driver_layout = driver_layout(header, self._recorders)
         if any(recorder.renewed for recorder in recorders):
             self._driver = partial(numbers.driver, renewing=True)
         room = sum(recorder.room for recorder in recorders)
@@ -115,14 +116,16 @@ class Run:
         if self.header.retimed:
             if not onward:
                 self.apply("retime")
-                self._driver("begin")(self._kernels(), 0, self.h, self.t0, self.W, self.told)
+                self._driver("begin")(
+                    self._kernels(), 0, self.h, self.t0, self.W, self.driver_layout
+                )
             self.rows("TIME", 1)[:] = self.t0
             self.rows("TIME_END", 2)[:] = (0, 0) if t_end is None else (1, t_end)
         self.store(0)
 
     @property
     def _setting(self) -> tuple[Any, ...]:
-        return self.h, self.t0, self.W, self.told
+        return self.h, self.t0, self.W, self.driver_layout
 
     @cached_property
     def _take_steps(self) -> Any:
@@ -156,7 +159,7 @@ class Run:
 
     def begin_growth(self, directions: NDArray[Any]) -> None:
         """Begin variations of the state in these directions, orthonormal columns."""
-        self._driver("begin_growth")(self.W, self.told, directions)
+        self._driver("begin_growth")(self.W, self.driver_layout, directions)
 
     def store(self, place: int) -> None:
         """Store the present state, and what recorders have left."""
@@ -229,29 +232,12 @@ class Run:
             return Status.INTERRUPTED
         if self.alive or self.arrived:
             return Status.SUCCESS
-        status = Status(int(self._column[self._status]))
-        if status is Status.NOT_CONVERGED and self._diverged():
-            return Status.DIVERGED
-        if status is Status.NOT_FINITE and self._singular():
-            return Status.SINGULAR_JACOBIAN
-        return status
+        return failure(self)
 
-    def _diverged(self) -> bool:
-        """Return whether the increments became ten times what was predicted, and seen before."""
-        n, d = self.header.n, self.header.degree
-        predicted = self.rows("PREDICTED", d * n).reshape(d, n)
-        expected = max(
-            (self.rows("MASS_DIAGONAL", n) * predicted**2).sum(), self.value("LARGEST_SQUARED")
-        )
-        return bool(self.value("INCREMENT_SQUARED") > 100 * expected)
-
-    def _singular(self) -> bool:
-        """Return whether elimination with pivoting, the last resort, met a pivot of zero."""
-        if self._fallbacks[self._set] != "robust":
-            return False
-        at = self.header.layout
-        places = np.arange(at["SOLVE_UNKNOWNS"]) * (at["SOLVE_STRIDE"] + 1)
-        return bool((self._column[at["JACOBIAN"] + at["SOLVE_OFFSET"] + places] == 0).any())
+    @property
+    def last_resort(self) -> bool:
+        """Whether the kernels that eliminate with pivoting take the steps."""
+        return self._fallbacks[self._set] == "robust"
 
     @property
     def last_correction(self) -> float:
@@ -343,11 +329,13 @@ class Run:
         anew = "stages" in (self._fallbacks[number], self._fallbacks[self._set])
         self._set = number
         if not anew:
-            self._driver("switch")(self._kernels(), self.h, self._time(), self.W, self.told)
+            self._driver("switch")(
+                self._kernels(), self.h, self._time(), self.W, self.driver_layout
+            )
             return
         kept = [self.rows(name, 1) for name in ("ITERATIONS", "LARGEST_SQUARED")]
         values = [row.copy() for row in kept]
-        self._driver("begin")(self._kernels(), 0, self.h, self._time(), self.W, self.told)
+        self._driver("begin")(self._kernels(), 0, self.h, self._time(), self.W, self.driver_layout)
         for row, value in zip(kept, values, strict=True):
             row[:] = value
 
@@ -367,7 +355,9 @@ class Run:
                 if self.header.retimed and self._column[self._status] in BEHIND_A_STEP:
                     self._step_back()
                 return
-            self._driver("recover")(kernels, self.h, self._time(), self.W, self.told, event)
+            self._driver("recover")(
+                kernels, self.h, self._time(), self.W, self.driver_layout, event
+            )
             if not self.alive:
                 self._progress[1] = 0
                 return

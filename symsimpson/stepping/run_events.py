@@ -179,8 +179,8 @@ def read_events(program: Program, given: Any) -> RunEvents:
         refuse_constant(expression, f"the expression of the event {event.key!r}")
 
     def place(what: str, event: Event, expression: Any) -> int:
-        told = f"the {what} of the event {event.key!r}"
-        watched.append(read_expression(program, expression, what=told))
+        what_for = f"the {what} of the event {event.key!r}"
+        watched.append(read_expression(program, expression, what=what_for))
         return len(watched) - 1
 
     when = tuple(

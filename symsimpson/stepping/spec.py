@@ -82,11 +82,11 @@ class RunSpec:
         """Number of stored states."""
         return self.steps // self.every + 1 if self.every else 1
 
-    def said(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """Return the numbers that are the same for all members, for files."""
-        said = {"h": self.h, "t0": self.t0, "steps": self.steps, "every": self.every}
-        said |= {} if self.t_end is None else {"t_end": self.t_end}
-        return said | ({"inputs": self.digest_of_inputs} if self.inputs.size else {})
+        numbers = {"h": self.h, "t0": self.t0, "steps": self.steps, "every": self.every}
+        numbers |= {} if self.t_end is None else {"t_end": self.t_end}
+        return numbers | ({"inputs": self.digest_of_inputs} if self.inputs.size else {})
 
     @property
     def digest_of_inputs(self) -> str:

@@ -64,7 +64,7 @@ def outer_solar_system() -> CatalogueSystem:
 
 
 def n_body(n: int = 3) -> CatalogueSystem:
-    """Bodies of equal mass at the corners of a regular polygon that turns about its centre."""
+    """Bodies of mass 1 at the corners of a regular polygon of radius 1 that turns, for G = 1."""
     if isinstance(n, bool) or not isinstance(n, int) or n < 2:
         raise ModelError(f"bodies that attract each other are two at least, not {n!r}.\nUse 3.")
     angles = [2 * math.pi * k / n for k in range(n)]
@@ -86,8 +86,8 @@ def n_body(n: int = 3) -> CatalogueSystem:
 def pythagorean() -> CatalogueSystem:
     """Bodies of mass 3, 4 and 5 at rest at the corners of a right-angled triangle, in the plane.
 
-    They meet closely again and again, until the lightest escapes: for
-    ``pythagorean().retimed("encounters")``.
+    They meet closely again and again, until the lightest escapes: steps must adapt, as those of
+    ``pythagorean().retimed("encounters")`` do.
     """
     return _bodies(
         "pythagorean",
@@ -101,7 +101,10 @@ def pythagorean() -> CatalogueSystem:
 
 
 def figure_eight() -> CatalogueSystem:
-    """Three equal masses that follow each other along one figure of eight, of period 6.3259."""
+    """Three bodies of mass 1 that follow each other along a figure of eight, for G = 1.
+
+    The period is 6.3259.
+    """
     first, last = (0.97000436, -0.24308753), (-0.93240737, -0.86473146)
     half = tuple(-x / 2 for x in last)
     return _bodies(
@@ -117,7 +120,7 @@ def figure_eight() -> CatalogueSystem:
 def _bodies(
     name: str,
     masses: Sequence[float],
-    constant: float,
+    gravitational_constant: float,
     places: Sequence[tuple[float, ...]],
     velocities: Sequence[tuple[float, ...]],
     source: str,
@@ -139,7 +142,7 @@ def _bodies(
         coordinates=q,
         kinetic=sp.Add(*kinetic),
         potential=sp.Add(*potential),
-        parameters={**dict(zip(m, masses, strict=True)), G: constant},
+        parameters={**dict(zip(m, masses, strict=True)), G: gravitational_constant},
         positions={f"body {i}": point for i, point in enumerate(points)},
         reference_state={"q0": sum(places, ()), "v0": sum(velocities, ())},
         source=source,

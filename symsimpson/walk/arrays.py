@@ -8,7 +8,7 @@ from typing import Any
 
 from llvmlite import ir
 
-from symsimpson.walk.values import BIT, DOUBLE, INT, Along, Refused, Values, known
+from symsimpson.walk.values import BIT, DOUBLE, INT, LaneNumber, Refused, Values, known
 
 __all__ = ["BYTE", "Array", "Arrays", "Range"]
 
@@ -99,8 +99,8 @@ class Arrays(Values):
             if known(place) and place < 0:
                 place = self.add(size, place)
             number = self.add(number, self.multiply(place, stride))
-        along = isinstance(number, Along)
-        first = number.first if isinstance(number, Along) else number
+        along = isinstance(number, LaneNumber)
+        first = number.first if isinstance(number, LaneNumber) else number
         pointer = self.builder.gep(array.pointer, [self.whole(first)], inbounds=True)
         if along:
             vector = ir.VectorType(DOUBLE, width)

@@ -11,7 +11,7 @@ from llvmlite import ir
 
 from symsimpson.walk.arrays import BYTE, Array
 from symsimpson.walk.rows import Rows
-from symsimpson.walk.values import BIT, DOUBLE, FLAGS, INT, Along, Refused, known
+from symsimpson.walk.values import BIT, DOUBLE, FLAGS, INT, LaneNumber, Refused, known
 
 __all__ = ["Blocks", "Loop", "Slot"]
 
@@ -51,7 +51,7 @@ class Blocks(Rows):
             for place in places:
                 table = table[int(place)]
             return table.item() if hasattr(table, "item") else table
-        if any(isinstance(place, Along) for place in places):
+        if any(isinstance(place, LaneNumber) for place in places):
             raise Refused("an entry of a table for each lane")
         variable, shape = self._table(table)
         if len(shape) != len(places):
@@ -85,7 +85,7 @@ class Blocks(Rows):
 
     def slot(self, value: Any, width: int, mask: Any = None) -> Slot:
         """Return a variable with this value."""
-        if isinstance(value, (Along, tuple, list)):
+        if isinstance(value, (LaneNumber, tuple, list)):
             raise Refused("a variable of this kind, that a loop or a branch changes")
         if isinstance(value, bool):
             value = self.bit(value)

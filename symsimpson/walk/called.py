@@ -35,7 +35,7 @@ class Functions(Expressions):
             case (("real" | "float"), [value]):
                 return float(value) if isinstance(value, (str, *KNOWN)) else values.real(value)
             case "int", [value]:
-                return values.cut(value)
+                return values.truncate(value)
             case "abs", [value]:
                 return values.absolute(value)
             case (("min" | "max"), _):
@@ -84,7 +84,7 @@ class Functions(Expressions):
             case "log", [value]:
                 return self._library(math.log, [value])
             case "int64", [value]:
-                return values.cut(value)
+                return values.truncate(value)
         raise Refused(f"a call of np.{name}")
 
     def _method(self, array: Array, name: str, arguments: list[Any]) -> Any:

@@ -17,7 +17,7 @@ from symsimpson.walk.blocks import Loop, Slot
 from symsimpson.walk.calls import Calls
 from symsimpson.walk.text import Text
 from symsimpson.walk.trees import must_wait, used_once
-from symsimpson.walk.values import Own, Refused, known
+from symsimpson.walk.values import PrivateRow, Refused, known
 
 __all__ = ["Ahead", "Env", "Expressions", "Frame", "Product"]
 
@@ -89,7 +89,7 @@ class Expressions(ABC):
         #: The lanes of a vector for which what is walked counts; None if all do.
         self._mask: Any = None
         #: Scratch of which each lane has rows of its own.
-        self._own: dict[str, Own] = {}
+        self._own: dict[str, PrivateRow] = {}
         self._frames: list[Frame] = []
         #: The statements that are being walked, each in one of the one before.
         self._ahead: list[Ahead] = []
@@ -249,7 +249,7 @@ class Expressions(ABC):
             case ast.FloorDiv():
                 return values.quotient(a, b)
             case ast.Mod():
-                return values.rest(a, b)
+                return values.remainder(a, b)
         raise Refused(f"an operation of type {type(op).__name__}")
 
     def _truths(self, parts: list[ast.expr], env: Env, *, settles: bool) -> Any:

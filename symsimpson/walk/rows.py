@@ -14,7 +14,7 @@ from typing import Any
 from llvmlite import ir
 
 from symsimpson.walk.arrays import Array, Arrays
-from symsimpson.walk.values import DOUBLE, INT, Along, Own, Refused, known
+from symsimpson.walk.values import DOUBLE, INT, LaneNumber, PrivateRow, Refused, known
 
 __all__ = ["BlockBuilder", "Rows"]
 
@@ -68,7 +68,7 @@ class Rows(Arrays):
 
     def load(self, array: Array, places: list[Any], width: int) -> Any:
         """Return a number, or part of an array where there are fewer places, or ranges."""
-        if isinstance(places[0], Own):
+        if isinstance(places[0], PrivateRow):
             return self._own(places[0])
         first, rows = self._range(array, places, width)
         if first is None:
@@ -96,7 +96,7 @@ class Rows(Arrays):
 
     def store(self, array: Array, places: list[Any], value: Any, width: int) -> None:
         """Put a number into an array, or a vector along it."""
-        if isinstance(places[0], Own):
+        if isinstance(places[0], PrivateRow):
             self.builder.store(self.spread(self.real(value), width), self._place_of(places[0]))
             return
         first, rows = self._range(array, places, width)
@@ -117,15 +117,15 @@ class Rows(Arrays):
         else:
             store(array, places, value, width)
 
-    def own_rows(self, rows: int, width: int) -> Own:
+    def own_rows(self, rows: int, width: int) -> PrivateRow:
         """Return the first of so many rows of each lane."""
         with self.builder.goto_entry_block():
-            return Own(self.builder.alloca(ir.VectorType(DOUBLE, width), INT(rows)), rows, 0)
+            return PrivateRow(self.builder.alloca(ir.VectorType(DOUBLE, width), INT(rows)), rows, 0)
 
-    def _own(self, row: Own) -> Any:
+    def _own(self, row: PrivateRow) -> Any:
         return self.builder.load(self._place_of(row))
 
-    def _place_of(self, row: Own) -> Any:
+    def _place_of(self, row: PrivateRow) -> Any:
         if known(row.place) and not 0 <= row.place < row.rows:
             raise Refused("a row outside of its block")
         return self.builder.gep(row.memory, [self.whole(row.place)], inbounds=True)
@@ -140,12 +140,12 @@ class Rows(Arrays):
             self._block = self.builder.block
         number: Any = 0
         for place, stride in zip(places, array.strides, strict=True):
-            if isinstance(place, Along):
+            if isinstance(place, LaneNumber):
                 place = place.first if stride == 1 else None
             if not known(place):
                 return None, 0
             number += place * stride
-        return int(number), width if any(isinstance(x, Along) for x in places) else 1
+        return int(number), width if any(isinstance(x, LaneNumber) for x in places) else 1
 
     def _end(self) -> None:
         """Store, where a block ends, what may still be asked for."""

@@ -12,7 +12,18 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 
-__all__ = ["BIT", "DOUBLE", "FLAGS", "INT", "KNOWN", "Along", "Own", "Refused", "Values", "known"]
+__all__ = [
+    "BIT",
+    "DOUBLE",
+    "FLAGS",
+    "INT",
+    "KNOWN",
+    "LaneNumber",
+    "PrivateRow",
+    "Refused",
+    "Values",
+    "known",
+]
 
 DOUBLE, INT, BIT = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
 #: What is left of fast arithmetic: tests for NaN and compensated sums stay what they are. A product
@@ -35,15 +46,15 @@ class Refused(Exception):
 
 
 @dataclass(frozen=True)
-class Along:
-    """A whole number that counts the lanes of a vector, from ``first`` on."""
+class LaneNumber:
+    """The number of a lane in each lane of a vector, from ``first`` on."""
 
     first: Any
 
 
 @dataclass(frozen=True)
-class Own:
-    """A row of which each lane of a vector has one: its vector is at a place of so many."""
+class PrivateRow:
+    """A row of which each lane has its own: vector number ``place`` of ``rows`` in ``memory``."""
 
     memory: Any
     rows: int
@@ -51,12 +62,12 @@ class Own:
 
 
 def known(value: Any) -> bool:
-    """Return whether a value is a number of Python."""
+    """Return whether a value is a number of Python or NumPy."""
     return isinstance(value, KNOWN)
 
 
 class Values:
-    """Makes instructions; numbers that are known are computed at once.
+    """Makes instructions; arithmetic on known numbers is done at once.
 
     Parameters
     ----------
@@ -72,7 +83,7 @@ class Values:
         """Return a value as a double, or a vector of doubles."""
         if known(value):
             return ir.Constant(DOUBLE, float(value))
-        if isinstance(value, Along):
+        if isinstance(value, LaneNumber):
             raise Refused("the number of a lane as a real number")
         if value.type == INT:
             return self.builder.sitofp(value, DOUBLE)
@@ -81,21 +92,21 @@ class Values:
         return value
 
     def whole(self, value: Any) -> Any:
-        """Return a value as a whole number of 64 bits."""
+        """Return a value as a whole number of 64 bits; a known one is cut towards zero."""
         if known(value):
             return ir.Constant(INT, int(value))
-        if not isinstance(value, Along) and value.type == BIT:
+        if not isinstance(value, LaneNumber) and value.type == BIT:
             return self.builder.zext(value, INT)
-        if isinstance(value, Along) or value.type != INT:
+        if isinstance(value, LaneNumber) or value.type != INT:
             raise Refused("a real number as a row or a count")
         return value
 
     def bit(self, value: Any) -> Any:
-        """Return a value as true or false."""
+        """Return a known number as true or false, and any other value as it is."""
         return ir.Constant(BIT, int(bool(value))) if known(value) else value
 
     def typed(self, a: Any, beside: Any) -> Any:
-        """Return a known number as a value of the type that both of two have."""
+        """Return a known number as a value of the common type of both numbers."""
         if isinstance(a, bool) and isinstance(beside, bool):
             return self.bit(a)
         both = isinstance(a, int) and isinstance(beside, int)
@@ -103,7 +114,7 @@ class Values:
 
     def alike(self, *values: Any) -> list[Any]:
         """Return values of one type: vectors if one is a vector, doubles if one is a double."""
-        if any(isinstance(value, (Along, Own)) for value in values):
+        if any(isinstance(value, (LaneNumber, PrivateRow)) for value in values):
             raise Refused("a row as a number")
         kinds = {value.type for value in values if not known(value)}
         width = next((kind.count for kind in kinds if isinstance(kind, ir.VectorType)), 0)
@@ -132,15 +143,15 @@ class Values:
 
     def add(self, a: Any, b: Any) -> Any:
         """Return a + b."""
-        if isinstance(a, Own) or isinstance(b, Own):
-            row, more = (a, b) if isinstance(a, Own) else (b, a)
-            return Own(row.memory, row.rows, self.add(row.place, more))
-        if isinstance(a, Along) or isinstance(b, Along):
+        if isinstance(a, PrivateRow) or isinstance(b, PrivateRow):
+            row, more = (a, b) if isinstance(a, PrivateRow) else (b, a)
+            return PrivateRow(row.memory, row.rows, self.add(row.place, more))
+        if isinstance(a, LaneNumber) or isinstance(b, LaneNumber):
             return self._along(a, b, self.add)
         if known(a) and known(b):
             return a + b
         for operand, other in ((a, b), (b, a)):
-            if known(operand) and operand == 0 and not self._turns(operand, other):
+            if known(operand) and operand == 0 and not self._would_promote(operand, other):
                 return self._number(other)
         return self._two("add", "fadd", a, b)
 
@@ -148,32 +159,39 @@ class Values:
         """Return a - b."""
         if known(a) and known(b):
             return a - b
-        if isinstance(a, Along) and not isinstance(b, Along):
-            return Along(self.subtract(a.first, b))
-        if known(b) and b == 0 and not self._turns(b, a):
+        if isinstance(a, LaneNumber) and not isinstance(b, LaneNumber):
+            return LaneNumber(self.subtract(a.first, b))
+        if known(b) and b == 0 and not self._would_promote(b, a):
             return self._number(a)
-        if known(a) and a == 0 and not self._turns(a, b):
+        if known(a) and a == 0 and not self._would_promote(a, b):
             return self.negative(b)
         return self._two("sub", "fsub", a, b)
 
     def multiply(self, a: Any, b: Any) -> Any:
-        """Return a b; nothing is left of a factor 1, and zero of a factor 0."""
+        """Return a b; a known factor 1 vanishes.
+
+        A known factor 0 gives 0, whatever the other is: zeros of tables are no products. Where an
+        instruction must tell what is not finite, there are no flags, and the product stays.
+        """
         if known(a) and known(b):
             return a * b
         for factor, other in ((a, b), (b, a)):
-            if known(factor) and not self._turns(factor, other):
+            if known(factor) and not self._would_promote(factor, other):
                 if factor == 1:
                     return self._number(other)
                 if factor == -1 and self._is_real(other):
                     return self.negative(other)
-                if factor == 0 and self._flags:  # without them it may tell what is not finite
+                if factor == 0 and self._flags:
                     return factor
         return self._two("mul", "fmul", a, b)
 
     def fused(self, a: Any, b: Any, c: Any) -> Any:
-        """Return a b + c, rounded once where the machine can."""
+        """Return a b + c, rounded once where the machine can.
+
+        With two known numbers, a known 0, 1 or -1, or without flags it is a product and a sum.
+        """
         values = (a, b, c)
-        plain = not self._flags or any(isinstance(x, (Along, Own)) for x in values)
+        plain = not self._flags or any(isinstance(x, (LaneNumber, PrivateRow)) for x in values)
         if plain or sum(map(known, values)) > 1 or not any(map(self._is_real, values)):
             return self.add(self.multiply(a, b), c)
         if any(known(x) and x in (0, 1, -1) for x in values):
@@ -198,7 +216,7 @@ class Values:
         quotient = self.builder.sdiv(a, b)
         return self.subtract(quotient, self._below(a, b))
 
-    def rest(self, a: Any, b: Any) -> Any:
+    def remainder(self, a: Any, b: Any) -> Any:
         """The remainder of a number divided by another, of the sign of the divisor."""
         if known(a) and known(b):
             return a % b
@@ -219,7 +237,7 @@ class Values:
         return self.builder.and_(apart, self.builder.icmp_signed("!=", left, INT(0)))
 
     def power(self, a: Any, b: Any) -> Any:
-        """a^b for a whole b, by squares."""
+        """a^b for a known whole b, by squares."""
         if known(a) and known(b):
             return a**b
         if b < 0:
@@ -295,8 +313,8 @@ class Values:
         """The square root of a."""
         return self._intrinsic("sqrt", self.real(a))
 
-    def cut(self, a: Any) -> Any:
-        """The whole number of a real one."""
+    def truncate(self, a: Any) -> Any:
+        """A real number cut towards zero."""
         if known(a):
             return int(a)
         if isinstance(a.type, ir.VectorType):
@@ -314,30 +332,32 @@ class Values:
             vector = self.builder.insert_element(vector, number, ir.IntType(32)(lane))
         return vector
 
-    # -- inside
+    # -- shared by the operations above
 
-    def _along(self, a: Any, b: Any, operation: Any) -> Along:
-        if isinstance(b, Along):
+    def _along(self, a: Any, b: Any, operation: Any) -> LaneNumber:
+        if isinstance(b, LaneNumber):
             a, b = b, a
-        if isinstance(b, Along):
+        if isinstance(b, LaneNumber):
             raise Refused("a row of twice the number of a lane")
-        return Along(operation(a.first, b))
+        return LaneNumber(operation(a.first, b))
 
     def _number(self, value: Any) -> Any:
         """Return a value, a truth as 0 or 1."""
         return self.whole(value) if getattr(value, "type", None) == BIT else value
 
-    def _turns(self, number: Any, other: Any) -> bool:
+    def _would_promote(self, number: Any, other: Any) -> bool:
         """Return whether a known number would make a whole number a real one."""
         return (
-            isinstance(number, float) and not isinstance(other, Along) and not self._is_real(other)
+            isinstance(number, float)
+            and not isinstance(other, LaneNumber)
+            and not self._is_real(other)
         )
 
     @staticmethod
     def _is_real(value: Any) -> bool:
         if known(value):
             return isinstance(value, float)
-        if isinstance(value, (Along, Own)):
+        if isinstance(value, (LaneNumber, PrivateRow)):
             raise Refused("a row as a number")
         kind = value.type
         return (kind.element if isinstance(kind, ir.VectorType) else kind) == DOUBLE

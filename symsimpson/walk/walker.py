@@ -21,7 +21,7 @@ from symsimpson.walk.blocks import Loop, Slot
 from symsimpson.walk.expressions import Ahead, Env, Frame, Product
 from symsimpson.walk.own import own_blocks
 from symsimpson.walk.trees import assigned, leaves, vectors, weight
-from symsimpson.walk.values import Along, Refused, known
+from symsimpson.walk.values import LaneNumber, Refused, known
 
 __all__ = ["Walker"]
 
@@ -198,7 +198,7 @@ class Walker(Assigning):
         match node:
             case ast.For(target=ast.Name(id="lane")) if self._side_by_side and not self._width:
                 self._width = self._side_by_side
-                self._last(node.body, env | {"lane": Along(0)})
+                self._last(node.body, env | {"lane": LaneNumber(0)})
                 self._width = 0
                 return
             case ast.For(
@@ -268,7 +268,7 @@ class Walker(Assigning):
         constants = {key: value for key, value in env.items() if isinstance(value, int)}
         if not vectors(node, name, turns, self._text, constants):
             return False
-        local_env = env | {name: Along(turns.start)}
+        local_env = env | {name: LaneNumber(turns.start)}
         self._width = len(turns)
         try:
             self._block(node.body, local_env)
@@ -293,7 +293,7 @@ class Walker(Assigning):
             x: values.own_rows(len(text.blocks[x]), width) for x in sorted(blocks)
         }
         self._width = width
-        self._block(node.body, env | {name: Along(turns.start)})
+        self._block(node.body, env | {name: LaneNumber(turns.start)})
         self._width, self._own = 0, {}
         for variable in assigned(node.body):  # they have no one value behind it
             env.pop(variable, None)
@@ -347,7 +347,8 @@ class Walker(Assigning):
         def body(number: Any, loop: Loop) -> bool:
             def walk() -> bool:
                 lane_arguments = (
-                    values.add(x.first, number) if isinstance(x, Along) else x for x in arguments
+                    values.add(x.first, number) if isinstance(x, LaneNumber) else x
+                    for x in arguments
                 )
                 if self._inside(function, [*lane_arguments]) is not None:
                     raise Refused("a result of one lane after another")

@@ -9,14 +9,14 @@ def check_derivatives(problem, scheme, steps=3):
 
     from symsimpson.control.grid import read_grid
     from symsimpson.control.layout import Layout
-    from symsimpson.control.solving import begin
+    from symsimpson.control.solving import initial_point
     from symsimpson.schemes.named import read_scheme
 
     grid = read_grid(steps, len(problem.reading.phases))
     layout = Layout(problem.reading, read_scheme(scheme), grid)
     programme, *_ = layout.programme
     rng = np.random.default_rng(3)
-    at = begin(layout, None) + 0.1 * rng.normal(size=layout.size)
+    at = initial_point(layout, None) + 0.1 * rng.normal(size=layout.size)
     multipliers, cost = rng.normal(size=programme.shape[0]), 0.7
 
     def slopes(at):

@@ -138,7 +138,7 @@ def _run_past_pole(case: _Case, distance: float, phase: float) -> PolePass:
     path = rk4(equations, start, h=h / FINER, steps=FINER * steps, every=FINER)[1][:, :3]
     stepper = case.stepper
     q0, v0 = _angles(start[:3], start[3:], case)
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always", ResolutionWarning)
         run = stepper.integrate(q0, v0=v0, h=h, steps=steps, on_failure="return")
     axes = _axis(run.q, case)
@@ -150,7 +150,7 @@ def _run_past_pole(case: _Case, distance: float, phase: float) -> PolePass:
         run.status,
         float(np.abs(axes[done] - path[done]).max()),
         float(np.abs(run.energy_error).max()),
-        any(issubclass(warning.category, ResolutionWarning) for warning in told),
+        any(issubclass(warning.category, ResolutionWarning) for warning in warned),
     )
 
 

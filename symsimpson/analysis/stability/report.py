@@ -91,7 +91,7 @@ def stress_standard(scheme: str) -> Iterator[str]:
         yield f"  {limit:.4f}, by theory {theory:.4f}"
     yield "past a pole of spherical angles: distance, outcome, error of the axis, warning"
     for run in pole_sweep(scheme):
-        told = "warned" if run.warned else ""
+        warned = "warned" if run.warned else ""
         yield (
-            f"  {run.system:<20} {run.distance:.0e} {run.status.name:<24} {run.error:8.1e} {told}"
+            f"  {run.system:<20} {run.distance:.0e} {run.status.name:<24} {run.error:8.1e} {warned}"
         )

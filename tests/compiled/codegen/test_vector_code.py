@@ -67,7 +67,7 @@ def test_lanes_do_not_know_of_each_other():
 
     def run(q, p):
         W = new_workspace(module, q, p, [1.0, 1.0, length, length, 9.81])
-        at = stepper.program.header.told
+        at = stepper.program.header.driver_layout
         stored = np.empty((1, 2, 8))
         driver("begin", 8)(addresses, 0, 0.02, 0.0, W, at)
         progress = np.zeros(3, dtype=np.int64)

@@ -11,7 +11,7 @@ from symsimpson.control.grid import Grid
 from symsimpson.control.layout import Layout
 from symsimpson.control.reading import read_family
 from symsimpson.control.scaling import scaled
-from symsimpson.control.solving import begin
+from symsimpson.control.solving import initial_point
 
 pytest.importorskip("casadi")
 
@@ -104,7 +104,7 @@ def test_both_forms_have_the_same_solution(name, scheme):
 def test_derivatives_are_those_of_its_own_values():
     layout = Layout(crane(duration=(1, 3)).reading, read_family("simpson"), Grid((3,)))
     programme, *limits = layout.programme
-    guess = begin(layout, {"u": lambda t: np.sin(3 * t), "duration": 1.7})
+    guess = initial_point(layout, {"u": lambda t: np.sin(3 * t), "duration": 1.7})
     own = scaled(programme, layout, guess)
     bounds = own.bounds(layout.bounds, limits)[0]
     start = own.inside(moved(layout, at_start(layout, guess)))

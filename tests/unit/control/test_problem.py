@@ -156,7 +156,7 @@ def test_solutions_are_saved_with_the_numbers_they_have(tmp_path):
         with pytest.raises(ss.InputError, match="the solution of another problem, of 6 steps"):
             other.open(path)
     whole = path.read_bytes()
-    for damaged in (whole[:-30], b"", b"no archive", whole.replace(b"told", b"cold")):
+    for damaged in (whole[:-30], b"", b"no archive", whole.replace(b"saved", b"sawed")):
         path.write_bytes(damaged)
         with pytest.raises(ss.StorageError, match="no solution that symsimpson saved"):
             cart(cost=u**2 + x**2).open(path)
@@ -165,7 +165,7 @@ def test_solutions_are_saved_with_the_numbers_they_have(tmp_path):
         np.savez(path, **held | change)
         with pytest.raises(ss.StorageError, match="ValueError"):
             cart(cost=u**2 + x**2).open(path)
-    held["told"] = np.array(str(held["told"]).replace('"steps": 6', '"steps": 600000000'))
+    held["saved"] = np.array(str(held["saved"]).replace('"steps": 6', '"steps": 600000000'))
     np.savez(path, **held)
     with pytest.raises(ss.InputError, match="of another problem, of 600000000 steps"):
         cart(cost=u**2 + x**2).open(path)

@@ -26,7 +26,7 @@ def signed(text):
 @pytest.mark.parametrize("text", [TEXT, DRIVEN])
 def test_the_driver_is_told_where_blocks_stand(text):
     header = read_header(text, "here")
-    told = dict(zip(TOLD, header.told.tolist(), strict=True))
+    told = dict(zip(TOLD, header.driver_layout.tolist(), strict=True))
     for name in TOLD.keys() & BLOCKS.keys() & header.layout.keys():
         assert told[name] == header.layout[name]
     assert told["TANGENT"] == told["GROWN"] == told["ROWS"] == header.rows  # behind all others
