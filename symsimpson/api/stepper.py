@@ -169,7 +169,7 @@ class Stepper(Examining):
             Times in the order of the run, at which alone states are kept.
         save : str, symbol or sequence of them, optional
             Quantities to keep in place of states, as in ``run["energy"]``; "q", "p" and "v" are all
-            of theirs. Neither goes with what is recorded, nor with ``checkpoint``.
+            of theirs. Neither goes with derivatives, ``record`` or ``checkpoint``.
         tangents : int or array_like, shape (2 n, k), optional
             Variations (dq, dp) of the initial state, one per column; k stands for the first k unit
             vectors. ``run.tangent`` holds them.

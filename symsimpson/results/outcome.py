@@ -1,4 +1,4 @@
-"""How a run ended: of whole runs, and of those of which little is kept."""
+"""What whole runs and those of which little is kept have in common: how they ended."""
 
 from __future__ import annotations
 
@@ -10,17 +10,23 @@ __all__ = ["Outcome"]
 
 
 class Outcome:
-    """How a run ended."""
+    """How a run ended, and what was observed on its way."""
 
     status: Status
     message: str
     steps: int
     h: Any
+    reduced_values: tuple[tuple[str, float], ...]
 
     @property
     def success(self) -> bool:
         """Whether the run reached its end."""
         return self.status is Status.SUCCESS
+
+    @property
+    def reduced(self) -> dict[str, float]:
+        """The quantities requested by ``reduce``; NaN where states behind the end were taken in."""
+        return dict(self.reduced_values)
 
     def _outcome(self) -> dict[str, Any]:
         """Return it for files."""

@@ -88,6 +88,7 @@ class Sampled(WithEvents, Outcome, States):
     message: str
     records: tuple[Record, ...] = ()
     event_names: tuple[str, ...] = ()
+    reduced_values: tuple[tuple[str, float], ...] = ()
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Keep the states in a file, of the kind that its ending says.
@@ -155,6 +156,7 @@ class Saved(WithEvents, Outcome):
     driven: Any = None
     records: tuple[Record, ...] = ()
     event_names: tuple[str, ...] = ()
+    reduced_values: tuple[tuple[str, float], ...] = ()
 
     def __getitem__(self, name: Any) -> NDArray[Any]:
         """Return a quantity by its name.

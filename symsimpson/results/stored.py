@@ -41,7 +41,6 @@ class Stored(Outcome, States):
     varied_by: tuple[str, ...] | None
     recorded_values: tuple[tuple[str, NDArray[Any]], ...]
     tau_values: NDArray[Any] | None
-    reduced_values: tuple[tuple[str, float], ...]
     records: tuple[Any, ...]
     event_names: tuple[str, ...]
     ended_by: str | None
@@ -50,8 +49,3 @@ class Stored(Outcome, States):
     def recorded(self) -> dict[str, NDArray[Any]]:
         """The sums requested by ``record``, by name, shape (N + 1, k) each."""
         return dict(self.recorded_values)
-
-    @property
-    def reduced(self) -> dict[str, float]:
-        """The quantities requested by ``reduce``; NaN where states behind the end were taken in."""
-        return dict(self.reduced_values)

@@ -64,7 +64,7 @@ def chosen_run(
     about: dict[str, Any] = {name: getattr(last, name) for name in ("h", "steps", "status")}
     about |= {"message": last.message, "program": program}
     about |= {"parameter_values": last.parameter_values, "driven": last.driven}
-    about["records"] = tuple(run.records)
+    about |= {"records": tuple(run.records), "reduced_values": last.reduced_values}
     about["event_names"] = spec.run_events.names if spec.run_events else ()
     result: Sampled | Saved
     if names is None:

@@ -144,7 +144,7 @@ def refuse_together(request: Request) -> None:
     ------
     InputError
     """
-    for name in ("tangents", "sensitivities", "checkpoint", "record", "reduce"):
+    for name in ("tangents", "sensitivities", "checkpoint", "record"):
         if getattr(request, name) is not None:
             raise InputError(
                 f"{name} needs the states of all steps, of which t_eval or save keeps some.\n"

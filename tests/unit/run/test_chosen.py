@@ -33,6 +33,14 @@ def test_states_at_chosen_times_are_those_of_the_dense_output(stepper, piece):
     assert "bob" in found.points
 
 
+def test_every_step_is_observed_however_few_states_are_kept(stepper, piece):
+    asked = {"reduce": {"highest": ("max", "q1"), "mean": ("mean", "energy")}, "steps": 200}
+    whole = stepper.integrate(**GIVEN, **asked).reduced
+    assert stepper.integrate(**GIVEN, **asked, t_eval=TIMES).reduced == whole
+    assert stepper.integrate(**GIVEN, **asked, save="q1").reduced == whole
+    assert stepper.integrate(**GIVEN, steps=200, save="q1").reduced == {}
+
+
 def test_without_an_end_the_run_goes_as_far_as_the_last_time(stepper):
     assert stepper.integrate(**GIVEN, t_eval=[0.1, 0.234]).steps == 24
     assert stepper.integrate(**GIVEN, t_eval=[0.3]).steps == 30  # 0.3 / 0.01 is a little less
