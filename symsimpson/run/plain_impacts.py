@@ -75,7 +75,7 @@ class PlainImpacts:
         signs = [event.sign for event in events.events]
         columns = events.rate, events.slopes, when, events.sizes, signs
         places = np.array([*zip(*columns, strict=True)], dtype=np.int64)
-        self._count, self._told = np.zeros(1, dtype=np.int64), records
+        self._count, self._all_records = np.zeros(1, dtype=np.int64), records
         self._records = np.zeros((ROOM, STATES_OF + 4 * header.n))
         self._impacts = places, restitution, first, self._records, self._count
 
@@ -86,7 +86,7 @@ class PlainImpacts:
         sets = kernels, self._parting, self._looking
         self._driver(sets, setting, progress, (stop, every), *rest, self._impacts)
         if self._count[0]:
-            self._told += self._acted()
+            self._all_records += self._acted()
             self._count[0] = 0
 
     def _acted(self) -> list[Record]:
