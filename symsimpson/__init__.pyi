@@ -4,8 +4,8 @@ from . import systems as systems
 from .analysis.certificate import Certificate as Certificate
 from .analysis.choose import Choice as Choice
 from .analysis.choose import choose as choose
-from .analysis.costs import StepCosts as StepCosts
-from .analysis.costs import step_costs as step_costs
+from .analysis.operation_counts import StepCosts as StepCosts
+from .analysis.operation_counts import step_costs as step_costs
 from .analysis.to_error import integrate as integrate
 from .api.compiling import compile as compile
 from .api.compiling import generate as generate
@@ -14,9 +14,9 @@ from .api.compiling import resume as resume
 from .api.stepper import Stepper as Stepper
 from .bench.record import WorkPrecision as WorkPrecision
 from .bench.work_precision import work_precision as work_precision
+from .control.control_status import ControlStatus as ControlStatus
 from .control.problem import OptimalControl as OptimalControl
 from .control.result import ControlResult as ControlResult
-from .control.status import ControlStatus as ControlStatus
 from .ensemble.ensemble import Ensemble as Ensemble
 from .errors import ConstraintWarning as ConstraintWarning
 from .errors import ConvergenceError as ConvergenceError

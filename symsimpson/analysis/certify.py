@@ -15,16 +15,16 @@ import mpmath
 import numpy as np
 from numpy.typing import ArrayLike
 
-from symsimpson.analysis.balance import momentum_balance
 from symsimpson.analysis.certificate import Certificate, Check
 from symsimpson.analysis.convergence import DIGITS, order_of_errors, order_of_time
-from symsimpson.analysis.energies import LONG, drift, shadow
+from symsimpson.analysis.energy_checks import LONG, drift, shadow
+from symsimpson.analysis.momentum_balance import momentum_balance
 from symsimpson.analysis.order import observed_orders
 from symsimpson.analysis.pilot import choose_state, choose_step
 from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.subject import SHORT, Subject, with_inputs
 from symsimpson.analysis.variants import in_tau
-from symsimpson.derivatives.equations import At, evaluate_equations
+from symsimpson.derivatives.step_equations import At, evaluate_equations
 from symsimpson.errors import InputError, SymsimpsonError
 from symsimpson.module.header import digest
 from symsimpson.program.numbers import FLOAT64

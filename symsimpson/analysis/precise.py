@@ -16,8 +16,8 @@ from symsimpson.program.digits import Digits, read_precision
 from symsimpson.program.program import new_program
 from symsimpson.program.workspace import workspace
 from symsimpson.results.trajectory import Trajectory
+from symsimpson.stepping.constrained_start import project_start
 from symsimpson.stepping.driving import read_driving
-from symsimpson.stepping.held import project_start
 from symsimpson.stepping.run import Run
 
 __all__ = ["Precise"]

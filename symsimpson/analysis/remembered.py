@@ -11,7 +11,7 @@ from symsimpson.analysis.choose import Choice
 from symsimpson.api.compiling import compile as compile_system
 from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
-from symsimpson.program.kept import kept
+from symsimpson.program.answers import kept
 
 __all__ = ["remembered"]
 

@@ -15,8 +15,8 @@ from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
 from symsimpson.api.stepper import Stepper
 from symsimpson.errors import ConvergenceError
+from symsimpson.program.input_values import read_number
 from symsimpson.program.program import Findings
-from symsimpson.program.values import read_number
 from symsimpson.reference.extrapolation import extrapolate
 from symsimpson.reference.first_order import canonical
 from symsimpson.results.trajectory import Trajectory

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from symsimpson.api.stepper import Stepper
-from symsimpson.codegen.names import NameTable
+from symsimpson.codegen.emitted_names import NameTable
 from symsimpson.codegen.pipeline import derive
 from symsimpson.discrete.equations import check_differentiable
 from symsimpson.discrete.reductions import read_exploit

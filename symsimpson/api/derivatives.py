@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.api.stepping import Stepping
-from symsimpson.derivatives.chaos import lyapunov
 from symsimpson.derivatives.gradients import Wanted, gradient_of
 from symsimpson.derivatives.linearised import linearise
+from symsimpson.derivatives.lyapunov import lyapunov
 from symsimpson.results.chaos import Chaos
 from symsimpson.results.gradient import Gradient
 from symsimpson.results.linearisation import Linearisation

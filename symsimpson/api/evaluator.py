@@ -7,7 +7,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.derivatives.equations import At, evaluate_curvature, evaluate_equations
+from symsimpson.derivatives.step_equations import At, evaluate_curvature, evaluate_equations
 from symsimpson.errors import InputError
 from symsimpson.program.evaluating import evaluate_energy
 from symsimpson.program.program import Program

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.analysis.stability.frequency import largest_frequency
-from symsimpson.bench.problem import Problem
+from symsimpson.bench.benchmark_problem import Problem
 
 __all__ = ["COARSE", "TOLERANCES", "Contender", "Outcome", "Runnable", "numbers_of_steps"]
 

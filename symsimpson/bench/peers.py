@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from symsimpson.api.compiling import compile as compile_system
+from symsimpson.bench.benchmark_problem import Problem
 from symsimpson.bench.contender import Contender, Outcome, Runnable, numbers_of_steps
-from symsimpson.bench.problem import Problem
 from symsimpson.bench.programs import PROGRAMS
 from symsimpson.errors import InputError
 from symsimpson.mechanics.retimed import RetimedSystem

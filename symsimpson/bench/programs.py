@@ -16,6 +16,7 @@ import sympy as sp
 from numpy.typing import NDArray
 
 from symsimpson.api.compiling import compile as compile_system
+from symsimpson.bench.benchmark_problem import Problem
 from symsimpson.bench.contender import (
     COARSE,
     TOLERANCES,
@@ -24,8 +25,7 @@ from symsimpson.bench.contender import (
     Runnable,
     numbers_of_steps,
 )
-from symsimpson.bench.explicit import make_dop853
-from symsimpson.bench.problem import Problem
+from symsimpson.bench.dop853 import make_dop853
 from symsimpson.reference import FirstOrder
 from symsimpson.reference.runge_kutta import compiled_rates, compiled_rk4
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+from symsimpson.bench.benchmark_problem import Problem, make_problem
 from symsimpson.bench.contender import Contender, Runnable
 from symsimpson.bench.peers import ours, peers, read_peers
-from symsimpson.bench.problem import Problem, make_problem
 from symsimpson.bench.record import Point, WorkPrecision
 from symsimpson.errors import InputError, SymsimpsonError
 from symsimpson.mechanics.system import MechanicalSystem

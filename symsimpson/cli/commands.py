@@ -157,10 +157,10 @@ def stress(options: argparse.Namespace) -> int:
 
 def bench(options: argparse.Namespace) -> int:
     """Measure run time against error."""
-    from symsimpson.bench import ensembles, speed
+    from symsimpson.bench import speed, throughput
 
     if options.system is None:
-        for line in (ensembles if options.ensemble else speed).report():
+        for line in (throughput if options.ensemble else speed).report():
             print(line, flush=True)
         return 0
     from symsimpson.bench.record import WorkPrecision

@@ -5,8 +5,8 @@ They are the transpose of the tangent, and so the exact derivatives of the cost 
 
 from __future__ import annotations
 
+from symsimpson.codegen.constrained_tangents import HeldDifferentials
 from symsimpson.codegen.differentials import GO_TO_NODE
-from symsimpson.codegen.held_tangents import HeldDifferentials
 from symsimpson.codegen.ir import Call, IfActive, Kernel, Loop, Statement
 from symsimpson.codegen.unrolled import lanes
 

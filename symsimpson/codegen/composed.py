@@ -10,7 +10,7 @@ from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.discrete.reductions import Composed
-from symsimpson.mechanics.levels import level as of_potential
+from symsimpson.mechanics.functions_of_potential import level as of_potential
 
 __all__ = ["ComposedSolver"]
 

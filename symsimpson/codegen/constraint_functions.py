@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from symsimpson.codegen.constraint_order import Held
 from symsimpson.codegen.expression import Expression
-from symsimpson.codegen.held import Held
 from symsimpson.codegen.ir import Call, Function, Index, Row, Store
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.terms_of_l import FamilyWriter, Table
-from symsimpson.discrete.constraints import derive_constraints
+from symsimpson.discrete.constraint_terms import derive_constraints
 from symsimpson.discrete.families import Family
 
 __all__ = ["constraint_family_functions", "constraint_functions"]

@@ -54,7 +54,7 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
     equations : DiscreteEquations
         Where the module comes from; told in its docstring.
     module : Module
-        What :func:`symsimpson.codegen.kernels.lower` made of them.
+        What :func:`symsimpson.codegen.module_kernels.lower` made of them.
 
     Returns
     -------

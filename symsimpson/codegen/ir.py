@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from symsimpson.codegen.emitted_names import NameTable
 from symsimpson.codegen.expression import Expression
-from symsimpson.codegen.names import NameTable
-from symsimpson.module.blocks import BLOCKS
+from symsimpson.module.workspace_layout import BLOCKS
 
 __all__ = [
     "Assign",

@@ -13,8 +13,8 @@ from enum import IntEnum
 
 import mpmath
 
+from symsimpson.codegen.emitted_names import NameTable
 from symsimpson.codegen.expression import Expression, Expressions
-from symsimpson.codegen.names import NameTable
 from symsimpson.codegen.printer import LARGE
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import UNIT, Exact

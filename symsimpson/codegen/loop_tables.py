@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sympy as sp
 
-from symsimpson.codegen.held import Held
+from symsimpson.codegen.constraint_order import Held
 from symsimpson.codegen.storage import Storage
+from symsimpson.discrete.combined_rows import force_factor, inertia_factor, simplified
 from symsimpson.discrete.reductions import Constrained, Coupled, Separable
-from symsimpson.discrete.rows import force_factor, inertia_factor, simplified
 from symsimpson.schemes.scheme import Scheme
 
 __all__ = ["equation_constants", "solve_constants", "solve_tables"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from symsimpson.codegen.held import Held
+from symsimpson.codegen.constraint_order import Held
 from symsimpson.codegen.ir import Call, IfActive, Kernel, Loop, Statement
 from symsimpson.codegen.storage import Storage
 from symsimpson.codegen.unrolled import acceptance, convergence, lanes

@@ -8,20 +8,20 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Any, Self
 
+from symsimpson.codegen.emitted_names import NameTable
 from symsimpson.codegen.expression import Expression, Number
 from symsimpson.codegen.ir import Load, Row, Section, Statement, Store
 from symsimpson.codegen.levels import Definitions, Level
-from symsimpson.codegen.names import NameTable
 from symsimpson.codegen.scheme_numbers import SchemeNumbers
 from symsimpson.codegen.sections import sections
 from symsimpson.codegen.storage import node_stride
 from symsimpson.codegen.template import JetTemplate, Point
-from symsimpson.discrete.constraints import derive_constraints
+from symsimpson.discrete.constraint_terms import derive_constraints
 from symsimpson.discrete.curvatures import derive_curvatures
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.jet import Jet, watched
+from symsimpson.discrete.node_derivatives import derive_cost, derive_slopes
 from symsimpson.discrete.reductions import Coupled
-from symsimpson.discrete.slopes import derive_cost, derive_slopes
 from symsimpson.graph.nodes import Value
 from symsimpson.mechanics.constraints import regular_mass
 

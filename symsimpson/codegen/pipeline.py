@@ -9,13 +9,13 @@ from typing import Any
 import sympy as sp
 
 from symsimpson.codegen.emit import emit
-from symsimpson.codegen.kernels import lower, unrolled
-from symsimpson.codegen.names import NameTable
+from symsimpson.codegen.emitted_names import NameTable
+from symsimpson.codegen.module_kernels import lower, unrolled
 from symsimpson.discrete.equations import discretise
+from symsimpson.discrete.node_derivatives import Cost
 from symsimpson.discrete.reductions import read_exploit
-from symsimpson.discrete.slopes import Cost
 from symsimpson.errors import GenerationError, SchemeError
-from symsimpson.mechanics.expressions import read_expression
+from symsimpson.mechanics.expression_checks import read_expression
 from symsimpson.mechanics.plain import Symbols
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.schemes.named import read_scheme

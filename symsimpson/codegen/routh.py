@@ -20,8 +20,8 @@ from symsimpson.codegen.linear_solve import solve_blocks, solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.weighted import WeightedRows, weighted_residual
+from symsimpson.discrete.combined_rows import simplified
 from symsimpson.discrete.reductions import Routh
-from symsimpson.discrete.rows import simplified
 
 __all__ = ["RouthSolver"]
 

@@ -18,8 +18,8 @@ from symsimpson.codegen.linear_solve import solve_blocks
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.weighted import WeightedRows, bend
+from symsimpson.discrete.combined_rows import force_factor, inertia_factor, simplified
 from symsimpson.discrete.reductions import Separable
-from symsimpson.discrete.rows import force_factor, inertia_factor, simplified
 
 __all__ = ["SeparableSolver"]
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from symsimpson.codegen.constraint_order import Held
 from symsimpson.codegen.differentials import cost_of_time
 from symsimpson.codegen.differentials import sizes as differential_sizes
-from symsimpson.codegen.held import Held
 from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.looped_stages import LoopedStages
 from symsimpson.codegen.lower import Lowering

@@ -11,11 +11,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from symsimpson.codegen.adjoints import adjoint_kernels
-from symsimpson.codegen.curvature import curvature_functions, curvature_kernel, curvature_tables
-from symsimpson.codegen.held_tangents import HeldDifferentials, each
+from symsimpson.codegen.constrained_tangents import HeldDifferentials, each
 from symsimpson.codegen.ir import Call, Function, IfActive, Index, Kernel, Loop, Statement
 from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.second_derivatives import (
+    curvature_functions,
+    curvature_kernel,
+    curvature_tables,
+)
 from symsimpson.codegen.storage import Storage
 from symsimpson.codegen.unrolled import lanes
 from symsimpson.module.interface import WITH_PIVOTS

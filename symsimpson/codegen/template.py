@@ -10,7 +10,7 @@ from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.levels import Definitions, Level
 from symsimpson.discrete.jet import Jet, Key
 from symsimpson.graph.nodes import UNIT, Value
-from symsimpson.graph.program import Line, Program
+from symsimpson.graph.shared_lines import Line, Program
 
 __all__ = ["JetTemplate", "Point"]
 

@@ -18,7 +18,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from symsimpson.control.forward import motions
-from symsimpson.control.points import PointFunctions
+from symsimpson.control.point_functions import PointFunctions
 from symsimpson.errors import InputError, SymsimpsonError
 
 if TYPE_CHECKING:

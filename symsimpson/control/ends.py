@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.control.held import held_values, implied
-from symsimpson.control.points import PointFunctions
+from symsimpson.control.constraint_rows import held_values, implied
+from symsimpson.control.point_functions import PointFunctions
 from symsimpson.errors import InputError
 
 if TYPE_CHECKING:

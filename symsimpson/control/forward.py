@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.control.given import read_reals
-from symsimpson.control.points import lagrange
+from symsimpson.control.point_functions import lagrange
+from symsimpson.control.problem_parts import read_reals
 from symsimpson.errors import InputError
-from symsimpson.program.values import read_count
+from symsimpson.program.input_values import read_count
 from symsimpson.support.names import spelled
 
 if TYPE_CHECKING:

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from symsimpson.control.balance import balanced
-from symsimpson.control.held import resolved
+from symsimpson.control.between_nodes import balanced
+from symsimpson.control.constraint_rows import resolved
+from symsimpson.control.control_status import STATUSES, ControlStatus
 from symsimpson.control.result import FOUND, ControlResult
 from symsimpson.control.scaling import sizes_at
-from symsimpson.control.status import STATUSES, ControlStatus
 
 if TYPE_CHECKING:
     from symsimpson.control.ipopt import Outcome

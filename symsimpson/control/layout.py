@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from symsimpson.control.constraint_rows import held_blocks, held_values, pressed
 from symsimpson.control.ends import Following, following
-from symsimpson.control.functions import read_function, values_at
+from symsimpson.control.functions_of_time import read_function, values_at
 from symsimpson.control.grid import Grid
-from symsimpson.control.held import held_blocks, held_values, pressed
-from symsimpson.control.points import PointFunctions
+from symsimpson.control.point_functions import PointFunctions
+from symsimpson.control.programme_rows import Rows
 from symsimpson.control.reading import Limits
-from symsimpson.control.rows import Rows
 from symsimpson.control.transcription import Block, Programme
 from symsimpson.graph.nodes import Value, scaled
 from symsimpson.graph.rebuild import rebuilt

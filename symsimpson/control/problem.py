@@ -163,7 +163,7 @@ class OptimalControl:
         InputError
             If an argument makes no sense, or casadi is not installed.
         """
-        from symsimpson.control.solving import solve  # casadi and SciPy are slow to import
+        from symsimpson.control.solution import solve  # casadi and SciPy are slow to import
 
         galerkin_scheme = read_family(scheme)
         grid = read_grid(steps, len(self.reading.phases))
@@ -200,7 +200,7 @@ class OptimalControl:
         InputError
             If it is the solution of another problem: its cost is computed anew.
         """
-        from symsimpson.control.solving import opened  # casadi and SciPy are slow to import
+        from symsimpson.control.solution import opened  # casadi and SciPy are slow to import
 
         return opened(self.reading, path, scheme)
 

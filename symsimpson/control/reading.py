@@ -12,14 +12,14 @@ import mpmath
 import numpy as np
 import sympy as sp
 
-from symsimpson.control.given import read_duration, read_mapping, read_pair, read_signals
+from symsimpson.control.problem_parts import read_duration, read_mapping, read_pair, read_signals
 from symsimpson.errors import InputError
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import Graph, Value, scaled
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.mechanics.coordinates import time
-from symsimpson.mechanics.expressions import read_expression
+from symsimpson.mechanics.expression_checks import read_expression
 from symsimpson.mechanics.plain import Symbols
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.named import read_scheme

@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.control import figures
 from symsimpson.control.arcs import arcs_of
+from symsimpson.control.constraint_rows import projected, turned
+from symsimpson.control.control_status import ControlStatus
 from symsimpson.control.forward import gains, simulated
-from symsimpson.control.functions import times_within
-from symsimpson.control.held import projected, turned
+from symsimpson.control.functions_of_time import times_within
 from symsimpson.control.layout import Layout
-from symsimpson.control.points import lagrange
-from symsimpson.control.saving import write_solution
-from symsimpson.control.status import ControlStatus
+from symsimpson.control.point_functions import lagrange
+from symsimpson.control.solution_files import write_solution
 from symsimpson.errors import InputError
 from symsimpson.stepping.driving import driven
 

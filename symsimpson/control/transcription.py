@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from symsimpson.control.points import PointFunctions
+from symsimpson.control.point_functions import PointFunctions
 
 __all__ = ["Block", "Programme"]
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.derivatives.backward import Objective, differentiate_back
-from symsimpson.derivatives.costs import read_cost, read_samples
+from symsimpson.derivatives.adjoint_run import Objective, differentiate_back
+from symsimpson.derivatives.state_costs import read_cost, read_samples
 from symsimpson.errors import InputError
-from symsimpson.program.values import read_count
+from symsimpson.program.input_values import read_count
 from symsimpson.results.gradient import Gradient
 from symsimpson.stepping.driving import Samples, given_inputs, steps_a_period
 from symsimpson.stepping.request import Request

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.derivatives.backward import Way
+from symsimpson.derivatives.adjoint_run import Way
 from symsimpson.program.workspace import workspace
 from symsimpson.results.linearisation import Linearisation
 from symsimpson.stepping.request import Request

@@ -13,7 +13,7 @@ from symsimpson.graph.nodes import Graph, Value, scaled
 from symsimpson.graph.rebuild import rebuilt
 
 if TYPE_CHECKING:
-    from symsimpson.discrete.slopes import Cost
+    from symsimpson.discrete.node_derivatives import Cost
     from symsimpson.mechanics.plain import Plain
 
 __all__ = ["derive_curvatures"]

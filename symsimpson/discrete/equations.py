@@ -23,7 +23,9 @@ from typing import Any
 
 import sympy as sp
 
+from symsimpson.discrete.combined_rows import elimination_order
 from symsimpson.discrete.jet import Jet, Key, derive_jet
+from symsimpson.discrete.node_derivatives import Cost
 from symsimpson.discrete.reductions import (
     Affine,
     Composed,
@@ -35,8 +37,6 @@ from symsimpson.discrete.reductions import (
     read_exploit,
     reduce,
 )
-from symsimpson.discrete.rows import elimination_order
-from symsimpson.discrete.slopes import Cost
 from symsimpson.discrete.unknowns import Unknowns
 from symsimpson.errors import SchemeError
 from symsimpson.graph.nodes import ZERO, Value

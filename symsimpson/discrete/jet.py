@@ -17,9 +17,9 @@ from symsimpson.discrete.angles import halved, summed
 from symsimpson.graph.derive import Derivatives, gradient
 from symsimpson.graph.merge import merged
 from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
-from symsimpson.graph.program import Program
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.graph.share import share
+from symsimpson.graph.shared_lines import Program
 from symsimpson.mechanics.structure import kinetic
 from symsimpson.support.stopwatch import timed
 

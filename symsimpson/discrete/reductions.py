@@ -30,8 +30,8 @@ from typing import ClassVar
 
 import sympy as sp
 
+from symsimpson.discrete.combined_rows import Table, annihilating, elimination_order, shear_factors
 from symsimpson.discrete.factors import Factors, factorise
-from symsimpson.discrete.rows import Table, annihilating, elimination_order, shear_factors
 from symsimpson.errors import GenerationError
 from symsimpson.graph.read import tree_size
 from symsimpson.mechanics.plain import Plain

@@ -8,8 +8,8 @@ from numba import njit, types
 
 from symsimpson.driver.begin import START_OF_RUN, begin, begin_anew
 from symsimpson.driver.between import states_at
-from symsimpson.driver.brief import take_all
 from symsimpson.driver.explicit import steady
+from symsimpson.driver.short_run import take_all
 from symsimpson.driver.solving import DRIVER_OPTIONS, call
 from symsimpson.driver.steps import COUNTS, DRIVER_LAYOUT_ROWS, INPUTS, SET, SIGNATURES, WORKSPACE
 from symsimpson.module.interface import *

@@ -11,7 +11,7 @@ from numba import njit, types
 
 from symsimpson.driver.begin import begin
 from symsimpson.driver.between import take
-from symsimpson.driver.brief import take_all
+from symsimpson.driver.short_run import take_all
 from symsimpson.driver.solving import DRIVER_OPTIONS, RARE, call
 from symsimpson.driver.steps import (
     DRIVER_LAYOUT_ROWS,

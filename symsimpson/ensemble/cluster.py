@@ -14,8 +14,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from symsimpson.ensemble.blocks import run_blocks
 from symsimpson.ensemble.ensemble import names_in_dataset
+from symsimpson.ensemble.lanes import run_blocks
 from symsimpson.ensemble.store import Store, members_of, said, write_chunk
 from symsimpson.ensemble.task import Task
 from symsimpson.errors import InputError, StorageError, SymsimpsonError

@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 from symsimpson.ensemble.arrivals import with_ends
-from symsimpson.ensemble.blocks import run_blocks
 from symsimpson.ensemble.cluster import check_client, run_on_cluster
 from symsimpson.ensemble.ensemble import Ensemble
-from symsimpson.ensemble.judged import look_at_ends, look_at_steps
+from symsimpson.ensemble.judgement import look_at_ends, look_at_steps
+from symsimpson.ensemble.lanes import run_blocks
 from symsimpson.ensemble.members import read_task
 from symsimpson.ensemble.store import open_store, run_missing
 from symsimpson.ensemble.task import Task

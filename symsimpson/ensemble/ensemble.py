@@ -343,7 +343,7 @@ class Ensemble(Quantities, Differentiated):
         >>> many.plot("energy").get_ylabel()
         'energy'
         """
-        from symsimpson.plotting.states import plot_members
+        from symsimpson.plotting.run_figures import plot_members
 
         some = spread(len(self), max(1, most))
         return plot_members(self, name or self.program.coordinates[0], some, ax=ax)

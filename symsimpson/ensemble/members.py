@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from symsimpson.ensemble.task import Task
 from symsimpson.errors import InputError
+from symsimpson.program.input_values import read_array, read_parameters, whole_number
 from symsimpson.program.machine import available_threads, lanes_for
 from symsimpson.program.numbers import FLOAT64
 from symsimpson.program.observed import read_reductions
 from symsimpson.program.program import Program
-from symsimpson.program.values import read_array, read_parameters, whole_number
+from symsimpson.stepping.constrained_start import project_start
 from symsimpson.stepping.driving import read_driving
-from symsimpson.stepping.held import project_start
 from symsimpson.stepping.inputs import read_every, read_given, read_times
 from symsimpson.stepping.recording import read_record
 from symsimpson.stepping.request import Request

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.derivatives.chaos import run_lyapunov
+from symsimpson.derivatives.lyapunov import run_lyapunov
 from symsimpson.ensemble.task import Results, Task
 from symsimpson.errors import ConstraintWarning, InputError, ResolutionWarning, StabilityWarning
 from symsimpson.program.evaluating import evaluate_members

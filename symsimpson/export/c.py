@@ -19,14 +19,14 @@ from typing import Any
 import numpy as np
 
 from symsimpson.errors import InputError
-from symsimpson.export.expressions import HELPERS, Expressions, number
+from symsimpson.export.c_expressions import HELPERS, Expressions, number
 from symsimpson.export.kinds import INT, KERNEL, POINTER, REAL, SET, Kinds
 from symsimpson.export.single import Functions, Source
 from symsimpson.export.statements import WIDTH, WORDS, comment, written_function
-from symsimpson.module.blocks import BLOCKS, DRIVER_LAYOUT
 from symsimpson.module.definitions import syntax
 from symsimpson.module.header import Header
 from symsimpson.module.interface import EXPLICIT, NEWTON_AFTER_STAGES, STAGES, constants
+from symsimpson.module.workspace_layout import BLOCKS, DRIVER_LAYOUT
 from symsimpson.program.driver import driver_text
 from symsimpson.program.program import Program
 from symsimpson.program.sets import KernelSets

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import groupby
 
 from symsimpson.errors import InputError
-from symsimpson.export.expressions import CALLED, Expressions
+from symsimpson.export.c_expressions import CALLED, Expressions
 from symsimpson.export.kinds import INT, constant_of
 from symsimpson.export.scopes import Scopes, used, with_lengths
 from symsimpson.export.single import Function

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from symsimpson.graph.nodes import UNIT, Exact, exact, magnitude
-from symsimpson.graph.program import Line, Program
+from symsimpson.graph.shared_lines import Line, Program
 
 __all__ = ["Fold"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from fractions import Fraction
 
 from symsimpson.graph.nodes import Exact, exact
-from symsimpson.graph.program import Item, Program, add_factor
+from symsimpson.graph.shared_lines import Item, Program, add_factor
 
 __all__ = ["write_powers"]
 

@@ -21,7 +21,7 @@ from typing import Any
 from symsimpson.graph.fold import Fold
 from symsimpson.graph.nodes import exact
 from symsimpson.graph.powers import write_powers
-from symsimpson.graph.program import Item, Program, add_factor
+from symsimpson.graph.shared_lines import Item, Program, add_factor
 
 __all__ = ["share"]
 

@@ -13,7 +13,7 @@ from symsimpson.graph.evaluate import doubles
 from symsimpson.graph.nodes import Value
 from symsimpson.mechanics import constraints
 from symsimpson.mechanics.declared import Declared
-from symsimpson.mechanics.given import read_values, read_vector
+from symsimpson.mechanics.given_states import read_values, read_vector
 from symsimpson.support.lengths import bending_length
 from symsimpson.support.names import spelled
 

@@ -18,7 +18,7 @@ from symsimpson.mechanics.checks import check_names, fail, spell
 from symsimpson.mechanics.constraints import check_held_mass, check_number, read_constraints, slopes
 from symsimpson.mechanics.coordinates import momenta
 from symsimpson.mechanics.declared import LARGE, Declared
-from symsimpson.mechanics.expressions import read_expression
+from symsimpson.mechanics.expression_checks import read_expression
 from symsimpson.mechanics.forces import check_used, read_forces
 from symsimpson.mechanics.plain import Plain, Symbols
 from symsimpson.mechanics.quadratic import (

@@ -53,7 +53,7 @@ class Described(Declared):
         >>> ss.systems.henon_heiles().equations[0]
         Eq(2*x(t)*y(t) + x(t) + Derivative(x(t), (t, 2)), 0)
         """
-        from symsimpson.mechanics.equations import equations
+        from symsimpson.mechanics.equations_of_motion import equations
 
         return equations(self)
 
@@ -103,7 +103,7 @@ class Described(Declared):
         >>> bool(abs(np.linalg.eigvals(A).imag).max() ** 2 == 9.81)
         True
         """
-        from symsimpson.mechanics.equations import linearised
+        from symsimpson.mechanics.equations_of_motion import linearised
 
         return linearised(self, q0, v0, parameters, inputs, t)
 

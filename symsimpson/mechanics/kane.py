@@ -17,7 +17,7 @@ from symsimpson.graph.nodes import ZERO, Graph, Value
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.mechanics.checks import fail, spell
 from symsimpson.mechanics.coordinates import time
-from symsimpson.mechanics.expressions import read_expression
+from symsimpson.mechanics.expression_checks import read_expression
 from symsimpson.mechanics.independence import vanishes
 from symsimpson.mechanics.loads import Force, added, generalised, potential_of
 from symsimpson.mechanics.plain import Symbols

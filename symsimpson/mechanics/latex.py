@@ -8,7 +8,7 @@ from typing import Any
 import sympy as sp
 
 from symsimpson.mechanics.coordinates import time
-from symsimpson.mechanics.equations import terms
+from symsimpson.mechanics.equations_of_motion import terms
 from symsimpson.support.markup import aligned, in_text
 
 __all__ = ["system"]

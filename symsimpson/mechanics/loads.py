@@ -12,7 +12,7 @@ from sympy.integrals.manualintegrate import manualintegrate
 from sympy.integrals.risch import risch_integrate
 
 from symsimpson.mechanics.coordinates import time
-from symsimpson.mechanics.expressions import SMOOTH
+from symsimpson.mechanics.expression_checks import SMOOTH
 
 __all__ = ["Force", "added", "generalised", "potential_of"]
 

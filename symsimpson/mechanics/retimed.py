@@ -15,8 +15,8 @@ import sympy as sp
 
 from symsimpson.graph.nodes import Graph, Value
 from symsimpson.mechanics.checks import fail, spell
-from symsimpson.mechanics.expressions import read_expression
-from symsimpson.mechanics.levels import function_of_level, level
+from symsimpson.mechanics.expression_checks import read_expression
+from symsimpson.mechanics.functions_of_potential import function_of_level, level
 from symsimpson.mechanics.plain import Plain, Symbols
 from symsimpson.mechanics.system import MechanicalSystem
 

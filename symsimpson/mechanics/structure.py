@@ -117,12 +117,12 @@ class Structure:
     system: Declared = field(compare=False)
 
     def __repr__(self) -> str:
-        from symsimpson.mechanics.table import as_text
+        from symsimpson.mechanics.structure_table import as_text
 
         return as_text(self)
 
     def _repr_html_(self) -> str:
-        from symsimpson.mechanics.table import as_html
+        from symsimpson.mechanics.structure_table import as_html
 
         return as_html(self)
 

@@ -18,7 +18,7 @@ from symsimpson.mechanics.constraints import names_of
 from symsimpson.mechanics.declaration import energies, read_energies
 from symsimpson.mechanics.described import Described
 from symsimpson.mechanics.digest import fingerprint
-from symsimpson.mechanics.expressions import read_expression
+from symsimpson.mechanics.expression_checks import read_expression
 from symsimpson.mechanics.forces import read_inputs
 from symsimpson.mechanics.methods import read_method
 from symsimpson.mechanics.plain import Plain, Symbols, unfrozen

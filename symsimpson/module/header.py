@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import StaleKernelError
-from symsimpson.module.blocks import ADJACENT, BLOCKS, DRIVER_LAYOUT
 from symsimpson.module.definitions import definitions, outline, redefined
 from symsimpson.module.interface import INTERFACE, PIVOTED
+from symsimpson.module.workspace_layout import ADJACENT, BLOCKS, DRIVER_LAYOUT
 
 __all__ = ["SIGNED", "Header", "digest", "read_header", "with_facts"]
 

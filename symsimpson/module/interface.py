@@ -1,12 +1,12 @@
 """The agreement between generated modules and the driver that calls their kernels.
 
 A kernel is a function ``kernel(h, t, workspace)``. Everything that a run remembers stands in the
-workspace: blocks of rows, one column for each lane (:mod:`symsimpson.module.blocks`). What both
-sides must know is said here and there, and nowhere else. The driver's text names these constants,
-and the places in DRIVER_LAYOUT, which stand in this module by their names, too.
+workspace: blocks of rows, one column for each lane (:mod:`symsimpson.module.workspace_layout`).
+What both sides must know is said here and there, and nowhere else. The driver's text names these
+constants, and the places in DRIVER_LAYOUT, which stand in this module by their names, too.
 """
 
-from symsimpson.module.blocks import DRIVER_LAYOUT
+from symsimpson.module.workspace_layout import DRIVER_LAYOUT
 
 #: Number of the agreement; modules with another number are refused.
 INTERFACE = 11

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.module.binding import bind, bind_arb, bind_mpmath
-from symsimpson.module.blocks import scratch
 from symsimpson.module.header import Header
 from symsimpson.module.interface import KERNELS
+from symsimpson.module.workspace_layout import scratch
 from symsimpson.program.driver import driver_text
+from symsimpson.program.input_values import whole_number
 from symsimpson.program.numbers import Numbers
 from symsimpson.program.sets import KernelSets
-from symsimpson.program.values import whole_number
 from symsimpson.support.extras import library
 
 __all__ = ["read_precision"]

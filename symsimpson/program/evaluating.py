@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.program.input_values import read_array
 from symsimpson.program.observed import Observed, observing_kernel
-from symsimpson.program.values import read_array
 from symsimpson.program.workspace import NO_INPUTS, workspace
 
 if TYPE_CHECKING:

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.module.header import Header, read_header
 from symsimpson.module.syntax import check_structure
-from symsimpson.program.names import Names
+from symsimpson.program.input_values import read_parameters
+from symsimpson.program.name_table import Names
 from symsimpson.program.numbers import FLOAT64, Numbers
 from symsimpson.program.sets import KernelSets
-from symsimpson.program.values import read_parameters
 from symsimpson.support.derivation import Derivation, Report
 from symsimpson.support.names import spelled
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.module.blocks import DRIVER_LAYOUT
 from symsimpson.module.header import Header
+from symsimpson.module.workspace_layout import DRIVER_LAYOUT
 
 __all__ = [
     "NAMED",

@@ -9,7 +9,7 @@ from importlib import resources
 from importlib.resources.abc import Traversable
 from typing import Any
 
-from symsimpson.program.kept import kept
+from symsimpson.program.answers import kept
 from symsimpson.support.derivation import Derivation
 
 __all__ = ["kept_text"]

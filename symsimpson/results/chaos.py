@@ -67,7 +67,7 @@ class Chaos:
         InputError
             If matplotlib is not installed.
         """
-        from symsimpson.plotting.states import plot_exponents
+        from symsimpson.plotting.run_figures import plot_exponents
 
         return plot_exponents(self, ax=ax)
 

@@ -74,5 +74,5 @@ class Differentiated:
 
     def _missing(self, ask: str) -> NoReturn:
         raise InputError(
-            f"this run carried no such derivatives along.\nAsk for them: integrate(..., {ask})."
+            f"this run carried no derivatives of this kind along.\nAsk for them: integrate(..., {ask})."
         )

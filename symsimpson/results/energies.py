@@ -165,6 +165,6 @@ class Energies(Stored):
         >>> run.plot_energy().get_ylabel()
         '(H - H0) / |H0|'
         """
-        from symsimpson.plotting.states import plot_energy
+        from symsimpson.plotting.run_figures import plot_energy
 
         return plot_energy(self, shadow=shadow, ax=ax)

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.evaluating import watching
+from symsimpson.program.input_values import whole_number
 from symsimpson.program.observed import Observed, read_expression, refuse_constant
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
-from symsimpson.program.values import whole_number
 from symsimpson.results.interpolate import DenseOutput
 from symsimpson.results.states import States
 from symsimpson.results.stored import Stored

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import ConvergenceError, InputError
+from symsimpson.program.input_values import read_array
 from symsimpson.program.status import Status
-from symsimpson.program.values import read_array
 from symsimpson.program.workspace import workspace
 from symsimpson.results.stored import Stored
 from symsimpson.stepping.arrival import states_at

@@ -195,7 +195,7 @@ class Saved(WithEvents, Outcome):
         >>> kept.plot().get_ylabel()
         'theta'
         """
-        from symsimpson.plotting.states import plot
+        from symsimpson.plotting.run_figures import plot
 
         single = [name for name, values in self.values.items() if values.ndim == 1]
         return plot(self, (names, *more) if more else names or single, ax=ax)

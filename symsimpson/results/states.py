@@ -177,7 +177,7 @@ class States(Quantities):
         >>> run.plot("theta", "energy").get_xlabel()
         't'
         """
-        from symsimpson.plotting.states import plot
+        from symsimpson.plotting.run_figures import plot
 
         wanted = (names, *more) if more else names
         return plot(self, wanted, connected=self._connected, ax=ax)
@@ -208,7 +208,7 @@ class States(Quantities):
         >>> run.plot_phase("theta", "v_theta").get_ylabel()
         'v_theta'
         """
-        from symsimpson.plotting.states import plot_phase
+        from symsimpson.plotting.run_figures import plot_phase
 
         return plot_phase(self, x, y, connected=self._connected, ax=ax)
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.program.input_values import read_array
 from symsimpson.program.status import Status
-from symsimpson.program.values import read_array
 from symsimpson.results.differentiated import Differentiated
 from symsimpson.results.energies import Energies
 from symsimpson.results.states import States

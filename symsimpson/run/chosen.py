@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.program.input_values import read_array, read_number
 from symsimpson.program.program import Program
-from symsimpson.program.values import read_array, read_number
 from symsimpson.results.sampled import Sampled, Saved
 from symsimpson.results.states import States
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.run.outcome import raise_failure
+from symsimpson.run.ended import raise_failure
 from symsimpson.run.pieces import SLACK, Taken, by_pieces
 from symsimpson.stepping.driving import driven
 from symsimpson.stepping.inputs import read_failure, read_step, refuse_too_many

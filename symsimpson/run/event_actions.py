@@ -21,8 +21,8 @@ from symsimpson.errors import InputError, ModelError
 from symsimpson.program.evaluating import evaluate, watching
 from symsimpson.results.events import JUMP
 from symsimpson.run.zeros import ridders
+from symsimpson.stepping.constrained_start import project_start
 from symsimpson.stepping.event import Event, Impact
-from symsimpson.stepping.held import project_start
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.run_events import RunEvents
 from symsimpson.support.names import speed_of_approach

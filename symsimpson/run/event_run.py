@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from symsimpson.driver.impacts import NOTHING, TOGETHER
 from symsimpson.errors import InputError
-from symsimpson.module.blocks import DRIVER_LAYOUT
 from symsimpson.module.interface import ARRIVED, MET, RECORDERS, WATCHED, ZERO
+from symsimpson.module.workspace_layout import DRIVER_LAYOUT
 from symsimpson.program.observed import OF_EVENTS, Reduction
 from symsimpson.program.recorders import Recorder
 from symsimpson.program.status import Status

@@ -12,7 +12,7 @@ from symsimpson.module.matrices import slopes_of
 from symsimpson.program.evaluating import evaluate_in
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.stepping.held import DEPENDENT, name_dependent
+from symsimpson.stepping.constrained_start import DEPENDENT, name_dependent
 from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from symsimpson.errors import StorageError
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
+from symsimpson.run.ended import trajectory_of
 from symsimpson.run.keeping import Keeper, Sink
-from symsimpson.run.outcome import trajectory_of
 from symsimpson.run.resolution import check_forces, each
 from symsimpson.run.verdict import verdict
 from symsimpson.stepping.kept import KeptStates

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from symsimpson.errors import InputError
+from symsimpson.program.input_values import read_count
 from symsimpson.program.numbers import NOTHING
 from symsimpson.program.status import Status
-from symsimpson.program.values import read_count
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.run.brief import make_ready
 from symsimpson.run.checkpoint import Checkpoint, asked, buffered
+from symsimpson.run.ended import raise_failure
 from symsimpson.run.follow import follow
 from symsimpson.run.keeping import Collected, Keeper, Samples
-from symsimpson.run.outcome import raise_failure
 from symsimpson.run.resolution import finer_stride, sampling_stride
+from symsimpson.run.short_runs import make_ready
 from symsimpson.run.start import begin_run, new_run, recorders_for, warn_of_step
 from symsimpson.stepping.arrival import STRIDE
 from symsimpson.stepping.inputs import read_failure

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.numbers import NOTHING
-from symsimpson.run.outcome import raise_failure, trajectory_of
+from symsimpson.run.ended import raise_failure, trajectory_of
 from symsimpson.run.start import begin_run, new_run, warn_of_step
 from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.request import of_a_step

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 from symsimpson.errors import InputError
 from symsimpson.program.program import Program
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.run.brief import brief_run
 from symsimpson.run.integrate import integrate
+from symsimpson.run.short_runs import brief_run
 from symsimpson.run.timed import timed_run
 from symsimpson.stepping.inputs import read_failure, refuse_together
 from symsimpson.stepping.request import Request

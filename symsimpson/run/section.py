@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from symsimpson.program.program import Program
 from symsimpson.results.events import Events, Zeros, gather, zeros
-from symsimpson.run.outcome import raise_failure
+from symsimpson.run.ended import raise_failure
 from symsimpson.run.pieces import by_pieces
 from symsimpson.stepping.inputs import read_failure
 from symsimpson.stepping.request import Request

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.program.values import read_array, read_count, read_number
+from symsimpson.program.input_values import read_array, read_count, read_number
 from symsimpson.program.workspace import NO_INPUTS
 from symsimpson.stepping.inputs import read_step
 from symsimpson.support.calling import explained

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from symsimpson.errors import InputError
-from symsimpson.program.values import MOST_STEPS, read_count, read_number, shortened
+from symsimpson.program.input_values import MOST_STEPS, read_count, read_number, shortened
 from symsimpson.stepping.request import Request
 
 if TYPE_CHECKING:

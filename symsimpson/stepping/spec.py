@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.program.input_values import read_vector
 from symsimpson.program.observed import Reduction, read_reductions
-from symsimpson.program.values import read_vector
+from symsimpson.stepping.constrained_start import project_start
 from symsimpson.stepping.driving import read_driving
-from symsimpson.stepping.held import project_start
 from symsimpson.stepping.inputs import read_every, read_given, read_times
 from symsimpson.stepping.recording import read_record
 from symsimpson.stepping.request import Request

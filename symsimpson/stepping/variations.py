@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.program.values import read_array, whole_number
+from symsimpson.program.input_values import read_array, whole_number
 from symsimpson.support.names import did_you_mean, spelled
 
 if TYPE_CHECKING:

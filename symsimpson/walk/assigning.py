@@ -14,8 +14,8 @@ from typing import Any
 from llvmlite import ir
 
 from symsimpson.walk.arrays import Array
-from symsimpson.walk.blocks import Slot
 from symsimpson.walk.called import Functions
+from symsimpson.walk.control_flow import Slot
 from symsimpson.walk.expressions import Env, Product
 from symsimpson.walk.trees import assigned
 from symsimpson.walk.values import Refused, known

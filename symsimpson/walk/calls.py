@@ -8,7 +8,7 @@ from typing import Any
 from llvmlite import ir
 
 from symsimpson.walk.arrays import Array
-from symsimpson.walk.blocks import Blocks
+from symsimpson.walk.control_flow import Blocks
 from symsimpson.walk.values import BIT, DOUBLE, INT, known
 
 __all__ = ["Calls"]

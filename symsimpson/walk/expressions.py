@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from symsimpson.walk.arrays import Array, Range
-from symsimpson.walk.blocks import Loop, Slot
 from symsimpson.walk.calls import Calls
+from symsimpson.walk.control_flow import Loop, Slot
 from symsimpson.walk.text import Text
 from symsimpson.walk.trees import must_wait, used_once
 from symsimpson.walk.values import PrivateRow, Refused, known

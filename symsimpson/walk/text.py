@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.module.blocks import rows_of_blocks, scratch
 from symsimpson.module.definitions import syntax
+from symsimpson.module.workspace_layout import rows_of_blocks, scratch
 
 __all__ = ["ARGUMENTS", "Text", "read_text"]
 

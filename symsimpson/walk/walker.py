@@ -17,7 +17,7 @@ from symsimpson.errors import GenerationError
 from symsimpson.module.interface import LOOKED_AT
 from symsimpson.walk.arrays import Array
 from symsimpson.walk.assigning import Assigning
-from symsimpson.walk.blocks import Loop, Slot
+from symsimpson.walk.control_flow import Loop, Slot
 from symsimpson.walk.expressions import Ahead, Env, Frame, Product
 from symsimpson.walk.own import own_blocks
 from symsimpson.walk.trees import assigned, leaves, vectors, weight

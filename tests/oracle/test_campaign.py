@@ -8,7 +8,7 @@ from support.forms import limited
 from support.random_systems import random_state, random_system
 from support.workspace import begin, state, take_step
 
-from symsimpson.codegen import kernels
+from symsimpson.codegen import module_kernels
 from symsimpson.codegen.emit import emit
 from symsimpson.discrete.equations import discretise
 from symsimpson.module.binding import bind_float
@@ -30,7 +30,7 @@ H, STEPS, AT_ONCE = 0.02, 3, 10
 def ends(equations, unknowns, members, monkeypatch, q, v):
     """The state after some steps, of code in one form; None if the scheme has only the other."""
     limited(monkeypatch, UNROLLED_UNKNOWNS=unknowns, FAMILY_MEMBERS=members)
-    text = emit(equations, kernels.lower(equations))
+    text = emit(equations, module_kernels.lower(equations))
     module = bind_float(text)
     if unknowns and "newton_pivoted" not in text:
         return None

@@ -12,7 +12,7 @@ import sympy as sp
 from numpy.typing import NDArray
 
 from symsimpson.analysis.stability.limits import theory_limits
-from symsimpson.analysis.stability.turning import warn_of_turning
+from symsimpson.analysis.stability.spinning_bodies import warn_of_turning
 from symsimpson.errors import StabilityWarning
 from symsimpson.graph.derive import Derivatives
 from symsimpson.graph.nodes import ZERO, Value, scaled

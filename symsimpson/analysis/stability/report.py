@@ -6,13 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from symsimpson.analysis.energies import shadow_is_testable
+from symsimpson.analysis.energy_checks import shadow_is_testable
 from symsimpson.analysis.pilot import choose_state, choose_step
-from symsimpson.analysis.stability.chaos import reversal
+from symsimpson.analysis.stability.chaotic_motion import reversal
 from symsimpson.analysis.stability.drift import energy_drift
+from symsimpson.analysis.stability.large_angles import turned
 from symsimpson.analysis.stability.limits import linear_limits, theory_limits
 from symsimpson.analysis.stability.poles import pole_sweep
-from symsimpson.analysis.stability.rotations import turned
 from symsimpson.analysis.variants import in_tau
 from symsimpson.api.stepper import Stepper
 from symsimpson.errors import ConvergenceError

@@ -19,7 +19,7 @@ from symsimpson.api.compiling import TOOLS
 from symsimpson.api.stepper import Stepper
 from symsimpson.codegen import coupled
 from symsimpson.codegen.emit import emit
-from symsimpson.codegen.kernels import lower
+from symsimpson.codegen.module_kernels import lower
 from symsimpson.codegen.pipeline import source
 from symsimpson.codegen.weighted import WeightedRows
 from symsimpson.discrete.equations import DiscreteEquations, discretise

@@ -21,7 +21,7 @@ def choices(monkeypatch, tmp_path):
         return ss.choose(*state, **given)
 
     monkeypatch.setattr(to_error, "choose", choose)
-    monkeypatch.setattr("symsimpson.program.kept.cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("symsimpson.program.answers.cache_folder", lambda: tmp_path)
     return made
 
 

@@ -7,9 +7,9 @@ import pytest
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.bench import ensembles
+from symsimpson.bench import throughput
+from symsimpson.bench.benchmark_problem import make_problem
 from symsimpson.bench.peers import ours, peers
-from symsimpson.bench.problem import make_problem
 from symsimpson.bench.programs import PROGRAMS, in_heyoka
 from symsimpson.bench.record import WorkPrecision
 from symsimpson.cli import main
@@ -181,10 +181,10 @@ def test_the_command(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_ensembles_are_compared(monkeypatch):
-    monkeypatch.setattr(ensembles, "REPEATS", 1)
-    monkeypatch.setattr(ensembles, "LEVELS", (1e-3, 1e-6))
-    monkeypatch.setattr(ensembles, "SCHEMES", ("simpson", "lobatto8"))
-    lines = list(ensembles.report(64))
+    monkeypatch.setattr(throughput, "REPEATS", 1)
+    monkeypatch.setattr(throughput, "LEVELS", (1e-3, 1e-6))
+    monkeypatch.setattr(throughput, "SCHEMES", ("simpson", "lobatto8"))
+    lines = list(throughput.report(64))
     assert "trajectories/s" in lines[1]
     try:
         import heyoka  # noqa: F401

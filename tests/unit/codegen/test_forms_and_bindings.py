@@ -15,7 +15,7 @@ from support.random_systems import random_state, random_system
 from support.workspace import begin, block, new_workspace, state, take_step
 
 import symsimpson as ss
-from symsimpson.codegen import kernels
+from symsimpson.codegen import module_kernels
 from symsimpson.codegen.emit import emit
 from symsimpson.codegen.pipeline import source
 from symsimpson.discrete.equations import discretise
@@ -38,7 +38,7 @@ def test_loops_and_straight_lines_agree(system, scheme, members, exploit, monkey
     text = source(system, scheme, ())
     limited(monkeypatch, UNROLLED_UNKNOWNS=0, FAMILY_MEMBERS=members)
     equations = discretise(system, read_scheme(scheme), exploit)
-    looped = emit(equations, kernels.lower(equations))
+    looped = emit(equations, module_kernels.lower(equations))
     assert "newton_pivoted" in text
     assert "newton_pivoted" not in looped
     assert ("FAMILY_1" in looped) == (members == 0 or "sparse" in exploit)
@@ -132,7 +132,7 @@ def test_loops_find_the_velocity_of_a_momentum(monkeypatch):
     )
     limited(monkeypatch, UNROLLED_UNKNOWNS=0)
     equations = discretise(system, ss.SIMPSON, ())
-    module = bind_float(emit(equations, kernels.lower(equations)))
+    module = bind_float(emit(equations, module_kernels.lower(equations)))
     W = new_workspace(module, [0.1, 0.5, -0.4, 0.8, -0.2], [0.0] * 5, [])
     velocity = W[block(module, "VELOCITY", 5), 0] = np.array([0.3, -0.7, 0.2, 1.1, -0.5])
     module.prepare(0.1, 0.0, W)
@@ -147,7 +147,7 @@ def test_bands_find_the_velocity_of_a_momentum(monkeypatch):
     system = swinging_chain()
     limited(monkeypatch, UNROLLED_UNKNOWNS=0)
     equations = discretise(system, ss.SIMPSON, ("sparse",))
-    text = emit(equations, kernels.lower(equations))
+    text = emit(equations, module_kernels.lower(equations))
     assert "BAND = 1\n" in text
     assert '5 terms v_0*sin(q_1)/3."""' in text
     module = bind_float(text)
@@ -171,7 +171,7 @@ def test_rows_are_exchanged_where_pivots_are_small(exploit, width, monkeypatch):
     """Matrices of random numbers, and of some zeros on the diagonal, against numpy."""
     limited(monkeypatch, UNROLLED_UNKNOWNS=0)
     equations = discretise(swinging_chain(), ss.SIMPSON, exploit)
-    module = bind_float(emit(equations, kernels.lower(equations)))
+    module = bind_float(emit(equations, module_kernels.lower(equations)))
     size, pick = module.NEWTON_UNKNOWNS, np.random.default_rng(4)
     for _ in range(5):
         matrix = pick.uniform(-1, 1, (size, size)) * pick.choice([1e-3, 1], (size, 1))
@@ -213,7 +213,7 @@ def test_newton_converges_quadratically(system, scheme, exploit, monkeypatch):
     if exploit != "all":
         limited(monkeypatch, UNROLLED_UNKNOWNS=0)
     equations = discretise(system, read_scheme(scheme), exploit)
-    text = emit(equations, kernels.lower(equations))
+    text = emit(equations, module_kernels.lower(equations))
     assert ("newton_pivoted" in text) == (exploit == "all")
     q, p = random_state(7, system.n)
     p = [x / 100 for x in p]

@@ -10,9 +10,9 @@ from support.cases import sweep
 from support.workspace import new_workspace
 
 import symsimpson as ss
-from symsimpson.codegen.kernels import lower
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.module_kernels import lower
 from symsimpson.codegen.pipeline import source
 from symsimpson.discrete.equations import DiscreteEquations, discretise
 from symsimpson.module.binding import bind_float

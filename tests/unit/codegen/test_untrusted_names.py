@@ -10,11 +10,11 @@ from support.workspace import begin, block, take_step
 from sympy.physics.mechanics import dynamicsymbols
 
 import symsimpson as ss
-from symsimpson.codegen.names import NameTable
+from symsimpson.codegen.emitted_names import NameTable
 from symsimpson.codegen.pipeline import source
 from symsimpson.module.binding import bind_float
-from symsimpson.module.blocks import BLOCKS
 from symsimpson.module.header import read_header
+from symsimpson.module.workspace_layout import BLOCKS
 
 HOSTILE = [
     '__import__("os").system("touch CANARY")',

@@ -261,7 +261,7 @@ def test_results_of_other_systems_are_no_guesses():
 
 
 def test_times_of_a_motion():
-    from symsimpson.control.functions import times_within
+    from symsimpson.control.functions_of_time import times_within
 
     assert times_within([0, 1, 2 + 1e-13], 2.0).shape == (3,)
     for given, told in (

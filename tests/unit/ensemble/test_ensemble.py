@@ -12,7 +12,7 @@ import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.ensemble import blocks as module
+from symsimpson.ensemble import lanes as module
 from symsimpson.ensemble import members
 
 PENDULUM = ss.systems.double_pendulum()

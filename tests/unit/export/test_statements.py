@@ -6,7 +6,7 @@ import ctypes
 import pytest
 from support.in_c import COMPILER, build
 
-from symsimpson.export.expressions import HELPERS, Expressions
+from symsimpson.export.c_expressions import HELPERS, Expressions
 from symsimpson.export.kinds import REAL, Kinds
 from symsimpson.export.single import Functions, Source
 from symsimpson.export.statements import written_function

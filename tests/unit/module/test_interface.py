@@ -9,9 +9,9 @@ import symsimpson as ss
 from symsimpson.codegen.pipeline import source
 from symsimpson.errors import StaleKernelError
 from symsimpson.module import interface
-from symsimpson.module.blocks import BLOCKS, TOLD
 from symsimpson.module.definitions import redefined
 from symsimpson.module.header import SIGNED, digest, read_header, with_facts
+from symsimpson.module.workspace_layout import BLOCKS, DRIVER_LAYOUT
 from symsimpson.program.driver import driver_text
 
 TEXT = source(ss.systems.pendulum(), "midpoint")
@@ -26,19 +26,20 @@ def signed(text):
 @pytest.mark.parametrize("text", [TEXT, DRIVEN])
 def test_the_driver_is_told_where_blocks_stand(text):
     header = read_header(text, "here")
-    told = dict(zip(TOLD, header.driver_layout.tolist(), strict=True))
-    for name in TOLD.keys() & BLOCKS.keys() & header.layout.keys():
-        assert told[name] == header.layout[name]
-    assert told["TANGENT"] == told["GROWN"] == told["ROWS"] == header.rows  # behind all others
-    assert told["STATE_END"] == header.layout["PREDICTED"]
-    assert told["MEASURED"] == header.layout["PREDICTED"] - header.layout["INCREMENT"]
-    assert (told["INPUT_STRIDE"] > 0) == (text == DRIVEN)
+    places_of = dict(zip(DRIVER_LAYOUT, header.driver_layout.tolist(), strict=True))
+    for name in DRIVER_LAYOUT.keys() & BLOCKS.keys() & header.layout.keys():
+        assert places_of[name] == header.layout[name]
+    behind_all_others = [places_of[name] for name in ("TANGENT", "GROWN", "ROWS")]
+    assert behind_all_others == [header.rows] * 3
+    assert places_of["STATE_END"] == header.layout["PREDICTED"]
+    assert places_of["MEASURED"] == header.layout["PREDICTED"] - header.layout["INCREMENT"]
+    assert (places_of["INPUT_STRIDE"] > 0) == (text == DRIVEN)
 
 
 def test_the_driver_knows_the_places_of_what_it_is_told_by_name():
-    places = {name: getattr(interface, name) for name in TOLD}
+    places = {name: getattr(interface, name) for name in DRIVER_LAYOUT}
     assert places.items() <= interface.constants().items()
-    assert sorted(places.values()) == list(range(len(TOLD)))
+    assert sorted(places.values()) == list(range(len(DRIVER_LAYOUT)))
 
 
 def test_blocks_stand_behind_one_another():

@@ -7,7 +7,7 @@ from support.oracle import interpolate, nodes_and_weights
 
 import symsimpson as ss
 from symsimpson.codegen.pipeline import derive
-from symsimpson.discrete.rows import elimination_order
+from symsimpson.discrete.combined_rows import elimination_order
 from symsimpson.module.binding import bind_float
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.quadrature import gauss, lobatto

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.control.points import PointFunctions, lagrange
+from symsimpson.control.point_functions import PointFunctions, lagrange
 from symsimpson.errors import InputError
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import UNIT, Value, exact, scaled

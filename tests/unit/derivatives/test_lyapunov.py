@@ -69,7 +69,7 @@ def test_where_variations_are_made_orthonormal_does_not_matter(pendulum):
 
 def test_gali_is_the_volume_of_the_variations(pendulum):
     """Of a short run: from the derivative of the flow itself."""
-    from symsimpson.derivatives.chaos import directions
+    from symsimpson.derivatives.lyapunov import directions
 
     chaos = pendulum.lyapunov([0.8, 1.0], p0=[0, 0], h=0.01, steps=60, every=20)
     run = pendulum.integrate([0.8, 1.0], p0=[0, 0], h=0.01, steps=60, every=20, tangents=4)

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.errors import InputError
 from symsimpson.module.quantity import SCALARS
 from symsimpson.program.evaluating import evaluate
+from symsimpson.program.input_values import read_array
 from symsimpson.program.observed import read_expression
-from symsimpson.program.values import read_array
 from symsimpson.program.workspace import workspace
 from symsimpson.stepping.variations import STEP
 

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.derivatives.costs import Measured, StateCost, pull_velocities
+from symsimpson.derivatives.state_costs import Measured, StateCost, pull_velocities
 from symsimpson.program.recorders import tape
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import workspace
-from symsimpson.run.outcome import raise_failure, trajectory_of
+from symsimpson.run.ended import raise_failure, trajectory_of
 from symsimpson.run.start import begin_run, new_run, warn_of_step
 from symsimpson.stepping.spec import RunSpec
 

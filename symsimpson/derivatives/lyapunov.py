@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.program.input_values import read_count, whole_number
 from symsimpson.program.recorders import growth
-from symsimpson.program.values import read_count, whole_number
 from symsimpson.results.chaos import Chaos, chaos_of
+from symsimpson.run.ended import raise_failure, trajectory_of
 from symsimpson.run.integrate import integrate
-from symsimpson.run.outcome import raise_failure, trajectory_of
 from symsimpson.run.start import begin_run, new_run, warn_of_step
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec, read_run

@@ -11,7 +11,7 @@ import sympy as sp
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.program.values import shortened
+from symsimpson.program.input_values import shortened
 from symsimpson.support.names import spelled
 
 __all__ = ["read_duration", "read_mapping", "read_pair", "read_reals", "read_signals"]

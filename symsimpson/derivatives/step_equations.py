@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.module.matrices import equations_of, held_equations_of
-from symsimpson.program.values import read_array, read_number, read_vector
+from symsimpson.program.input_values import read_array, read_number, read_vector
 from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.variations import read_varied, varied_program

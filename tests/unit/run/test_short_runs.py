@@ -7,7 +7,7 @@ import pytest
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.run import brief
+from symsimpson.run import short_runs
 
 KINDS = [
     ("double_pendulum", "simpson"),
@@ -28,7 +28,7 @@ def taken(monkeypatch):
         found.append(run is not None)
         return run
 
-    plain = brief.brief_run
+    plain = short_runs.brief_run
     monkeypatch.setattr("symsimpson.run.requested.brief_run", counted)
     return found
 

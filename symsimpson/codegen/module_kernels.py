@@ -11,15 +11,15 @@ from symsimpson.codegen.constraint_functions import (
     constraint_family_functions,
     constraint_functions,
 )
+from symsimpson.codegen.constraint_order import Held, dense, smaller
 from symsimpson.codegen.differentials import few_columns
-from symsimpson.codegen.held import Held, dense, smaller
 from symsimpson.codegen.ir import Function, Kernel, Module, Row, Statement, Store
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.loop_tables import equation_constants, solve_constants, solve_tables
 from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.looped_stages import LoopedStages
 from symsimpson.codegen.lower import Lowering
-from symsimpson.codegen.retimed import keeping_time
+from symsimpson.codegen.retimed_kernels import keeping_time
 from symsimpson.codegen.sizes import drifting, sizes
 from symsimpson.codegen.stages import StageKernels
 from symsimpson.codegen.storage import Storage, node_stride
@@ -51,8 +51,8 @@ from symsimpson.discrete.reductions import (
     Routh,
     Separable,
 )
-from symsimpson.module.blocks import layout
 from symsimpson.module.interface import PIVOTED
+from symsimpson.module.workspace_layout import layout
 
 __all__ = ["UNROLLED_UNKNOWNS", "lower", "unrolled"]
 

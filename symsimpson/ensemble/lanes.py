@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.derivatives.chaos import directions
+from symsimpson.derivatives.lyapunov import directions
 from symsimpson.ensemble.arrivals import take_last_parts
 from symsimpson.ensemble.ensemble import Ensemble
 from symsimpson.ensemble.singles import PAIR, RENEWAL, run_singly

@@ -8,9 +8,9 @@ import symsimpson as ss
 
 pytest.importorskip("scipy")
 
-from symsimpson.control.points import PointFunctions
+from symsimpson.control.point_functions import PointFunctions
 from symsimpson.graph.read import FUNCTIONS
-from symsimpson.mechanics.expressions import read_expression
+from symsimpson.mechanics.expression_checks import read_expression
 from symsimpson.mechanics.plain import Symbols
 
 (q,) = ss.coordinates("q")

@@ -17,7 +17,7 @@ import symsimpson as ss
 from symsimpson.bench.contender import Contender
 from symsimpson.bench.programs import in_heyoka
 from symsimpson.bench.timing import alternate
-from symsimpson.ensemble.blocks import run_blocks
+from symsimpson.ensemble.lanes import run_blocks
 from symsimpson.ensemble.members import read_task
 from symsimpson.program.machine import available_threads, lanes_for
 from symsimpson.reference import canonical

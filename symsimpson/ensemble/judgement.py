@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.ensemble.blocks import run_blocks
 from symsimpson.ensemble.ensemble import Ensemble, spread
+from symsimpson.ensemble.lanes import run_blocks
 from symsimpson.ensemble.task import Task
 from symsimpson.errors import InputError, ResolutionWarning, StabilityWarning, SymsimpsonError
 from symsimpson.module.quantity import velocities_by

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.control.points import PointFunctions, lagrange, lagrange_slopes
+from symsimpson.control.point_functions import PointFunctions, lagrange, lagrange_slopes
 from symsimpson.graph.nodes import ZERO
 
 __all__ = ["balanced"]

@@ -87,7 +87,7 @@ def test_starts_that_nearly_do_are_mended(stepper):
 
 
 def test_starts_that_are_not_led_onto_the_constraints_are_refused(stepper, monkeypatch):
-    monkeypatch.setattr("symsimpson.stepping.held.MOST", 1)
+    monkeypatch.setattr("symsimpson.stepping.constrained_start.MOST", 1)
     with pytest.raises(ss.InputError, match="q0 is not led to the constraint 'rod'"):
         stepper.integrate([0.6, 0, -0.8 + 3e-10], START["v0"], h=0.01, steps=1)
 

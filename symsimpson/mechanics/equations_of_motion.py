@@ -17,7 +17,7 @@ from symsimpson.mechanics.consistent import consistent
 from symsimpson.mechanics.constraints import accelerations
 from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.declared import Declared
-from symsimpson.mechanics.given import read_values, read_vector
+from symsimpson.mechanics.given_states import read_values, read_vector
 from symsimpson.mechanics.plain import Plain, Symbols
 
 __all__ = ["equations", "linearised", "terms"]

@@ -4,7 +4,7 @@ import pytest
 import sympy as sp
 
 import symsimpson as ss
-from symsimpson.analysis import balance
+from symsimpson.analysis import momentum_balance
 
 x, y = ss.coordinates("x y")
 c, w = sp.symbols("c w", positive=True)
@@ -79,13 +79,13 @@ def test_coarse_steps_are_halved_until_they_show_the_order():
 
 @pytest.mark.slow
 def test_other_forces_would_be_seen(monkeypatch):
-    exact = balance._force
+    exact = momentum_balance._force
 
     def doubled(system):
         force = exact(system)
         return lambda *given: [2 * f for f in force(*given)]
 
-    monkeypatch.setattr(balance, "_force", doubled)
+    monkeypatch.setattr(momentum_balance, "_force", doubled)
     certificate = ss.compile(kepler()).certify([1.0, 0.0], v0=[0.0, 1.1], h=0.1)
     assert not certificate.passed
     assert certificate["momenta"].measured > 1e-6

@@ -10,20 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.control.condensed import Condensed, at_start, moved
-from symsimpson.control.functions import read_function, values_at
-from symsimpson.control.given import read_mapping, read_reals
+from symsimpson.control.constraint_rows import onto
+from symsimpson.control.control_status import STATUSES, ControlStatus
+from symsimpson.control.functions_of_time import read_function, values_at
 from symsimpson.control.grid import Grid, read_grid
-from symsimpson.control.held import onto
 from symsimpson.control.ipopt import Outcome, run_ipopt
 from symsimpson.control.judged import result_of
 from symsimpson.control.layout import Layout
 from symsimpson.control.optimality import downhill, optimal
-from symsimpson.control.points import PointFunctions
+from symsimpson.control.point_functions import PointFunctions
+from symsimpson.control.problem_parts import read_mapping, read_reals
 from symsimpson.control.reading import read_family
 from symsimpson.control.result import FOUND, SAVED, ControlResult
-from symsimpson.control.saving import read_solution
 from symsimpson.control.scaling import Scaled, scaled, sizes_at
-from symsimpson.control.status import STATUSES, ControlStatus
+from symsimpson.control.solution_files import read_solution
 from symsimpson.errors import InputError, ResolutionWarning
 from symsimpson.support.calling import warn
 from symsimpson.support.names import did_you_mean, spelled

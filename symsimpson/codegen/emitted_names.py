@@ -14,8 +14,8 @@ import sympy as sp
 from symsimpson.codegen.library import library_sources
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.system import MechanicalSystem
-from symsimpson.module.blocks import BLOCKS
 from symsimpson.module.interface import KERNELS
+from symsimpson.module.workspace_layout import BLOCKS
 
 __all__ = ["NameTable"]
 

@@ -9,10 +9,10 @@ import sympy as sp
 from numpy.typing import ArrayLike, NDArray
 from sympy.core.function import AppliedUndef
 
-from symsimpson.control.given import read_reals
+from symsimpson.control.problem_parts import read_reals
 from symsimpson.errors import InputError
 from symsimpson.mechanics.coordinates import time
-from symsimpson.program.values import shortened
+from symsimpson.program.input_values import shortened
 from symsimpson.support.names import spelled
 
 __all__ = ["read_function", "times_within", "values_at"]

@@ -98,7 +98,7 @@ def test_names_one_by_one_and_symbols(run):
 def test_names_are_written_as_they_are(name, shown):
     from matplotlib.figure import Figure
 
-    from symsimpson.plotting.states import label
+    from symsimpson.plotting.run_figures import label
 
     assert label(name) == shown
     figure = Figure()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from symsimpson.analysis.subject import Subject
 from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
-from symsimpson.derivatives.equations import At, evaluate_equations
+from symsimpson.derivatives.step_equations import At, evaluate_equations
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.reference.first_order import Lines
 from symsimpson.schemes.named import read_scheme

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.program.input_values import MOST_STEPS, read_vector
 from symsimpson.program.numbers import FLOAT64
 from symsimpson.program.recorders import driver_layout, with_clock
 from symsimpson.program.status import Status
-from symsimpson.program.values import MOST_STEPS, read_vector
 from symsimpson.program.workspace import NO_INPUTS, workspace
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.resolution import (
