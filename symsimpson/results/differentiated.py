@@ -74,5 +74,6 @@ class Differentiated:
 
     def _missing(self, ask: str) -> NoReturn:
         raise InputError(
-            f"this run carried no derivatives of this kind along.\nAsk for them: integrate(..., {ask})."
+            "this run carried no derivatives of this kind along.\n"
+            f"Ask for them: integrate(..., {ask})."
         )
