@@ -38,6 +38,12 @@ def is_vague(node):
     return not read and getattr(node, named, "") in ("found", "made", "own", "one")
 
 
+def repeated_names():
+    """Count the names that several files have, but those of packages."""
+    names = [path.name for path in FILES if path.name != "__init__.py"]
+    return len({name for name in names if names.count(name) > 1})
+
+
 #: Figures as they are. One that has fallen is written here, so that it cannot rise again.
 FIGURES = {
     "lines that no formatter may touch": (
@@ -48,6 +54,7 @@ FIGURES = {
     "functions with more than 12 arguments": (10, lambda: with_more_arguments(12)),
     "private names asked of others": (27, lambda: sum(map(is_reach, nodes(ast.Attribute)))),
     "values called found, made, own or one": (8, lambda: sum(map(is_vague, every_node()))),
+    "names that several files have": (4, repeated_names),
     "modules at the root": (3, lambda: len(list(PACKAGE.glob("*.py")))),
     "docstrings that cannot be read alone": (
         0,
