@@ -134,7 +134,7 @@ class Energies(Stored):
         ------
         InputError
             If not all states are stored, the energy is not constant, there are constraints, or
-            fewer than four steps.
+            fewer than four steps, or these are fixed in another time.
 
         Examples
         --------

@@ -65,6 +65,8 @@ def _check(run: Stored) -> None:
     why = ""
     if not header.conservative:
         why = "its energy is not constant: look at run.energy_balance"
+    elif header.retimed:
+        why = "its steps are fixed in another time"
     elif run.records:
         why = "events acted on it"
     elif header.constraints:

@@ -103,3 +103,11 @@ def test_runs_without_one_say_why(name, given, match):
     run = stepper.integrate([1.0], v0=[0.0], **{"h": 0.05, "steps": 50, **given})
     with pytest.raises(ss.InputError, match=match):
         _ = run.shadow_energy
+
+
+@pytest.mark.parametrize("length", [{"steps": 20}, {"t_end": 1.0}])
+def test_retimed_runs_have_none(length):
+    stepper = ss.compile(ss.systems.kepler_plane().retimed("encounters"), "simpson")
+    run = stepper.integrate([1.6, 0.0], v0=[0.0, 0.5], h=0.1, **length)
+    with pytest.raises(ss.InputError, match="fixed in another time"):
+        _ = run.shadow_energy
