@@ -30,7 +30,7 @@ def with_units(data: Any, units: Mapping[str, str]) -> Any:
     Units of q, p and v stand in coordinates named ``units_q`` and so on, and in an attribute where
     all are the same.
     """
-    if "t" in units:
+    if "t" in units and "time" in data.variables:  # members may have one state each, or own times
         data["time"].attrs["units"] = units["t"]
     for name, column in data.variables.items():
         key = column.attrs.get("long_name", name) if name.startswith("invariant_") else name

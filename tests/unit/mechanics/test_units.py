@@ -1,5 +1,6 @@
 """Units as labels."""
 
+import numpy as np
 import pytest
 import sympy as sp
 
@@ -62,6 +63,28 @@ def test_datasets_and_tables_have_units(run, tmp_path):
     assert data["units_q"].values.tolist() == ["m", "rad"]
     assert data["units_p"].values.tolist() == ["kg m/s", ""]
     assert run.to_pandas().attrs["units"]["v_x"] == "m/s"
+
+
+def test_ensembles_without_a_row_of_times_have_units():
+    pytest.importorskip("xarray")
+    pushed = ss.compile(cart(UNITS))
+    last = pushed.ensemble([[0.1, 0.2]] * 2, v0=[0.0, 0.0], h=0.1, steps=3).to_xarray()
+    assert last["units_q"].values.tolist() == ["m", "rad"]
+    free = ss.compile(cart(UNITS).retimed("kinetic"))
+    own = free.ensemble([[0.1, 0.2]] * 2, v0=[0.3, 0.0], h=0.1, steps=3, every=1).to_xarray()
+    assert own["t"].attrs["units"] == "s"
+
+
+@pytest.mark.parametrize("ending", ["nc", "zarr"])
+def test_ensembles_with_seconds_go_to_files(tmp_path, ending):
+    pytest.importorskip("netCDF4" if ending == "nc" else "zarr")
+    start = {"v0": [0.0, 0.0], "h": 0.1, "steps": 3}
+    many = ss.compile(cart(UNITS)).ensemble([[0.1, 0.2]] * 2, **start)
+    many.save(tmp_path / f"many.{ending}")
+    if ending == "zarr":
+        place = tmp_path / "store.zarr"
+        kept = ss.compile(cart(UNITS)).ensemble([[0.1, 0.2]] * 2, **start, store=place)
+        assert (np.asarray(kept.q[:]) == many.q).all()
 
 
 @pytest.mark.parametrize("ending", ["nc", "zarr"])
