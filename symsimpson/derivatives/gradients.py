@@ -69,7 +69,8 @@ def gradient_of(
     names = [name for name, state in pairs if not state]
     _check(wanted, pairs, velocities=request.v0 is not None)
     running = wanted.running
-    if isinstance(running, (list, tuple, set, dict, np.ndarray)):
+    matrix = hasattr(running, "shape") and hasattr(running, "free_symbols")
+    if matrix or isinstance(running, (list, tuple, set, dict, np.ndarray)):
         raise InputError(
             f"running is a {type(running).__name__}, not one expression.\nAdd up what costs."
         )

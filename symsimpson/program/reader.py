@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import ast
+import math
+import operator
 import re
+from collections.abc import Callable
 from itertools import chain
 from keyword import iskeyword
 from typing import TYPE_CHECKING, Any
@@ -55,6 +58,23 @@ COMPUTED = tuple(
 #: Characters of a text that users write, and of one that SymPy writes for them.
 LONGEST, LONGEST_OF_SYMPY = 2000, 100_000
 LARGEST = 10**300
+#: Signs of one rank, which Python reads from the left to the right.
+_RANKS: tuple[tuple[type[ast.AST], ...], ...] = ((ast.Add, ast.Sub), (ast.Mult, ast.Div, ast.Mod))
+#: So many terms of a sum stand in one row: what walks through them goes as deep as a row is long.
+_ROW = 100
+#: What signs and functions do to numbers.
+_NUMBERS: dict[type[ast.AST] | str, Callable[..., Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+    ast.Mod: operator.mod,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+    **{name: getattr(math, name) for name in _FUNCTIONS if hasattr(math, name)},
+    **{"abs": abs, "min": min, "max": max},
+}
 
 
 class Reader:
@@ -97,6 +117,8 @@ class Reader:
         """Read a text, an expression of SymPy, or an equation."""
         most = LONGEST
         if hasattr(expression, "free_symbols") and hasattr(expression, "xreplace"):
+            if hasattr(expression, "shape"):
+                raise self._refuse("it is a matrix, not one expression")
             expression, most = self._named_plainly(expression), LONGEST_OF_SYMPY
         if hasattr(expression, "lhs") and hasattr(expression, "rhs"):
             left, right = expression.lhs, expression.rhs
@@ -200,8 +222,11 @@ class Reader:
             raise self._refuse("it is no expression") from None
         try:
             written = self._write(body)
-        except RecursionError:
+            _value(ast.parse(written, mode="eval").body)
+        except (RecursionError, MemoryError, SyntaxError):  # Python's parser has limits of its own
             raise self._refuse("it is nested too deeply") from None
+        except ArithmeticError as error:
+            raise self._refuse(f"{error} in it has no value") from None
         self.rest = isinstance(body, ast.BinOp) and isinstance(body.op, ast.Mod)
         self.rest |= isinstance(body, ast.Call) and ast.unparse(body.func) == "Mod"
         return written
@@ -256,14 +281,64 @@ class Reader:
                 abs(power) < 100
             ):
                 return f"({self._write(left)} ** {power})"
-            case ast.BinOp(left=left, op=op, right=right) if type(op) in _SIGNS:
-                return f"({self._write(left)} {_SIGNS[type(op)]} {self._write(right)})"
+            case ast.BinOp(left=left, op=ast.Pow(), right=right):
+                return f"({self._write(left)} ** {self._write(right)})"
+            case ast.BinOp(op=op) if type(op) in _SIGNS:
+                return self._write_row(node, next(rank for rank in _RANKS if type(op) in rank))
         raise self._refuse(f"it contains {ast.unparse(node)[:60]!r}")
+
+    def _write_row(self, node: ast.expr, rank: tuple[type[ast.AST], ...]) -> str:
+        """Write a sum or a product, of which each part stands in the one before."""
+        parts: list[tuple[str, str]] = []
+        while isinstance(node, ast.BinOp) and type(node.op) in rank:
+            parts.append((_SIGNS[type(node.op)], self._write(node.right)))
+            node = node.left
+        parts.append(("+", self._write(node)))
+        parts.reverse()
+        length = _ROW if ast.Add in rank else len(parts)
+        rows = []
+        for first in range(0, len(parts), length):
+            (sign, part), *others = parts[first : first + length]
+            further = "".join(f" {sign} {part}" for sign, part in others)
+            rows.append(f"({'-' if sign == '-' else ''}{part}{further})")
+        return rows[0] if len(rows) == 1 else f"({' + '.join(rows)})"
 
     def _check_single(self, name: str) -> None:
         """Refuse a name that means a parameter and something else."""
         if name in self._double:
             raise self._refuse(f"{name!r} is a parameter, and the name of another quantity, too")
+
+
+def _value(node: ast.expr) -> Any:
+    """Return the value of what is written of numbers alone; None where a name stands in it.
+
+    Raises
+    ------
+    ArithmeticError
+        If numbers in it have no value, as 1/0; with the text of these.
+    """
+    key: type[ast.AST] | str
+    match node:
+        case ast.Constant(value=number):
+            return number
+        case ast.UnaryOp(op=op, operand=operand):
+            key, inner = type(op), [operand]
+        case ast.BinOp(left=left, op=op, right=right):
+            key, inner = type(op), [left, right]
+        case ast.Call(func=ast.Name(id=name), args=inner):
+            key = name
+        case _:
+            return None
+    values = [_value(part) for part in inner]
+    if None in values:
+        return None
+    try:
+        value = _NUMBERS[key](*values)
+    except (ArithmeticError, ValueError):
+        value = math.nan
+    if isinstance(value, complex) or not math.isfinite(value):
+        raise ArithmeticError(ast.unparse(node)[:60])
+    return value
 
 
 def _plain(name: str) -> bool:
