@@ -88,13 +88,15 @@ class RigidBody:
     """
 
     def __init__(self, name: str, inertia: Any, mass: Any = None, *, fourth: Any = None) -> None:
-        self.name, self.mass = name, mass if mass is None else sp.sympify(mass)
+        self.name, self.mass = name, mass if mass is None else _moment(name, "mass", mass)
         self.quaternion = quaternion(f"{name}_q")
         _made[tuple(self.quaternion)] = name
         place = " ".join(f"{name}_{axis}" for axis in "xyz")
         self.position: tuple[AppliedUndef, ...] = coordinates(place) if mass is not None else ()
         self.inertia = _inertia(name, inertia)
-        self.fourth = self.inertia.trace() / 3 if fourth is None else sp.sympify(fourth)
+        self.fourth = (
+            self.inertia.trace() / 3 if fourth is None else _moment(name, "fourth moment", fourth)
+        )
 
     def __repr__(self) -> str:
         return f"RigidBody({self.name!r})"
@@ -130,7 +132,14 @@ class RigidBody:
 
     def to_space(self, vector: Sequence[Any]) -> sp.ImmutableDenseMatrix:
         """Return the components in space of a vector given in the body, 3 by 1."""
-        return sp.ImmutableDenseMatrix(self.rotation * sp.Matrix(list(vector)))
+        try:
+            column = sp.Matrix(list(vector))
+            return sp.ImmutableDenseMatrix(self.rotation * column.reshape(3, 1))
+        except (TypeError, ValueError, sp.SympifyError):
+            raise ModelError(
+                f"a vector in the body {self.name!r} is {vector!r}, not three components.\n"
+                "Write (x, y, z)."
+            ) from None
 
     def point(self, place: Sequence[Any]) -> sp.ImmutableDenseMatrix:
         """Return where in space a point of the body is, 3 by 1: for joints, potentials, drawings.
@@ -229,10 +238,23 @@ def _inertia(name: str, given: Any) -> sp.ImmutableDenseMatrix:
     )
 
 
+def _moment(name: str, what: str, given: Any) -> sp.Expr:
+    """Read a mass or a moment, a number or an expression."""
+    try:
+        expression = sp.sympify(given)
+    except (TypeError, ValueError, SyntaxError, AttributeError, sp.SympifyError):
+        expression = None
+    if not isinstance(expression, sp.Expr):
+        raise ModelError(
+            f"the {what} of {name!r} is {given!r}, no expression.\nPass a number or a symbol."
+        )
+    return expression
+
+
 def _numbers(name: str, given: ArrayLike, shape: tuple[int, ...]) -> Vector:
     try:
         array = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = np.array(np.nan)
     if array.shape != shape or not np.isfinite(array).all():
         raise InputError(f"{name} is {given!r}, not finite numbers of shape {shape}.")

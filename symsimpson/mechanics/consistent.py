@@ -47,11 +47,16 @@ def consistent(
     q, v = read_vector(system, "q0", q0), read_vector(system, "v0", v0)
     try:
         t = float(t)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         t = np.nan
     if not np.isfinite(t):
         raise InputError(f"{system.name}: t is no finite number.\nPass one, as t=0.0.")
-    held = {spelled(x) for x in fixed}
+    one = isinstance(fixed, str) or hasattr(fixed, "free_symbols")
+    if not (one or isinstance(fixed, Iterable)):
+        raise InputError(
+            f"{system.name}: fixed is {fixed!r}, no coordinates.\nName them: fixed=[{names[0]!r}]."
+        )
+    held = {spelled(x) for x in ((fixed,) if one else fixed)}
     unknown = held - set(names)
     if unknown:
         raise InputError(

@@ -50,7 +50,13 @@ def coordinates(names: str, *more: str) -> tuple[AppliedUndef, ...]:
             f"coordinates are named by one text with their names, not by {given}.\n"
             "Write q1, q2 = symsimpson.coordinates('q1 q2')."
         )
-    functions = sp.symbols(names, cls=sp.Function)
+    try:
+        functions = sp.symbols(names, cls=sp.Function)
+    except ValueError as error:
+        raise ModelError(
+            f"coordinates cannot be called {names!r}: {error}.\nA colon stands for a range, as in "
+            "'q0:3'; write q1, q2 = symsimpson.coordinates('q1 q2')."
+        ) from None
     several = functions if isinstance(functions, (tuple, list)) else (functions,)
     return tuple(function(time) for function in several)
 

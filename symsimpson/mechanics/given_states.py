@@ -46,9 +46,23 @@ def read_values(
     """
     table = Named(what, [spelled(key) for key in defaults])
     values = [float(x) for x in defaults.values()]
+    if given is not None and not isinstance(given, Mapping):
+        raise InputError(
+            f"{name}: values of {what}s are {type(given).__name__}, not a mapping.\n"
+            f"Name each {what}: {{'{next(iter(table.shown), 'm')}': 1.0}}."
+        )
     for key, value in (given or {}).items():
         try:
-            values[table.found(key)] = float(value)
+            place = table.found(key)
         except InputError as error:
             raise InputError(f"{name} names {spelled(key)!r}: {error}") from None
+        try:
+            values[place] = float(value)
+        except (TypeError, ValueError, OverflowError):
+            values[place] = np.nan
+        if not np.isfinite(values[place]):
+            raise InputError(
+                f"{name}: the {what} {table.shown[place]} is {value!r}, not a finite number.\n"
+                "Pass a number."
+            )
     return values

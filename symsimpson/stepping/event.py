@@ -47,7 +47,7 @@ class Impact:
 
     def __post_init__(self) -> None:
         given = self.restitution
-        if not hasattr(given, "free_symbols") or given.is_number:
+        if not hasattr(given, "free_symbols") or getattr(given, "is_number", True):
             real = isinstance(given, Real) and not isinstance(given, bool)
             real = real or bool(getattr(given, "is_real", False))
             number = float(given) if real and abs(given) <= 1 else float("nan")

@@ -136,6 +136,22 @@ def test_what_is_refused():
         body.state(rotation=-np.eye(3))
     with pytest.raises(ss.InputError, match="angles is"):
         body.state(angles=(0, 0))
+    with pytest.raises(ss.InputError, match="angular_velocity is"):
+        body.state(angular_velocity=(10**400, 0, 0))
+
+
+@pytest.mark.parametrize("vector", [None, "x+", (1, 2), [1, [2], 3]])
+def test_what_is_no_vector_in_a_body(vector):
+    with pytest.raises(ss.ModelError, match="not three components"):
+        ss.RigidBody("b", inertia=(1, 2, 3)).to_space(vector)
+
+
+@pytest.mark.parametrize("mass", ["", "x+", "sin()", [1.0, 2.0]])
+def test_what_is_no_mass_or_moment(mass):
+    with pytest.raises(ss.ModelError, match="the mass of 'b' is"):
+        ss.RigidBody("b", inertia=(1, 2, 3), mass=mass)
+    with pytest.raises(ss.ModelError, match="the fourth moment of 'b' is"):
+        ss.RigidBody("b", inertia=(1, 2, 3), fourth=mass)
 
 
 def test_a_quaternion_that_nothing_holds_is_told():

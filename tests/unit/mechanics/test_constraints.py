@@ -185,3 +185,31 @@ def test_states_that_there_are_not():
         system.consistent([1, 0, 0], [0, 0, 0], parameters={"k": 1})
     with pytest.raises(ss.InputError, match="q0 is"):
         system.consistent([1, 0], [0, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"fixed": 3}, "fixed is 3, no coordinates"),
+        ({"t": 10**400}, "t is no finite number"),
+        ({"parameters": 2.0}, "are float, not a mapping"),
+        ({"parameters": {"l": "a"}}, "the parameter l is 'a', not a finite number"),
+        ({"parameters": {"l": [1.0, 2.0]}}, "not a finite number"),
+        ({"parameters": {"l": float("nan")}}, "the parameter l is nan, not a finite number"),
+    ],
+)
+def test_absurd_questions_about_states(given, told):
+    system = ss.systems.cartesian_pendulum()
+    with pytest.raises(ss.InputError, match=told):
+        system.consistent([0.0, 0.1, -1.0], [0, 0, 0], **given)
+    if "parameters" in given:
+        with pytest.raises(ss.InputError, match=told):
+            system.linearise([0.0, 0.0, -1.0], **given)
+
+
+def test_one_coordinate_is_fixed_by_its_name_alone():
+    bars = ss.systems.four_bar()
+    start = [1.0, 0.3, 1.4], [1.3, 0.0, 0.0]
+    for fixed in ("t1", bars.coordinates[0]):
+        found = bars.consistent(*start, fixed=fixed)
+        assert np.array_equal(found, bars.consistent(*start, fixed=["t1"]))

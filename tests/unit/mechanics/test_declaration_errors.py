@@ -123,6 +123,12 @@ def test_message(changes, message):
     assert len(remedy) > 20
 
 
+@pytest.mark.parametrize("names", ["lambda: 3", "a:", "\0"])
+def test_names_that_no_coordinates_can_have(names):
+    with pytest.raises(ss.ModelError, match="coordinates cannot be called"):
+        ss.coordinates(names)
+
+
 def test_messages_name_the_system():
     with pytest.raises(ss.ModelError, match=r"^system 'my_cart'"):
         declare(name="my_cart", potential=V_MISSING)

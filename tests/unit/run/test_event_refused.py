@@ -62,6 +62,7 @@ def test_what_does_not_go_with_events():
         (lambda: ss.Impact("0.8"), "restitution is '0.8'"),
         (lambda: ss.Impact(None), "restitution is None"),
         (lambda: ss.Impact(sp.I), "restitution is I"),
+        (lambda: ss.Impact(sp.Matrix([1, 2])), "restitution is Matrix"),
         (lambda: ss.Impact(True), "restitution is True"),
         (lambda: ss.Change(velocities=3), "velocities is 3, not a mapping"),
         (lambda: ss.Event(z, name=3), "the name of an event is 3"),
