@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.program.input_values import read_array, read_count, read_number
+from symsimpson.program.input_values import MOST_STEPS, read_array, read_count, read_number
 from symsimpson.program.workspace import NO_INPUTS
 from symsimpson.stepping.inputs import read_step
 from symsimpson.support.calling import explained
@@ -162,7 +162,8 @@ def _one(program: Program, name: str, given: Any, h: Any, steps: int, members: i
     held = isinstance(given, Samples)
     array = read_array(f"input {name}", given.values if held else given, numbers)
     if held:
-        array = np.repeat(array, steps_a_period(name, given.period, h, numbers), axis=-1)
+        count = min(steps_a_period(name, given.period, h, numbers), max(steps, 1))
+        array = np.repeat(array, count, axis=-1)
         array = array[..., :steps] if array.ndim else array
     shape, many = array.shape, members or 1
     if members == 1 and array.ndim > 1 and shape != (steps, nodes) and shape[1] == steps:
@@ -203,6 +204,7 @@ def _one(program: Program, name: str, given: Any, h: Any, steps: int, members: i
 def steps_a_period(name: str, period: Any, h: Any, numbers: Numbers) -> int:
     """Return how many steps a value is held."""
     exact = abs(float(read_number(f"the period of input {name}", period, numbers) / h))
+    exact = min(exact, float(MOST_STEPS))  # longer than any run
     count = round(exact)
     if count < 1 or abs(exact - count) > STEP_FRACTION:
         fit = float(period) / max(1, -(-exact // 1))

@@ -203,6 +203,17 @@ def test_work_of_an_input_is_counted_with_its_own_values():
     assert np.abs(run.power["motor"][:-1] - HELD * run["v_x"][:-1]).max() < 1e-14
 
 
+@pytest.mark.parametrize("period", [1e9, 1e300, 2**70])
+def test_samples_may_be_held_for_longer_than_the_run(period):
+    made = stepper()
+    held = {"u": ss.samples([0.3, 0.4], period=period)}
+    run = made.integrate(**START, h=H, steps=STEPS, inputs=held)
+    other = made.integrate(**START, h=H, steps=STEPS, inputs={"u": 0.3})
+    assert (run.q == other.q).all()
+    slope = made.gradient(**START, h=H, steps=STEPS, inputs=held, cost="x", wrt="u").parts["u"]
+    assert slope[0] != 0
+
+
 def test_samples_are_held_for_their_period():
     made = stepper()
     given = {"u": ss.samples(HELD[:15], period=4 * H)}
