@@ -46,6 +46,14 @@ def with_units(data: Any, units: Mapping[str, str]) -> Any:
     return data
 
 
+def _kind_of(key: Any) -> str:
+    """Return the kind of numbers in a list or an array of numpy; an empty list may be of any."""
+    try:
+        return "i" if isinstance(key, list) and not key else np.asarray(key).dtype.kind
+    except ValueError:  # lists of several lengths
+        return "O"
+
+
 def attribute_name(name: str, identifier: str) -> str:
     """Return a name if attributes of files may have it, else the name in the module."""
     return name if re.fullmatch(r"[^/\x00-\x1f\x7f]*[^/\s\x00-\x1f\x7f]", name) else identifier
@@ -118,14 +126,14 @@ class States(Quantities):
         """
         if isinstance(key, (str, bool, float)) or hasattr(key, "free_symbols"):
             return self._named(key)
-        several = isinstance(key, (list, np.ndarray)) and len(key) > 0
-        if several and np.asarray(key).dtype.kind not in "bi":
+        several = isinstance(key, (list, np.ndarray))
+        if several and _kind_of(key) not in "biu":
             raise InputError(
                 f"{key!r} are no numbers of states.\nAsk for one quantity, run['energy'], for "
                 "several by run.to_pandas()[[...]], or for states by whole numbers, run[[0, 5]]."
             )
         some: Any = key
-        if not isinstance(key, (slice, np.ndarray, list)):
+        if not (isinstance(key, slice) or (several and np.ndim(key))):
             try:
                 number = operator.index(key)
             except TypeError:

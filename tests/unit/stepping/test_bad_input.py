@@ -126,6 +126,13 @@ def test_ensemble(stepper, changes):
     assert "numba" not in str(caught.value).lower()
 
 
+def test_numbers_of_states_of_any_kind(stepper):
+    run = stepper.integrate(**RUN)
+    assert (run[np.array([0, 2], dtype=np.uint8)].q == run.q[[0, 2]]).all()
+    assert (run[np.array(1)].q == run.q[[1]]).all()
+    assert len(run[[]]) == len(run[np.array([], dtype=int)]) == 0
+
+
 def test_what_else_is_of_another_kind(stepper):
     state = {"q0": RUN["q0"], "p0": RUN["p0"], "h": 0.1}
     run = stepper.integrate(**RUN)
@@ -136,6 +143,9 @@ def test_what_else_is_of_another_kind(stepper):
         (lambda: stepper.tangent([0.5, 0.2], p=[0, 0], h=0.1, wrt=None), "is no parameter"),
         (lambda: stepper.start(**state).step([[0.1], [0.2, 0.3]]), "has no inputs"),
         (lambda: run[["q1", "q2"]], "no numbers of states"),
+        (lambda: run[[1, [2]]], "no numbers of states"),
+        (lambda: run[np.array([])], "no numbers of states"),
+        (lambda: run[np.array(1.0)], "no numbers of states"),
         (lambda: run.events("q1", direction=np.zeros(2)), "direction is"),
         (lambda: ss.Impact(10**400), "restitution is"),
         (lambda: PENDULUM.consistent([10**400, 0], [0, 0]), "q0 is"),
