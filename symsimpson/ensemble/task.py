@@ -75,7 +75,7 @@ class Task(RunSpec):
         """Times of the stored states."""
         stride, first = (self.every, 0) if self.every else (self.steps, 1)
         count = np.arange(first, self.stored + first, dtype=np.float64)
-        return self.t0 + self.h * count * stride
+        return self.t0 + self.h * (count * stride)  # rounded as those of single runs are
 
     def part(self, members: slice | NDArray[np.int64]) -> Task:
         """Return the task of some of the members."""

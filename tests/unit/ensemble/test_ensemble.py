@@ -31,6 +31,13 @@ def digest(found):
     return hashlib.sha256(b"".join(np.ascontiguousarray(x).tobytes() for x in parts)).hexdigest()
 
 
+@pytest.mark.parametrize("h", [0.02, -0.1])
+def test_times_are_those_of_single_runs(stepper, h):
+    given = {**GIVEN, "h": h, "t0": 0.3, "every": 7}
+    found, run = (take(ANGLES[0], **given) for take in (stepper.ensemble, stepper.integrate))
+    assert (found.t == run.t).all()
+
+
 def test_members_are_single_runs(stepper):
     found = stepper.ensemble(ANGLES, **GIVEN)
     assert found.q.shape == found.p.shape == (37, 2)
