@@ -24,9 +24,14 @@ class Energies(Stored):
         The median is taken over the stored states. H0 alone says nothing where the zero of the
         potential happens to lie near it, as for a pendulum released at 90 degrees. A system at
         rest with H0 = 0 has the scale 1.
+
+        Raises
+        ------
+        InputError
+            If only the last state is stored: H0 is not known then.
         """
         kinetic = np.sort(self._energies[:, 1])[len(self) // 2]
-        scale = max(abs(self.energy[0]), kinetic)
+        scale = max(abs(self._first_energy), kinetic)
         return scale if scale > 0 else scale * 0 + 1
 
     @cached_property
@@ -36,7 +41,7 @@ class Energies(Stored):
         Raises
         ------
         InputError
-            If forces do work, or the energy depends on the time.
+            If forces do work, the energy depends on the time, or only the last state is stored.
         """
         header = self.program.header
         if not header.conservative:
@@ -52,7 +57,20 @@ class Energies(Stored):
                 "not measure the error.\nUse run.energy_balance, the change of the energy minus "
                 "the work done; run.energy and run.work are its parts."
             )
-        return (self.energy - self.energy[0] - self._given) / self.energy_scale
+        return (self.energy - self._first_energy - self._given) / self.energy_scale
+
+    @property
+    def _first_energy(self) -> Any:
+        """The energy at the start."""
+        if self.every is None and (self.steps or self.ended_by is not None):
+            if self.program.header.retimed:
+                return self.parameters["E0"]
+            raise InputError(
+                "a run that keeps its last state alone (every=None) does not tell the energy at "
+                "its start.\nStore states on the way: every=1, or every=100; or have the energy "
+                "followed: reduce={'least': ('min', 'energy'), 'largest': ('max', 'energy')}."
+            )
+        return self.energy[0]
 
     @cached_property
     def _given(self) -> Any:
@@ -114,10 +132,10 @@ class Energies(Stored):
         Raises
         ------
         InputError
-            As for :attr:`work`.
+            As for :attr:`work`, and if only the last state is stored: H0 is not known then.
         """
         work, lost = self._integrals
-        return self.energy - self.energy[0] - self._given - work["total"] + lost
+        return self.energy - self._first_energy - self._given - work["total"] + lost
 
     @cached_property
     def shadow_energy(self) -> NDArray[Any]:

@@ -75,10 +75,10 @@ def trajectory(run: Any) -> str:
     if run.steps and iterations:
         rows.append(("iterations a step", f"{iterations / run.steps:.2f}"))
     constant = run.program.header.conservative
-    energy = np.asarray(run.energy_error if constant else run.energy, dtype=float)
-    if constant:
-        rows.append(("largest energy error", f"{np.abs(energy).max():.2g}"))
     if len(run) > 1:
+        energy = np.asarray(run.energy_error if constant else run.energy, dtype=float)
+        if constant:
+            rows.append(("largest energy error", f"{np.abs(energy).max():.2g}"))
         rows += _drawn(run)
         rows.append(("energy error" if constant else "energy", curves(run.t, [energy])))
     return box(f"Trajectory of {run.program.system}", facts(rows))

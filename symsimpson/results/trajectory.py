@@ -106,9 +106,15 @@ class Trajectory(Energies, Differentiated):
 
     @property
     def E0(self) -> Any:
-        """The initial energy, the energy level on which a retimed system is integrated."""
+        """The initial energy, the energy level on which a retimed system is integrated.
+
+        Raises
+        ------
+        InputError
+            If only the last state is stored, of a system that is not retimed.
+        """
         values = self.parameters
-        return values["E0"] if self.program.header.retimed else self.energy[0]
+        return values["E0"] if self.program.header.retimed else self._first_energy
 
     @property
     def inputs(self) -> dict[str, NDArray[Any]]:

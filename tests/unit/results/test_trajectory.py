@@ -83,3 +83,34 @@ def test_a_missing_library_is_named(run, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pandas", None)
     with pytest.raises(ss.InputError, match=r"pip install 'symsimpson\[data\]'"):
         run.to_pandas()
+
+
+def test_a_last_state_alone_does_not_tell_the_energy_at_the_start():
+    """An error that is always 0, and a balance that is the work, would be taken for good news."""
+    given = {"q0": [0.7, 1.0], "v0": [1.0, -2.0], "h": 0.01, "every": None}
+    end = ss.compile(PENDULUM).integrate(**given, steps=50)
+    for name in ("energy_error", "energy_scale", "energy_balance", "E0"):
+        with pytest.raises(ss.InputError, match="does not tell the energy at its start"):
+            getattr(end, name)
+    assert "energy error" not in end._repr_html_()
+    start = ss.compile(PENDULUM).integrate(**given, steps=0)
+    assert start.energy_error == 0
+    damped = ss.compile(ss.systems.damped_pendulum())
+    last = damped.integrate([1.0], v0=[0.0], h=0.05, steps=50, every=None, record="work")
+    assert abs(last.work["total"][0]) > 0.01
+    with pytest.raises(ss.InputError, match="does not tell the energy at its start"):
+        _ = last.energy_balance
+    first = ss.Event("theta", name="down", terminal=True)  # within the first step
+    ended = damped.integrate([0.01], v0=[-1.0], h=0.05, steps=50, every=None, events=[first])
+    assert ended.steps == 0
+    with pytest.raises(ss.InputError, match="does not tell the energy at its start"):
+        _ = ended.E0
+
+
+def test_a_last_state_alone_of_a_retimed_run_tells_its_error():
+    stepper = ss.compile(ss.systems.kepler_plane().retimed("encounters"), "simpson")
+    given = {"q0": [1.6, 0.0], "v0": [0.0, 0.5], "h": 0.1, "steps": 40}
+    run, end = (stepper.integrate(**given, every=every) for every in (1, None))
+    assert end.E0 == run.E0
+    assert (end.energy - end.E0)[0] == pytest.approx(run.energy[-1] - run.energy[0], abs=1e-15)
+    assert end.energy_error[0] != 0
