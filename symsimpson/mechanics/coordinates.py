@@ -1,4 +1,4 @@
-"""What users write energies of: coordinates, their momenta, and the time."""
+"""Symbols that users write energies with: coordinates, their momenta, and the time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What whole runs and those of which little is kept have in common: how they ended."""
+"""Ends of runs, of whole ones and of those of which little is kept."""
 
 from __future__ import annotations
 

@@ -101,8 +101,24 @@ class Trajectory(Energies, Differentiated):
 
     @property
     def tau(self) -> NDArray[Any]:
-        """The variable in which steps are fixed, from 0, shape (N + 1,): t - t0 unless retimed."""
-        return self.t - self.t[0] if self.tau_values is None else self.tau_values
+        """The variable in which steps are fixed, from 0, shape (N + 1,): t - t0 unless retimed.
+
+        Raises
+        ------
+        InputError
+            If only the last state is stored, and an event ended the run there, within a step.
+        """
+        if self.tau_values is not None:
+            return self.tau_values
+        if self.every is not None:
+            return self.t - self.t[0]
+        if self.ended_by is not None:
+            raise InputError(
+                "a run that keeps its last state alone (every=None) does not tell when it began, "
+                f"as {self.ended_by!r} ended it within a step.\nSubtract t0 from run.t, or store "
+                "states on the way: every=1."
+            )
+        return self.t * 0 + self.h * self.steps
 
     @property
     def E0(self) -> Any:

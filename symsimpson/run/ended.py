@@ -1,4 +1,4 @@
-"""What a run has come to, and the error of one that did not reach its end."""
+"""The trajectory that a run has come to, and the error of one that did not reach its end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What takes the states of a run piece by piece: all of them, or some to judge it by."""
+"""Sinks that take the states of a run piece by piece: all of them, or some to judge it by."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Reals = NDArray[Any]
 
 
 class Sink(Protocol):
-    """What takes the states of each piece of a run, before the run forgets them."""
+    """A place to which the states of each piece of a run go, before the run forgets them."""
 
     def due(self, stop: int) -> int:
         """Return the step at which the piece is to end, ``stop`` or an earlier one."""

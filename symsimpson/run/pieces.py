@@ -67,7 +67,7 @@ def by_pieces(
 
 
 class Pieces:
-    """What is taken of each piece of a run; a sink.
+    """A sink that keeps what is taken of each piece of a run.
 
     Parameters
     ----------
@@ -112,7 +112,8 @@ class Pieces:
         t = run.recorded[:kept, 0, 0] if run.header.retimed else run.t0 + tau
         columns: tuple[Any, ...] = t, tau, run.q[:kept, :, 0], run.p[:kept, :, 0]
         if end is not None:
-            ends = end.t, end.tau, end.q, end.p
+            past = end.tau if run.header.retimed else end.t - run.t0
+            ends = end.t, past, end.q, end.p
             columns = tuple(np.concatenate([x[-1:], y]) for x, y in zip(columns, ends, strict=True))
         numbers = program.numbers
         t, tau, q, p = map(numbers.result, columns)

@@ -93,6 +93,7 @@ def test_a_last_state_alone_does_not_tell_the_energy_at_the_start():
         with pytest.raises(ss.InputError, match="does not tell the energy at its start"):
             getattr(end, name)
     assert "energy error" not in end._repr_html_()
+    assert end.tau == 0.01 * 50
     start = ss.compile(PENDULUM).integrate(**given, steps=0)
     assert start.energy_error == 0
     damped = ss.compile(ss.systems.damped_pendulum())
@@ -105,6 +106,8 @@ def test_a_last_state_alone_does_not_tell_the_energy_at_the_start():
     assert ended.steps == 0
     with pytest.raises(ss.InputError, match="does not tell the energy at its start"):
         _ = ended.E0
+    with pytest.raises(ss.InputError, match="does not tell when it began"):
+        _ = ended.tau
 
 
 def test_a_last_state_alone_of_a_retimed_run_tells_its_error():
