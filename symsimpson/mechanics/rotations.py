@@ -162,7 +162,7 @@ def _components(point: Any) -> list[sp.Expr]:
     """Read the components of a point: a sequence or a matrix."""
     try:
         return [sp.sympify(x) for x in point]
-    except TypeError:
+    except (TypeError, ValueError):  # SymPy's own are of these kinds
         raise ModelError(
             f"a point has components, and {point} has none.\n"
             "Write them in a row: coincide((x, y), (1, 2)), or body.point((0, 0, 1))."
@@ -171,7 +171,13 @@ def _components(point: Any) -> list[sp.Expr]:
 
 def _four(q: Sequence[Any]) -> tuple[sp.Expr, sp.Expr, sp.Expr, sp.Expr]:
     """Read the four components of a quaternion."""
-    parts = tuple(map(sp.sympify, q))
+    try:
+        parts = tuple(map(sp.sympify, q))
+    except (TypeError, ValueError):
+        raise ModelError(
+            f"a quaternion has four components, and {q!r} has none.\n"
+            "Make one: q = symsimpson.quaternion('q')."
+        ) from None
     if len(parts) != 4:
         raise ModelError(
             f"a quaternion has four components, not {len(parts)}.\n"

@@ -140,6 +140,15 @@ def test_what_is_refused():
         body.state(angular_velocity=(10**400, 0, 0))
 
 
+@pytest.mark.parametrize("given", [None, 3, "x+"])
+def test_what_is_no_quaternion_and_no_point(given):
+    for make in (ss.rotation_matrix, ss.body_rates):
+        with pytest.raises(ss.ModelError, match="four components, and"):
+            make(given)
+    with pytest.raises(ss.ModelError, match="a point has components, and"):
+        ss.coincide(given, (1, 2))
+
+
 @pytest.mark.parametrize("vector", [None, "x+", (1, 2), [1, [2], 3]])
 def test_what_is_no_vector_in_a_body(vector):
     with pytest.raises(ss.ModelError, match="not three components"):
