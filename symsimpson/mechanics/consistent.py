@@ -50,13 +50,13 @@ def consistent(
     except (TypeError, ValueError, OverflowError):
         t = np.nan
     if not np.isfinite(t):
-        raise InputError(f"{system.name}: t is no finite number.\nPass one, as t=0.0.")
-    one = isinstance(fixed, str) or hasattr(fixed, "free_symbols")
-    if not (one or isinstance(fixed, Iterable)):
+        raise InputError(f"{system.name}: t is no finite number.\nPass single, as t=0.0.")
+    single = isinstance(fixed, str) or hasattr(fixed, "free_symbols")
+    if not (single or isinstance(fixed, Iterable)):
         raise InputError(
             f"{system.name}: fixed is {fixed!r}, no coordinates.\nName them: fixed=[{names[0]!r}]."
         )
-    held = {spelled(x) for x in ((fixed,) if one else fixed)}
+    held = {spelled(x) for x in ((fixed,) if single else fixed)}
     unknown = held - set(names)
     if unknown:
         raise InputError(

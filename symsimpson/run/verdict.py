@@ -56,7 +56,7 @@ def _by_energy(program: Program, run: Run, trajectory: Trajectory, kept: KeptSta
         with numbers.working():
             ends = [numbers.read(x[:1]) for x in (trajectory.q, trajectory.p)]
         q, p = (np.concatenate(parts) for parts in zip(kept[:2], ends, strict=True))
-        kept = kept._replace(q=q, p=p)
+        kept = KeptStates(q, p, *kept[2:])
     energies = look_at_energy(program, run, trajectory, kept)
     if energies is not None and energies.first_not_real is not None:
         ended = _ended_before(program, run, trajectory, kept, energies)
