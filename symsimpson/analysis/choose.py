@@ -34,6 +34,9 @@ WITH_EXPLICIT = ("simpson", "blanes_moan4", "blanes_moan6", "gauss12", "gauss16"
 #: Those that are tried in the time of a retimed system, unless so few fixed steps do; where one
 #: takes so many times as long as fixed steps, no others are.
 ADAPTING, FEW_STEPS, FAR_SLOWER = ("gauss12", "gauss8", "gauss16"), 1000, 2.0
+#: Seconds that it takes to derive one of them, divided by n**4, where all coordinates attract each
+#: other. Where that is long, they are tried only if fixed steps take longer, or do not do.
+DERIVING, LONG = 3e-5, 10.0
 #: A pilot run is so many of the steps long with which Simpson's scheme follows the motion, with
 #: fewer coordinates so many of them.
 PILOT, PILOT_COORDINATES = 1000, 20_000
@@ -100,7 +103,8 @@ def choose(
     ----------
     system : MechanicalSystem
         If V is a sum of attracting inverse distances, ``retimed(system, "encounters")`` is tried
-        where many fixed steps are needed: its steps in t adapt to close encounters.
+        where many fixed steps are needed: its steps in t adapt to close encounters. That of many
+        bodies takes minutes to derive, and is tried only if fixed steps take longer.
     q0, v0, p0 : array_like, shape (n,)
         The initial state: velocities or momenta.
     t_end : float
@@ -180,7 +184,9 @@ def choose(
     steppers = [compile_system(system, scheme) for scheme in fixed]
     candidates = _solved(problem, steppers, h0)
     fewest = min((x.steps for x in candidates), default=math.inf) * t_end / pilot
-    if retimed is not None and fewest > FEW_STEPS:
+    quickest = min((x.seconds for x in candidates), default=math.inf) * t_end / pilot
+    deriving = DERIVING * system.n**4
+    if retimed is not None and fewest > FEW_STEPS and (deriving < LONG or quickest > deriving):
         tau0, reached = _first_step(retimed, q, p, known)
         if reached > pilot < t_end:  # as long a part of the motion for both
             problem = replace(problem, pilot=min(float(t_end), reached))

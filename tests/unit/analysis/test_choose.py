@@ -205,3 +205,13 @@ def test_a_wide_ellipse_is_not():
     )
     assert given.stepper.system == "kepler_plane_retimed"
     assert "fixed" not in given.reason
+
+
+def test_what_takes_long_to_derive_is_not_tried(monkeypatch):
+    """Twenty bodies in a time of their own took more than ten minutes, their run three seconds."""
+    chosen = {"WITH_EXPLICIT": ("blanes_moan4",), "ADAPTING": ("simpson",), "DERIVING": 1e9}
+    for name, value in chosen.items():
+        monkeypatch.setattr(f"symsimpson.analysis.choose.{name}", value, raising=False)
+    comet = ss.systems.kepler_plane()
+    choice = ss.choose(comet, [1.99, 0.0], v0=[0.0, (0.01 / 1.99) ** 0.5], t_end=20.0, error=1e-3)
+    assert choice.stepper.system == "kepler_plane"
