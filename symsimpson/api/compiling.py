@@ -378,13 +378,14 @@ def _check_system(system: object) -> None:
     if not isinstance(system, MechanicalSystem):
         from symsimpson.systems import EVERY  # only a message needs the catalogue
 
-        name = getattr(system, "__name__", "")
-        if EVERY.get(name) is system:
+        what, name = type(system).__name__, getattr(system, "__name__", system)
+        if isinstance(name, str) and name in EVERY and system in (name, EVERY[name]):
             raise GenerationError(
-                f"{name} is the function that makes the system.\n"
-                f"Call it: symsimpson.systems.{name}()."
+                f"{name} is the {'name of a' if system == name else 'function that makes the'} "
+                f"system.\nCall it: symsimpson.systems.{name}()."
             )
-        raise GenerationError(
-            f"{type(system).__name__} is not a MechanicalSystem.\n"
-            "Declare one: symsimpson.MechanicalSystem(name, coordinates=..., kinetic=..., ...)."
-        )
+        method = {"LagrangesMethod": "lagranges_method", "KanesMethod": "kanes_method"}.get(what)
+        how = "Declare one: symsimpson.MechanicalSystem(name, coordinates=..., kinetic=..., ...)."
+        if method is not None:
+            how = f"Read it: symsimpson.MechanicalSystem.from_{method}(name, method, parameters)."
+        raise GenerationError(f"{what} is not a MechanicalSystem.\n{how}")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import sympy as sp
-from sympy.physics.mechanics import dynamicsymbols
+from sympy.physics.mechanics import LagrangesMethod, dynamicsymbols
 
 import symsimpson as ss
 
@@ -227,7 +227,14 @@ OTHERS = {
     "odd order": (lambda: ss.compile(PENDULUM, "gauss5"), ss.SchemeError, "no scheme"),
     "no order": (lambda: ss.compile(PENDULUM, "gauss0"), ss.SchemeError, "no scheme"),
     "explicit": (lambda: ss.compile(PENDULUM, "kahan_li8"), ss.SchemeError, "explicit"),
-    "no system": (lambda: ss.compile("pendulum"), ss.GenerationError, "not a MechanicalSystem"),
+    "no system": (lambda: ss.compile("my_arm"), ss.GenerationError, "not a MechanicalSystem"),
+    "None": (lambda: ss.compile(None), ss.GenerationError, "NoneType is not a MechanicalSystem"),
+    "a name": (lambda: ss.compile("pendulum"), ss.GenerationError, r"systems.pendulum\(\)"),
+    "a method of SymPy": (
+        lambda: ss.compile(LagrangesMethod(x.diff() ** 2 - x**2, [x])),
+        ss.GenerationError,
+        "from_lagranges_method",
+    ),
     "exploit": (lambda: ss.compile(PENDULUM, exploit="luck"), ss.GenerationError, "luck"),
     "digits": (lambda: ss.compile(PENDULUM, precision=3), ss.InputError, "precision is 3"),
     "part of digits": (lambda: ss.compile(PENDULUM, precision=30.5), ss.InputError, "30.5"),
