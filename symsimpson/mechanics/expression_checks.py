@@ -158,10 +158,22 @@ def _check_place(
             )
 
 
+def _check_form(system: str, what: str, node: sp.Expr) -> None:
+    """Refuse an unknown function of coordinates, which cannot be one itself."""
+    if any(argument.atoms(AppliedUndef) for argument in node.args):
+        raise fail(
+            system,
+            f"the {what} contains {spell(node)}, a function of coordinates without a form.",
+            "Its values and derivatives must be known. Put in its expression: "
+            f".subs({spell(node)}, ...).doit().",
+        )
+
+
 def check_content(system: str, what: str, node: sp.Basic) -> None:
     """Refuse what has no value, no derivative or no real value."""
     if isinstance(node, UNEVALUATED):
         if isinstance(node, sp.Derivative) and isinstance(node.expr, AppliedUndef):
+            _check_form(system, what, node.expr)
             order = node.derivative_count
             raise fail(
                 system,
@@ -178,6 +190,7 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
             "It must be differentiated and compiled. Evaluate it first with .doit().",
         )
     if isinstance(node, AppliedUndef):
+        _check_form(system, what, node)
         raise fail(
             system,
             f"the {what} contains {spell(node)}, which is neither a declared coordinate nor a "
