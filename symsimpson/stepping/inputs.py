@@ -60,10 +60,11 @@ def read_steps(
     refuse_too_many(exact)
     number = round(exact)
     if abs(exact - number) > STEP_FRACTION:
+        some = max(number, 1)
         raise InputError(
             f"t_end={float(end):g} is not a whole number of steps of h={float(h):g} from "
             f"t0={float(t0):g}: it is {exact:.6g}.\nA fixed step keeps the method symplectic. Use "
-            f"h={float(end - t0) / max(number, 1):.17g}, or steps={number}."
+            f"h={float(end - t0) / some!r}, or steps={some}."
         )
     _check_times(h, t0, number, numbers)
     return h, number, t0

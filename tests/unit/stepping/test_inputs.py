@@ -31,6 +31,8 @@ WRONG = {
         {"steps": None, "t_end": 0.35},
         r"not a whole number of steps.*\n.*Use h=0\.1",
     ),
+    "less than a step": ({"steps": None, "t_end": 0.05}, r"Use h=0\.05, or steps=1\."),
+    "thirds": ({"steps": None, "t_end": 1.0, "h": 0.3}, r"h=0\.3333333333333333, or steps=3\."),
     "no end": ({"steps": None}, "exactly one of t_end and steps, and has neither"),
     "two ends": ({"t_end": 0.3}, "exactly one of t_end and steps, and has both"),
     "backwards": ({"steps": None, "t_end": -1.0}, "is not reached"),
