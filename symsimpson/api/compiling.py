@@ -293,7 +293,8 @@ def load(path: str | os.PathLike[str]) -> Stepper:
     except (OSError, UnicodeDecodeError) as error:
         raise GenerationError(
             f"{os.fspath(path)}: the file cannot be read: {error}.\n"
-            "Generate it with symsimpson.generate(system, scheme)."
+            "Generate it with symsimpson.generate(system, scheme). A run that was saved is read by "
+            "symsimpson.open_trajectory."
         ) from error
     return Stepper(read_program(text, os.fspath(path), TOOLS))
 

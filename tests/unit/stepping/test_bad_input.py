@@ -250,7 +250,7 @@ OTHERS = {
     "quadrature": (lambda: ss.galerkin("gander", 2, 2), ss.SchemeError, "no quadrature .gander."),
     "composition": (lambda: ss.composition("yoshida4"), ss.SchemeError, "no composition"),
     "file": (lambda: ss.load("/missing.py"), ss.GenerationError, "cannot be read"),
-    "folder": (lambda: ss.load("/"), ss.GenerationError, "cannot be read"),
+    "folder": (lambda: ss.load("/"), ss.GenerationError, "read.*\n.*\n?.*open_trajectory"),
     "place": (
         lambda: ss.generate(PENDULUM, "midpoint", "/proc/nowhere"),
         ss.GenerationError,
