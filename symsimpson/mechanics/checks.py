@@ -200,7 +200,8 @@ def read_value(system: str, symbol: sp.Symbol, value: Any) -> float:
     if not math.isfinite(number):
         raise fail(
             system,
-            f"the parameter {symbol.name} has the value {spell(value)}, "
+            f"the parameter {symbol.name} has the value "
+            f"{repr(value) if isinstance(value, str) else spell(value)}, "
             "which is not a finite real number.",
             f"Give it a number: {{{symbol.name}: 1.0}}.",
         )

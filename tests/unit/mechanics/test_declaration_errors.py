@@ -73,7 +73,7 @@ WRONG = {
     "nan": ({"parameters": {m: 1.0, k: float("nan")}}, "k has the value nan"),
     "infinity": ({"parameters": {m: 1.0, k: float("inf")}}, "k has the value inf"),
     "complex value": ({"parameters": {m: 1.0, k: 1j}}, "not a finite real number"),
-    "text value": ({"parameters": {m: 1.0, k: "2"}}, "not a finite real number"),
+    "text value": ({"parameters": {m: 1.0, k: "2"}}, "the value '2', which is not a finite"),
     "boolean value": ({"parameters": {m: 1.0, k: True}}, "not a finite real number"),
     "sign": ({"parameters": {m: -1.0, k: 2.0}}, "m is declared positive and has the value -1"),
     "parameters as list": ({"parameters": [m, k]}, "not a mapping"),
