@@ -112,7 +112,7 @@ def _check_time(system: str, q: AppliedUndef) -> None:
 
 def check_names(system: str, coordinates: Sequence[str], invariants: Iterable[str] = ()) -> None:
     """Refuse two quantities of one name: columns of a table, ``run["energy"]``."""
-    taken = {scalar.name: f"the {scalar.doc}" for scalar in SCALARS}
+    taken = {"t": "the time", **{scalar.name: f"the {scalar.doc}" for scalar in SCALARS}}
     for name in coordinates:
         taken |= {f"p_{name}": f"the momentum of {name}", f"v_{name}": f"the velocity of {name}"}
     for name in coordinates:
@@ -122,7 +122,7 @@ def check_names(system: str, coordinates: Sequence[str], invariants: Iterable[st
                 f"the coordinate {name} has the name of {taken[name]}.",
                 f"run['{name}'] could be either. Give the coordinate another name.",
             )
-    taken |= {"t": "the time", **{name: f"the coordinate {name}" for name in coordinates}}
+    taken |= {name: f"the coordinate {name}" for name in coordinates}
     for name in invariants:
         if name in taken:
             raise fail(

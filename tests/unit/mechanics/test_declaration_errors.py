@@ -37,6 +37,7 @@ WRONG = {
         "p_z has the name of the momentum of z",
     ),
     "energy's name": ({"coordinates": ss.coordinates("energy")}, "has the name of the energy"),
+    "time's name": ({"coordinates": ss.coordinates("t")}, "t has the name of the time.*'t'"),
     "invariant energy": ({"invariants": {"energy": x}}, "'energy' has the name of the energy"),
     "invariant x": ({"invariants": {"x": x.diff()}}, "'x' has the name of the coordinate x"),
     "invariant p_x": ({"invariants": {"p_x": 2 * x.diff()}}, "of the momentum of x"),
