@@ -10,6 +10,7 @@ import math
 import numbers
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from decimal import Decimal
 from typing import Any
 
 import sympy as sp
@@ -192,7 +193,9 @@ def read_value(system: str, symbol: sp.Symbol, value: Any) -> float:
             f"Every parameter needs a default; it can be changed at each run. "
             f"Write parameters={{..., {symbol.name}: 1.0}}.",
         )
-    real = isinstance(value, (numbers.Real, sp.Expr)) and not isinstance(value, bool)
+    real = isinstance(value, (numbers.Real, Decimal, sp.Expr)) and not isinstance(value, bool)
+    if getattr(value, "shape", None) == ():  # as arrays of xarray and NumPy hold single numbers
+        real = getattr(getattr(value, "dtype", None), "kind", None) in ("f", "i", "u")
     try:
         number = float(value) if real else math.nan
     except (TypeError, OverflowError, ValueError):

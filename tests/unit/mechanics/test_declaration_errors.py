@@ -1,5 +1,8 @@
 """Every mistake in a declaration has its own message, with a line that says what to do."""
 
+from decimal import Decimal
+
+import numpy as np
 import pytest
 import sympy as sp
 
@@ -140,6 +143,11 @@ def test_messages_name_the_system():
 def test_plain_numbers_are_expressions():
     assert declare(potential=0).potential == 0
     assert declare(parameters={m: sp.Rational(1, 2), k: sp.pi}).parameters[k] == float(sp.pi)
+    for one in (np.array(2.0), np.array(2), np.float32(2), Decimal(2)):
+        assert declare(parameters={m: 1.0, k: one}).parameters[k] == 2.0
+    for none in (np.array([2.0]), np.array(True), np.array(2j), np.bool_(True), sp.Array(2)):
+        with pytest.raises(ss.ModelError, match=r"k has the value .* not a finite"):
+            declare(parameters={m: 1.0, k: none})
 
 
 def test_a_system_is_frozen_and_known_by_its_equations():
