@@ -13,7 +13,13 @@ from sympy.core.function import AppliedUndef
 
 from symsimpson.errors import InputError, ModelError, ModelWarning
 from symsimpson.mechanics.coordinates import coordinates
-from symsimpson.mechanics.rotations import body_rates, quaternion, rotation_matrix
+from symsimpson.mechanics.rotations import (
+    body_rates,
+    quaternion,
+    read_components,
+    read_scalar,
+    rotation_matrix,
+)
 from symsimpson.support.calling import explaining, warn
 
 __all__ = ["RigidBody"]
@@ -88,15 +94,16 @@ class RigidBody:
     """
 
     def __init__(self, name: str, inertia: Any, mass: Any = None, *, fourth: Any = None) -> None:
-        self.name, self.mass = name, mass if mass is None else _moment(name, "mass", mass)
+        self.name = name
+        self.mass = None if mass is None else read_scalar(f"the mass of {name!r}", mass)
         self.quaternion = quaternion(f"{name}_q")
         _made[tuple(self.quaternion)] = name
         place = " ".join(f"{name}_{axis}" for axis in "xyz")
         self.position: tuple[AppliedUndef, ...] = coordinates(place) if mass is not None else ()
         self.inertia = _inertia(name, inertia)
-        self.fourth = (
-            self.inertia.trace() / 3 if fourth is None else _moment(name, "fourth moment", fourth)
-        )
+        self.fourth = self.inertia.trace() / 3
+        if fourth is not None:
+            self.fourth = read_scalar(f"the fourth moment of {name!r}", fourth)
 
     def __repr__(self) -> str:
         return f"RigidBody({self.name!r})"
@@ -132,14 +139,13 @@ class RigidBody:
 
     def to_space(self, vector: Sequence[Any]) -> sp.ImmutableDenseMatrix:
         """Return the components in space of a vector given in the body, 3 by 1."""
-        try:
-            column = sp.Matrix(list(vector))
-            return sp.ImmutableDenseMatrix(self.rotation * column.reshape(3, 1))
-        except (TypeError, ValueError, sp.SympifyError):
+        components = read_components(vector)
+        if len(components) != 3:
             raise ModelError(
-                f"a vector in the body {self.name!r} is {vector!r}, not three components.\n"
+                f"a vector in the body {self.name!r} has {len(components)} components, not three.\n"
                 "Write (x, y, z)."
-            ) from None
+            )
+        return sp.ImmutableDenseMatrix(self.rotation * sp.Matrix(components))
 
     def point(self, place: Sequence[Any]) -> sp.ImmutableDenseMatrix:
         """Return where in space a point of the body is, 3 by 1: for joints, potentials, drawings.
@@ -221,8 +227,9 @@ def _inertia(name: str, given: Any) -> sp.ImmutableDenseMatrix:
         parts = [] if isinstance(given, str) else given
         parts = parts.tolist() if hasattr(parts, "tolist") else list(parts)
         if len(parts) == 3 and not any(isinstance(x, (list, tuple)) for x in parts):
-            parts = sp.diag(*map(sp.sympify, parts)).tolist()
-        matrix = sp.ImmutableDenseMatrix(parts)
+            parts = [[x if i == j else 0 for j in range(3)] for i, x in enumerate(parts)]
+        what = f"an inertia of {name!r}"
+        matrix = sp.ImmutableDenseMatrix([[read_scalar(what, x) for x in row] for row in parts])
         if matrix.shape == (3, 3) and matrix == matrix.T:
             if any(moment.is_negative for moment in matrix.diagonal()):
                 raise ModelError(
@@ -236,19 +243,6 @@ def _inertia(name: str, given: Any) -> sp.ImmutableDenseMatrix:
         f"the inertia of {name!r} is neither three moments nor a symmetric 3 by 3 matrix.\n"
         "Write inertia=(I1, I2, I3)."
     )
-
-
-def _moment(name: str, what: str, given: Any) -> sp.Expr:
-    """Read a mass or a moment, a number or an expression."""
-    try:
-        expression = sp.sympify(given)
-    except (TypeError, ValueError, SyntaxError, AttributeError, sp.SympifyError):
-        expression = None
-    if not isinstance(expression, sp.Expr):
-        raise ModelError(
-            f"the {what} of {name!r} is {given!r}, no expression.\nPass a number or a symbol."
-        )
-    return expression
 
 
 def _numbers(name: str, given: ArrayLike, shape: tuple[int, ...]) -> Vector:

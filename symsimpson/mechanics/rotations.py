@@ -7,7 +7,7 @@ sine.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import sympy as sp
@@ -16,7 +16,34 @@ from sympy.core.function import AppliedUndef
 from symsimpson.errors import ModelError
 from symsimpson.mechanics.coordinates import coordinates, time
 
-__all__ = ["body_rates", "coincide", "quaternion", "rotation_matrix"]
+__all__ = [
+    "body_rates",
+    "coincide",
+    "quaternion",
+    "read_components",
+    "read_scalar",
+    "rotation_matrix",
+]
+
+
+def read_scalar(what: str, given: Any) -> sp.Expr:
+    """Read a number or an expression; text is not evaluated.
+
+    Raises
+    ------
+    ModelError
+        If it is neither.
+    """
+    try:
+        scalar = sp.sympify(given, strict=True)
+    except (sp.SympifyError, AttributeError, TypeError):
+        scalar = None
+    if not isinstance(scalar, sp.Expr) or scalar.is_Matrix:
+        raise ModelError(
+            f"{what} is {given!r}, neither a number nor an expression.\n"
+            "Text is never evaluated here. Write it with SymPy symbols and numbers, unquoted."
+        )
+    return scalar
 
 
 def quaternion(name: str) -> tuple[AppliedUndef, ...]:
@@ -149,7 +176,7 @@ def coincide(first: Any, second: Any) -> list[sp.Expr]:
     >>> ss.coincide((x, y), (1, 2))
     [x(t) - 1, y(t) - 2]
     """
-    a, b = map(_components, (first, second))
+    a, b = map(read_components, (first, second))
     if len(a) != len(b):
         raise ModelError(
             f"a point with {len(a)} components and one with {len(b)} cannot coincide.\n"
@@ -158,26 +185,24 @@ def coincide(first: Any, second: Any) -> list[sp.Expr]:
     return [x - y for x, y in zip(a, b, strict=True)]
 
 
-def _components(point: Any) -> list[sp.Expr]:
+def read_components(point: Any) -> list[sp.Expr]:
     """Read the components of a point: a sequence or a matrix."""
-    try:
-        return [sp.sympify(x) for x in point]
-    except (TypeError, ValueError):  # SymPy's own are of these kinds
+    if isinstance(point, str) or not isinstance(point, Iterable):
         raise ModelError(
-            f"a point has components, and {point} has none.\n"
+            f"a point has components, and {point!r} has none.\n"
             "Write them in a row: coincide((x, y), (1, 2)), or body.point((0, 0, 1))."
-        ) from None
+        )
+    return [read_scalar("a component of a point", x) for x in point]
 
 
 def _four(q: Sequence[Any]) -> tuple[sp.Expr, sp.Expr, sp.Expr, sp.Expr]:
     """Read the four components of a quaternion."""
-    try:
-        parts = tuple(map(sp.sympify, q))
-    except (TypeError, ValueError):
+    if isinstance(q, str) or not isinstance(q, Iterable):
         raise ModelError(
             f"a quaternion has four components, and {q!r} has none.\n"
             "Make one: q = symsimpson.quaternion('q')."
-        ) from None
+        )
+    parts = tuple(read_scalar("a component of a quaternion", x) for x in q)
     if len(parts) != 4:
         raise ModelError(
             f"a quaternion has four components, not {len(parts)}.\n"

@@ -1,5 +1,7 @@
 """Bodies that turn: conventions, states, joints."""
 
+import os
+
 import numpy as np
 import pytest
 import sympy as sp
@@ -151,7 +153,7 @@ def test_what_is_no_quaternion_and_no_point(given):
 
 @pytest.mark.parametrize("vector", [None, "x+", (1, 2), [1, [2], 3]])
 def test_what_is_no_vector_in_a_body(vector):
-    with pytest.raises(ss.ModelError, match="not three components"):
+    with pytest.raises(ss.ModelError, match="not three|has none|neither a number"):
         ss.RigidBody("b", inertia=(1, 2, 3)).to_space(vector)
 
 
@@ -192,3 +194,30 @@ def test_a_quaternion_that_nothing_holds_is_told():
 def test_arguments_that_there_are_not(call, told):
     with pytest.raises(ss.SymsimpsonError, match=told):
         call()
+
+
+EVIL = "__import__('os').environ.setdefault('EVALUATED', '1')"
+MOVING = ss.RigidBody("moving", inertia=(1, 2, 3), mass=1)
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (lambda: ss.RigidBody("b", (1, 2, 3), mass=EVIL), "the mass of 'b' is .*Text is never"),
+        (lambda: ss.RigidBody("b", (1, 2, 3), fourth=EVIL), "the fourth moment of 'b' is"),
+        (lambda: ss.RigidBody("b", (1, 2, EVIL)), "an inertia of 'b' is"),
+        (lambda: ss.RigidBody("b", [[1, 0, 0], [0, 1, 0], [0, 0, EVIL]]), "an inertia of 'b' is"),
+        (lambda: ss.RigidBody("b", (1, 2, None)), "an inertia of 'b' is None"),
+        (lambda: MOVING.point((0, 0, EVIL)), "a component of a point is"),
+        (lambda: MOVING.to_space((0, 0, EVIL)), "a component of a point is"),
+        (lambda: ss.coincide((0, 0, EVIL), (0, 0, 0)), "a component of a point is"),
+        (lambda: ss.rotation_matrix((1, 0, 0, EVIL)), "a component of a quaternion is"),
+        (lambda: ss.body_rates(MOVING.quaternion, (1, 0, 0, EVIL)), "a component of a quaternion"),
+    ],
+)
+def test_text_is_not_evaluated(call, told, monkeypatch):
+    monkeypatch.setenv("EVALUATED", "")
+    monkeypatch.delenv("EVALUATED")
+    with pytest.raises(ss.ModelError, match=f"(?s){told}"):
+        call()
+    assert "EVALUATED" not in os.environ
