@@ -21,6 +21,7 @@ from symsimpson.reference.extrapolation import extrapolate
 from symsimpson.reference.first_order import canonical
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.stepping.driving import read_driving
+from symsimpson.support.names import read_mapping
 
 __all__ = ["SHORT", "Subject", "with_inputs"]
 
@@ -43,7 +44,7 @@ def with_inputs(stepper: Stepper, given: Mapping[Any, float] | None) -> Stepper:
     if not stepper.inputs and given is None:
         return stepper
     held = dict.fromkeys(stepper.inputs, 1.0)
-    for key, value in (given or {}).items():
+    for key, value in read_mapping("inputs", given, "u").items():
         name = stepper.inputs[stepper.program.names.inputs.found(key)]
         held[name] = read_number(f"input {name}", value, stepper.program.numbers)
     fixed = replace(stepper.program, default_inputs=held, findings=Findings())

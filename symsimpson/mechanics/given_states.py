@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.mechanics.declared import Declared
-from symsimpson.support.names import Named, spelled
+from symsimpson.support.names import Named, read_mapping, spelled
 
 __all__ = ["read_values", "read_vector"]
 
@@ -46,12 +46,7 @@ def read_values(
     """
     table = Named(what, [spelled(key) for key in defaults])
     values = [float(x) for x in defaults.values()]
-    if given is not None and not isinstance(given, Mapping):
-        raise InputError(
-            f"{name}: values of {what}s are {type(given).__name__}, not a mapping.\n"
-            f"Name each {what}: {{'{next(iter(table.shown), 'm')}': 1.0}}."
-        )
-    for key, value in (given or {}).items():
+    for key, value in read_mapping(name, given, what[0]).items():
         try:
             place = table.found(key)
         except InputError as error:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.support.names import Named
+from symsimpson.support.names import Named, read_mapping, shortened
 
 if TYPE_CHECKING:
     from symsimpson.program.numbers import Numbers
@@ -106,14 +106,8 @@ def read_parameters(
 ) -> NDArray[Any]:
     """Merge run-time values, by symbol or by name, into the defaults."""
     values = defaults.copy()
-    if given is None:
-        return values
-    if not isinstance(given, Mapping):
-        raise InputError(
-            f"parameters is {shortened(given)}, not a mapping.\nPass parameters={{'m': 1.0}}."
-        )
     seen: set[int] = set()
-    for key, value in given.items():
+    for key, value in read_mapping("parameters", given, "m").items():
         slot = names.found(key)
         name = names.shown[slot]
         if slot in seen:
@@ -132,9 +126,3 @@ def read_parameters(
             )
         values[slot] = number
     return values
-
-
-def shortened(value: object) -> str:
-    """Return how a value is written, in some sixty characters."""
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."

@@ -174,7 +174,7 @@ def read_brief_request(program: Program, request: Request) -> BriefRequest | Non
     simple = (v0 is None) is not (p0 is None) and (every is None or type(every) is int)
     if program.findings.prepared is None or not simple or not isinstance(request.h, (int, float)):
         return None
-    if request.parameters and program.names.idle:  # which may be warned of, once
+    if request.parameters is not None and program.names.idle:  # which may be warned of, once
         return None
     values = program.values(request.parameters)
     known = (request.h, values.tobytes()) in program.findings.checked_steps

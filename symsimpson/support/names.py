@@ -11,7 +11,7 @@ from typing import Any
 
 from symsimpson.errors import InputError
 
-__all__ = ["Named", "did_you_mean", "speed_of_approach", "spelled"]
+__all__ = ["Named", "did_you_mean", "read_mapping", "shortened", "speed_of_approach", "spelled"]
 
 #: How alike two names are that may have been mistaken for one another: as "th" and "theta".
 ALIKE = 0.55
@@ -28,6 +28,29 @@ def speed_of_approach() -> Any:
     from sympy import Symbol
 
     return Symbol("approach", nonnegative=True)
+
+
+def shortened(value: object) -> str:
+    """Return how a value is written, in some sixty characters."""
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def read_mapping(what: str, given: Any, example: str) -> Mapping[Any, Any]:
+    """Return values by name, none where none are given.
+
+    Raises
+    ------
+    InputError
+        If what is given is no mapping.
+    """
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise InputError(
+            f"{what} is {shortened(given)}, not a mapping.\nPass {what}={{'{example}': 1.0}}."
+        )
+    return given
 
 
 def spelled(key: Any) -> str:

@@ -192,7 +192,7 @@ def test_states_that_there_are_not():
     [
         ({"fixed": 3}, "fixed is 3, no coordinates"),
         ({"t": 10**400}, "t is no finite number"),
-        ({"parameters": 2.0}, "are float, not a mapping"),
+        ({"parameters": 2.0}, "is 2.0, not a mapping"),
         ({"parameters": {"l": "a"}}, "the parameter l is 'a', not a finite number"),
         ({"parameters": {"l": [1.0, 2.0]}}, "not a finite number"),
         ({"parameters": {"l": float("nan")}}, "the parameter l is nan, not a finite number"),

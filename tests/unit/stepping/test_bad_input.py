@@ -278,6 +278,21 @@ OTHERS = {
         ss.InputError,
         "error is 0",
     ),
+    "values in an array": (
+        lambda: [swing(parameters=x) for x in (None, np.ones(3))],
+        ss.InputError,
+        "parameters is array.*, not a mapping",
+    ),
+    "values of linear equations": (
+        lambda: PENDULUM.linearise([0, 0], parameters=[1, 2]),
+        ss.InputError,
+        "not a mapping",
+    ),
+    "inputs of a certificate": (
+        lambda: ss.compile(PENDULUM).certify(inputs=[1]),
+        ss.InputError,
+        r"inputs is \[1\], not a mapping",
+    ),
     "time": (
         lambda: ss.choose(PENDULUM, **START, t_end=np.inf, error=1e-3),
         ss.InputError,
