@@ -15,12 +15,14 @@ from symsimpson.analysis.candidates import Found, Wanted
 from symsimpson.analysis.pilot import choose_state, choose_step, without_step_warnings
 from symsimpson.analysis.stability.frequency import largest_frequency
 from symsimpson.analysis.variants import in_tau
+from symsimpson.api.compiling import check_system
 from symsimpson.api.compiling import compile as compile_system
 from symsimpson.api.stepper import Stepper
 from symsimpson.errors import InputError
 from symsimpson.mechanics.retimed import RetimedSystem, attracts, not_retimed, retimed
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.program.numbers import FLOAT64
+from symsimpson.schemes.named import read_schemes
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.ahead import late
 from symsimpson.support.calling import explained
@@ -91,7 +93,7 @@ def choose(
     error: float,
     on: Literal["state", "energy"] = "state",
     parameters: Mapping[Any, Any] | None = None,
-    schemes: Sequence[str | Scheme] | None = None,
+    schemes: str | Scheme | Sequence[str | Scheme] | None = None,
 ) -> Choice:
     """Choose a scheme and a fixed step, in t or in tau, for a given error tolerance.
 
@@ -117,7 +119,7 @@ def choose(
         relative to :attr:`Trajectory.energy_scale`.
     parameters : mapping, optional
         As for :meth:`Stepper.integrate`.
-    schemes : sequence of str or Scheme, optional
+    schemes : str, Scheme or sequence of them, optional
         What to choose from; schemes of orders 4 to 16, explicit ones among them where M is
         constant and forces depend on positions alone.
 
@@ -139,6 +141,10 @@ def choose(
     >>> run.status.name
     'SUCCESS'
     """
+    check_system(system)
+    schemes = None if schemes is None else read_schemes(schemes)
+    if schemes == ():
+        raise InputError("schemes is empty.\nName some, or leave it out.")
     if on == "energy" and not system.plain.conservative:
         raise InputError(
             f"{system.name}: the energy is not constant, so its change measures no error.\n"

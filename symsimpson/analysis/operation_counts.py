@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from symsimpson.api.compiling import check_system
 from symsimpson.codegen.counting import Cost, cost
 from symsimpson.codegen.pipeline import source
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.schemes.named import read_schemes
 from symsimpson.support import markup
 
 __all__ = ["StepCosts", "step_costs"]
@@ -54,7 +56,7 @@ class StepCosts:
 
 
 def step_costs(
-    system: MechanicalSystem, schemes: Iterable[str] = ("simpson", "midpoint")
+    system: MechanicalSystem, schemes: str | Iterable[str] = ("simpson", "midpoint")
 ) -> StepCosts:
     """Generate modules with and without the findings of a system, and count what a step does.
 
@@ -63,7 +65,7 @@ def step_costs(
     Parameters
     ----------
     system : MechanicalSystem
-    schemes : iterable of str
+    schemes : str or iterable of str
 
     Returns
     -------
@@ -75,7 +77,8 @@ def step_costs(
     >>> ss.step_costs(ss.systems.kepler(), ["simpson"]).here["simpson"].unknowns
     2
     """
-    names = list(schemes)
+    check_system(system)
+    names = read_schemes(schemes)
     return StepCosts(
         {name: cost(source(system, name, ())) for name in names},
         {name: cost(source(system, name)) for name in names},

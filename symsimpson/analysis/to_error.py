@@ -11,11 +11,14 @@ from numpy.typing import ArrayLike
 
 from symsimpson.analysis.choose import choose
 from symsimpson.analysis.remembered import remembered
+from symsimpson.api.compiling import check_system
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.results.sampled import Sampled, Saved
 from symsimpson.results.trajectory import Trajectory
+from symsimpson.schemes.named import read_schemes
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.calling import explained
+from symsimpson.support.names import read_mapping
 
 __all__ = ["integrate"]
 
@@ -31,7 +34,7 @@ def integrate(
     error: float = 1e-6,
     on: Literal["state", "energy"] = "state",
     parameters: Mapping[Any, Any] | None = None,
-    schemes: Sequence[str | Scheme] | None = None,
+    schemes: str | Scheme | Sequence[str | Scheme] | None = None,
     every: int | None = 1,
     t_eval: ArrayLike | None = None,
     save: Any = None,
@@ -71,7 +74,9 @@ def integrate(
     >>> run.success, " with h = " in run.message
     (True, True)
     """
-    named = {getattr(key, "name", str(key)): value for key, value in (parameters or {}).items()}
+    check_system(system)
+    values = read_mapping("parameters", parameters, "m")
+    named = {getattr(key, "name", str(key)): value for key, value in values.items()}
     question = {
         "q0": _state_key(q0),
         "v0": _state_key(v0),
@@ -80,7 +85,7 @@ def integrate(
         "error": error,
         "on": on,
         "parameters": sorted((key, repr(value)) for key, value in named.items()),
-        "schemes": None if schemes is None else [repr(scheme) for scheme in schemes],
+        "schemes": None if schemes is None else [*map(repr, read_schemes(schemes))],
     }
     given: dict[str, Any] = {"p0": p0, "parameters": parameters}
     choice = remembered(
@@ -99,4 +104,9 @@ def _state_key(state: Any) -> Any:
     """Return the text of an initial state, for the key of a stored choice."""
     if isinstance(state, Mapping):
         return sorted((str(name), repr(value)) for name, value in state.items())
-    return state if state is None else repr(np.asarray(state).tolist())
+    if state is None:
+        return None
+    try:
+        return repr(np.asarray(state).tolist())
+    except ValueError:  # ragged rows, which the run refuses
+        return repr(state)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from symsimpson.analysis.certificate import Certificate
     from symsimpson.stepping.event import Event
 
-__all__ = ["compile", "generate", "load", "resume"]
+__all__ = ["check_system", "compile", "generate", "load", "resume"]
 
 
 def _certify(stepper: Stepper, *state: Any, **given: Any) -> Certificate:
@@ -122,7 +122,7 @@ def compile(
     >>> print(precise.integrate(["0.1"], v0=[0], h="0.01", steps=1).q[1, 0])
     0.0999510356921338486240015870667
     """
-    _check_system(system)
+    check_system(system)
     method = read_scheme(scheme)
     numbers = None
     if precision is not None:
@@ -239,7 +239,7 @@ def generate(
     >>> ss.generate(ss.systems.pendulum(), "midpoint", tempfile.mkdtemp()).name
     'pendulum__midpoint.py'
     """
-    _check_system(system)
+    check_system(system)
     method = read_scheme(scheme)
     path = read_path("directory", directory) / f"{system.name}__{method.name}.py"
     if derivatives is not None and isinstance(system, RetimedSystem):
@@ -375,7 +375,8 @@ def resume(
     )
 
 
-def _check_system(system: object) -> None:
+def check_system(system: object) -> None:
+    """Refuse what is no system, in words; raises GenerationError."""
     if not isinstance(system, MechanicalSystem):
         from symsimpson.systems import EVERY  # only a message needs the catalogue
 

@@ -19,6 +19,7 @@ from symsimpson.bench.peers import ours, peers, read_peers
 from symsimpson.bench.record import Point, WorkPrecision
 from symsimpson.errors import InputError, SymsimpsonError
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.schemes.named import read_schemes
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.calling import explained
 from symsimpson.support.progress import waiting
@@ -107,7 +108,7 @@ def work_precision(
     """
     _check(errors, t_end, repeats)
     read_peers(peers)  # before anything is measured
-    schemes = (schemes,) if isinstance(schemes, (str, Scheme)) else tuple(schemes)
+    schemes = read_schemes(schemes)
     problem = make_problem(system, state, t_end)
     entries, seconds, calls = [], {}, []
     with warnings.catch_warnings():

@@ -215,3 +215,11 @@ def test_what_takes_long_to_derive_is_not_tried(monkeypatch):
     comet = ss.systems.kepler_plane()
     choice = ss.choose(comet, [1.99, 0.0], v0=[0.0, (0.01 / 1.99) ** 0.5], t_end=20.0, error=1e-3)
     assert choice.stepper.system == "kepler_plane"
+
+
+def test_one_scheme_is_a_choice_of_one():
+    given = {"t_end": 1.0, "error": 1e-3}
+    for one in ("simpson", ss.SIMPSON):
+        assert ss.choose(PENDULUM, **STATE, **given, schemes=one).stepper.scheme == "simpson"
+    assert " simpson " in f" {ss.integrate(PENDULUM, **STATE, **given, schemes='simpson').message}"
+    assert list(ss.step_costs(PENDULUM, "simpson").here) == ["simpson"]

@@ -278,6 +278,23 @@ OTHERS = {
         ss.InputError,
         "error is 0",
     ),
+    "no system to a wanted error": (
+        lambda: ss.integrate("double_pendulum", **START, t_end=1),
+        ss.GenerationError,
+        r"systems.double_pendulum\(\)",
+    ),
+    "no system to choose for": (
+        lambda: ss.choose(None, **START, t_end=1, error=1e-3),
+        ss.GenerationError,
+        "NoneType is not",
+    ),
+    "no system that costs": (lambda: ss.step_costs(3), ss.GenerationError, "int is not"),
+    "no scheme that costs": (lambda: ss.step_costs(PENDULUM, 3), ss.SchemeError, "no scheme 3"),
+    "values in a row": (
+        lambda: ss.integrate(PENDULUM, **START, t_end=1, parameters=[1, 2]),
+        ss.InputError,
+        r"parameters is \[1, 2\], not a mapping",
+    ),
     "values in an array": (
         lambda: [swing(parameters=x) for x in (None, np.ones(3))],
         ss.InputError,
@@ -292,6 +309,21 @@ OTHERS = {
         lambda: ss.compile(PENDULUM).certify(inputs=[1]),
         ss.InputError,
         r"inputs is \[1\], not a mapping",
+    ),
+    "a ragged state": (
+        lambda: ss.integrate(PENDULUM, [[1], [2, 3]], p0=[0, 0], t_end=1),
+        ss.InputError,
+        "q0 is .*not real numbers",
+    ),
+    "no schemes": (
+        lambda: ss.choose(PENDULUM, **START, t_end=1, error=1e-3, schemes=[]),
+        ss.InputError,
+        "schemes is empty",
+    ),
+    "a number for schemes": (
+        lambda: ss.integrate(PENDULUM, **START, t_end=1, schemes=4),
+        ss.SchemeError,
+        "no scheme 4",
     ),
     "time": (
         lambda: ss.choose(PENDULUM, **START, t_end=np.inf, error=1e-3),
