@@ -162,10 +162,11 @@ def _problem(
     count = len(given) - int(method)
     if count > len(placed):
         others = [key for key in arguments if key not in placed]
+        most = f"at most {len(placed)}: {', '.join(placed)}" if placed else "none"
         return (
-            f"{name} is given {count} arguments without a name, and takes at most {len(placed)}: "
-            f"{', '.join(placed)}.\nName the others: "
-            f"{name.rpartition('.')[2]}({', '.join([*placed, *(f'{key}=...' for key in others)])})."
+            f"{name} is given {count} arguments without a name, and takes {most}.\n"
+            f"Name the others: {name.rpartition('.')[2]}"
+            f"({', '.join([*placed, *(f'{key}=...' for key in others)])})."
         )
     needed = [key for key in arguments if known[key].default is inspect.Parameter.empty]
     filled = {*placed[:count], *named}

@@ -325,6 +325,7 @@ OTHERS = {
         ss.SchemeError,
         "no scheme 4",
     ),
+    "nothing without a name": (lambda: ss.Switch("x"), ss.InputError, "1 arguments .* takes none"),
     "time": (
         lambda: ss.choose(PENDULUM, **START, t_end=np.inf, error=1e-3),
         ss.InputError,
