@@ -92,9 +92,8 @@ def _unresolved(
         jumped = tools.kink_passed(system, trajectory.t, trajectory.q, values)
         if jumped is not None:
             return (
-                f"about t={jumped[0]:g} the motion passes a zero of {jumped[1]}, where the force "
-                "jumps: no scheme keeps its order there, and energies do not tell.\nSmooth the "
-                "root, sqrt(... + epsilon**2), or trust what halving h leaves unchanged."
+                f"about t={jumped[0]:g} the motion passes {jumped[1]}, where the force or V jumps: "
+                f"no scheme keeps its order there, and energies need not tell.\n{jumped[2]}."
             )
         _remember_box(program, trajectory)
     if energies is not None and energies.standing.any():

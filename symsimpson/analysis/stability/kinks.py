@@ -1,7 +1,8 @@
-"""Kinks of V and of forces: zeros of square roots, where a force jumps, that a motion has passed.
+"""Kinks of V and of forces: where a force jumps, or V, and a motion has passed.
 
 The root of a sum of squares, r = sqrt(x**2 + y**2), is smooth but for r = 0, where its derivative
-changes its sign. A step across such a point has order one, whatever the scheme.
+changes its sign; and atan2(y, x) jumps by a whole turn where y = 0 and x < 0. A step across such a
+point has order one, whatever the scheme.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import reduce
+from functools import partial, reduce
 from operator import mul
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -20,7 +21,7 @@ import sympy as sp
 from numpy.typing import NDArray
 
 from symsimpson.graph.evaluate import evaluated
-from symsimpson.graph.nodes import Exact
+from symsimpson.graph.nodes import Exact, Value
 from symsimpson.mechanics.checks import spell
 from symsimpson.mechanics.plain import Plain, Symbols
 from symsimpson.mechanics.system import MechanicalSystem
@@ -41,15 +42,23 @@ GROWS = 2.0
 LEAST, KEEPS = 1e-3, 0.5
 
 HALF = Fraction(1, 2)
+SMOOTH = "Smooth the root, sqrt(... + epsilon**2), or trust what halving h leaves unchanged"
+UNCUT = "Take an angle for a coordinate, or its cosine and sine for the arcus tangent"
 
 
 @dataclass(frozen=True)
 class _Root:
-    """The square root of a sum of constant factors times squares of functions of q and t."""
+    """The square root of a sum of constant factors times squares of functions of q and t.
 
-    text: str
+    Or what an arcus tangent of two arguments has its cut by: the square of the first, where the
+    other is negative.
+    """
+
+    where: str
+    remedy: str
     squares: tuple[tuple[tuple[Exact, int], ...], ...]  # pairs (half the exponent, base)
     factors: tuple[tuple[Exact, tuple[tuple[Exact, int], ...]], ...]
+    negative: Value | None = None
 
 
 _FOUND: WeakKeyDictionary[MechanicalSystem, tuple[Plain, tuple[_Root, ...]]] = WeakKeyDictionary()
@@ -63,14 +72,14 @@ def _square_roots(system: MechanicalSystem) -> tuple[Plain, tuple[_Root, ...]]:
 
 
 def has_kinks(system: MechanicalSystem) -> bool:
-    """Return whether forces of a system may jump at zeros of roots."""
+    """Return whether forces of a system, or V, may jump."""
     return bool(_square_roots(system)[1])
 
 
 def kink_passed(
     system: MechanicalSystem, t: Floats, q: Floats, values: Sequence[float]
-) -> tuple[float, str] | None:
-    """Find where a motion first passed a zero of a root at which its force jumps.
+) -> tuple[float, str, str] | None:
+    """Find where a motion first passed a point at which its force jumps, or V.
 
     Parameters
     ----------
@@ -84,9 +93,9 @@ def kink_passed(
 
     Returns
     -------
-    tuple of float and str, or None
-        The time, and the root as the user wrote it. None if no such point was passed between two
-        states. A pole, where the force is not finite, is no kink.
+    tuple of float, str and str, or None
+        The time, where that is, with a root as the user wrote it, and what to do. None if no such
+        point was passed between two states. A pole, where the force is not finite, is no kink.
 
     Examples
     --------
@@ -96,8 +105,8 @@ def kink_passed(
     >>> cone = ss.MechanicalSystem(
     ...     "cone", coordinates=(x, y), kinetic=(x.diff()**2 + y.diff()**2)/2,
     ...     potential=sp.sqrt(x**2 + y**2))
-    >>> kink_passed(cone, np.array([0.0, 1.0]), np.array([[1.0, 0.0], [-1.0, 0.0]]), [])
-    (0.5, 'sqrt(x**2 + y**2)')
+    >>> kink_passed(cone, np.array([0.0, 1.0]), np.array([[1.0, 0.0], [-1.0, 0.0]]), [])[:2]
+    (0.5, 'a zero of sqrt(x**2 + y**2)')
     """
     plain, roots = _square_roots(system)
     t, q = np.asarray(t, dtype=np.float64), np.asarray(q, dtype=np.float64)
@@ -106,7 +115,7 @@ def kink_passed(
     count, total = len(plain.parameters), len(system.parameters)  # retiming adds some at the end
     given = [float(x) for x in (*values[:count], *values[total:])]
     known = dict(zip(plain.numbers((*plain.parameters, *plain.u)), given, strict=True))
-    first: tuple[float, str] | None = None
+    first: tuple[float, str, str] | None = None
     for root in roots:
         place = _near_passages(plain, root, known, t, q)
         if place is None:
@@ -117,37 +126,49 @@ def kink_passed(
             if first is not None and not when < first[0]:
                 break
             if _jumps(plain, root, known, t[k : k + 2], q[k : k + 2], float(part[k])):
-                first = when, root.text
+                first = when, root.where, root.remedy
                 break
     return first
 
 
 def _roots(system: MechanicalSystem) -> tuple[Plain, tuple[_Root, ...]]:
-    """List the roots of sums of squares in V and in the forces."""
+    """List the roots of sums of squares, and the cuts, in V and in the forces."""
     retiming = system.retiming
     plain = system.plain if retiming is None else retiming.plain
     graph, moving = plain.graph, {*plain.numbers(plain.q), plain.time}
     back = dict(Symbols(system.coordinates, system.parameters, system.inputs).back)
     bases: dict[int, None] = {}
+    roots = []
     for n in graph.reached([plain.V[1], *(n for _, n in plain.f)]):
+        if graph.nodes[n].kind == "function" and graph.nodes[n].parts[0] == "atan2":
+            _, (_, y), x = graph.nodes[n].parts
+            if _of_positions(plain, moving, y, x[1]):
+                where = f"the cut of {spell(plain.written((1, n)).xreplace(back), 200)}"
+                roots.append(_Root(where, UNCUT, (((1, y),),), ((1, ()),), x))
         factors = graph.factors(n)
         late = [e for m, e in factors if graph.nodes[m].symbols & moving]
         for m, e in factors:  # by a distance alone, a pole: what is divided by it must vanish, too
             if e == HALF or (e == -HALF and max(late, default=0) > 0):
                 bases[m] = None
-    roots = []
     for n in bases:
         terms = _squares(plain, n, moving)
         if terms is not None:
-            text = spell(sp.sqrt(plain.written((1, n)).xreplace(back)), 200)
-            roots.append(_Root(text, *(tuple(x) for x in zip(*terms, strict=True))))
+            where = f"a zero of {spell(sp.sqrt(plain.written((1, n)).xreplace(back)), 200)}"
+            roots.append(_Root(where, SMOOTH, *(tuple(x) for x in zip(*terms, strict=True))))
     return plain, tuple(roots)
+
+
+def _of_positions(plain: Plain, moving: set[int], n: int, *others: int) -> bool:
+    """Return whether a node moves, and it and others have values where positions have."""
+    nodes, allowed = plain.graph.nodes, moving | {*plain.numbers((*plain.parameters, *plain.u))}
+    inside = frozenset().union(*(nodes[m].symbols for m in (n, *others)))
+    return not nodes[n].symbols.isdisjoint(moving) and inside <= allowed
 
 
 def _squares(plain: Plain, n: int, moving: set[int]) -> list[tuple[Any, Any]] | None:
     """Split a sum of squares into terms: pairs (e/2, base) and a constant factor; else None."""
-    graph, allowed = plain.graph, moving | {*plain.numbers((*plain.parameters, *plain.u))}
-    if graph.nodes[n].symbols.isdisjoint(moving) or not graph.nodes[n].symbols <= allowed:
+    graph = plain.graph
+    if not _of_positions(plain, moving, n):
         return None
     terms, seen = [], {n}
     work: list[tuple[Exact, int]] = [(1, n)]
@@ -172,15 +193,20 @@ def _near_passages(
     plain: Plain, root: _Root, known: dict[int, float], t: Floats, q: Floats
 ) -> tuple[NDArray[np.bool_], Floats] | None:
     """Mark segments between states that pass near the zero, with the fraction at closest."""
-    u = _root_terms(plain, root, known, _at(plain, t, q), _ARRAYS)
+    at = _at(plain, t, q)
+    u = _root_terms(plain, root, known, at, _ARRAYS)
     if u is None:
         return None
+    there: Any = True
+    if root.negative is not None:
+        c, n = root.negative
+        there = float(c) * np.broadcast_to(_evaluated(plain, n, known, at), t.shape)[:-1] < 0
     with np.errstate(all="ignore"):
         start, change = u[:, :-1], np.diff(u, axis=1)
         length = (change**2).sum(axis=0)
         part = np.clip(-(start * change).sum(axis=0) / length, 0.0, 1.0)
         missed = ((start + part * change) ** 2).sum(axis=0)
-        return (missed < NEAR**2 * length) & (length > 0.0), part
+        return (missed < NEAR**2 * length) & (length > 0.0) & there, part
 
 
 def _root_terms(
@@ -200,6 +226,10 @@ def _root_terms(
     return np.array(rows) if rows else None
 
 
+def _evaluated(plain: Plain, n: int, known: dict[int, float], at: dict[int, Any]) -> Any:
+    return evaluated(plain.graph, [n], {**known, **at}, _ARRAYS)[n]
+
+
 def _at(plain: Plain, t: Any, q: Any) -> dict[int, Any]:
     return dict(zip(plain.numbers(plain.q), np.transpose(q), strict=True)) | {plain.time: t}
 
@@ -207,7 +237,7 @@ def _at(plain: Plain, t: Any, q: Any) -> dict[int, Any]:
 def _jumps(
     plain: Plain, root: _Root, known: dict[int, float], t: Floats, q: Floats, part: float
 ) -> bool:
-    """Return whether the force is finite on both sides of the zero, and not the same."""
+    """Return whether the force is finite on both sides of the zero, and it or V not the same."""
     with mpmath.workdps(DIGITS):
         begin, end = (mpmath.mpf(float(x)) for x in t)
         start = [mpmath.mpf(float(x)) for x in q[0]]
@@ -215,14 +245,16 @@ def _jumps(
         when = begin + part * (end - begin)
         zero = _zero(plain, root, known, when, _moved(start, part, way))
         speed = [x / (end - begin) for x in way]
-        forces = [
-            [_force(plain, known, when, _moved(zero, share, way), speed) for share in (-s, s)]
-            for s in PARTS
-        ]
+        sides = [[_moved(zero, share, way) for share in (-s, s)] for s in PARTS]
+        forces = [[_force(plain, known, when, x, speed) for x in pair] for pair in sides]
+        levels = [[_potential(plain, known, when, x) for x in pair] for pair in sides]
     sizes = [max(map(_size, pair)) for pair in forces]
     jumps = [_size([a - b for a, b in zip(*pair, strict=True)]) for pair in forces]
     finite = bool(np.isfinite(sizes).all()) and sizes[-1] <= GROWS * sizes[0]
-    return finite and jumps[-1] > max(LEAST * sizes[-1], KEEPS * jumps[0])
+    steps = [float(abs(a - b)) for a, b in levels]
+    least = 10.0 ** (-DIGITS // 2) * float(max(abs(x) for pair in levels for x in pair))
+    kept = steps[-1] > max(least, KEEPS * steps[0])
+    return finite and (kept or jumps[-1] > max(LEAST * sizes[-1], KEEPS * jumps[0]))
 
 
 def _moved(point: Sequence[Any], share: float, way: Sequence[Any]) -> list[Any]:
@@ -251,15 +283,18 @@ def _zero(plain: Plain, root: _Root, known: dict[int, float], t: Any, q: list[An
     return q
 
 
+def _potential(plain: Plain, known: dict[int, float], t: Any, q: list[Any]) -> Any:
+    """Return V in many digits."""
+    c, n = plain.V
+    values = evaluated(plain.graph, [n], {**known, **_at(plain, t, q)}, mpmath.mp)
+    return values[n] * c.numerator / c.denominator
+
+
 def _force(plain: Plain, known: dict[int, float], t: Any, q: list[Any], v: list[Any]) -> list[Any]:
     """Return -dV/dq + f, by differences in many digits: the graph stays as it is."""
     graph, small = plain.graph, mpmath.mpf(10) ** (-DIGITS // 2)
     symbols = {**known, **dict(zip(plain.numbers(plain.v), v, strict=True))}
-
-    def potential(point: list[Any]) -> Any:
-        values = evaluated(graph, [plain.V[1]], {**symbols, **_at(plain, t, point)}, mpmath.mp)
-        return values[plain.V[1]] * plain.V[0].numerator / plain.V[0].denominator
-
+    potential = partial(_potential, plain, known, t)
     acting = evaluated(graph, [n for _, n in plain.f], {**symbols, **_at(plain, t, q)}, mpmath.mp)
     force = []
     for i, (c, n) in enumerate(plain.f):

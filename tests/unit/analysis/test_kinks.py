@@ -59,14 +59,15 @@ def test_forces_that_jump_are_told_from_those_that_do_not(V, values, passed):
     assert (found is not None) == passed
     if passed:
         assert found[0] == pytest.approx(1.05, abs=1e-9)
-        assert found[1].startswith("sqrt(")
+        assert found[1].startswith("a zero of sqrt(")
 
 
 def test_the_first_of_several_is_told_as_it_was_written():
     V = sp.sqrt((x - 0.75) ** 2 + y**2) + sp.sqrt((x + 0.55) ** 2 + y**2)
-    when, text = kink_passed(system(V), T, PATH, [])
+    when, text, remedy = kink_passed(system(V), T, PATH, [])
     assert when == pytest.approx(0.5)
-    assert text == "sqrt((x + 0.55)**2 + y**2)"
+    assert text == "a zero of sqrt((x + 0.55)**2 + y**2)"
+    assert "epsilon" in remedy
 
 
 def test_a_motion_that_goes_around_in_steps_of_its_size_has_not_passed():
@@ -90,6 +91,41 @@ def test_kinks_of_forces_and_of_retimed_systems():
     assert kink_passed(retimed, T, PATH + 1, [0.5, 1.0]) is None
 
 
+ANGLE = sp.atan2(y, x)
+#: Around the origin, through the cut at an angle of pi.
+TURN = np.stack([np.cos(3 * T - 1), np.sin(3 * T - 1), 0 * T], axis=1)
+CUT = (np.pi + 1) / 3
+
+
+@pytest.mark.parametrize(
+    ("V", "more", "passed"),
+    [
+        (ANGLE / 4, {}, True),  # V jumps, the force does not
+        (ANGLE**2 / 2, {}, True),  # the other way around
+        (k * (ANGLE - a) ** 2 / 2, {"parameters": {k: 2.0, a: 0.5}}, True),
+        (x**2, {"forces": {x: -y * ANGLE, y: x * ANGLE}}, True),
+        (x**2, {"forces": {x: sp.atan2(y.diff(), x.diff())}}, False),  # not looked at
+        (sp.cos(ANGLE - 1), {}, False),
+        (sp.atan2(y, x + 5), {}, False),
+        (sp.atan2(y, -x) + 1000, {}, True),  # at t = 1/3
+        (sp.atan2(z, x), {}, False),  # along the cut
+    ],
+)
+def test_cuts_of_angles(V, more, passed):
+    values = list(more.get("parameters", {}).values())
+    found = kink_passed(system(V, **more), T, TURN, values)
+    assert (found is not None) == passed
+    if found:
+        assert found[0] == pytest.approx(1 / 3 if V.has(-x) else CUT, abs=1e-2)
+        assert found[1].startswith("the cut of atan2(y, ")
+
+
+def test_a_run_across_a_cut_is_told():
+    stepper = ss.compile(system(ANGLE / 4), "midpoint")
+    with pytest.warns(ss.ResolutionWarning, match=r"the cut of atan2\(y, x\).*\n.*cosine and sine"):
+        stepper.integrate([-1, 0.1, 0], v0=[0, -1, 0], h=0.01, t_end=1.0)
+
+
 def test_a_radial_orbit_in_a_halo_passes_its_cusp():
     V = -4.85 * sp.log(1 + R / 2) / R - 0.757 / sp.sqrt(
         x**2 + y**2 + (0.375 + sp.sqrt(z**2 + 0.035**2)) ** 2
@@ -98,10 +134,10 @@ def test_a_radial_orbit_in_a_halo_passes_its_cusp():
     stepper = ss.compile(halo, "simpson")
     with pytest.warns(ss.ResolutionWarning, match=r"a zero of sqrt\(x\*\*2 \+ y\*\*2 \+ z\*\*2\)"):
         radial = stepper.integrate([1, 0, 0], v0=[0, 0, 0], h=0.02, t_end=2.0)
-    when, text = kink_passed(halo, radial.t, radial.q, [])
+    when, text, _ = kink_passed(halo, radial.t, radial.q, [])
     k = np.flatnonzero(np.diff(np.sign(radial.q[:, 0])))[0]
     assert radial.t[k] <= when <= radial.t[k + 1]
-    assert text == "sqrt(x**2 + y**2 + z**2)"
+    assert text == "a zero of sqrt(x**2 + y**2 + z**2)"
     orbit = stepper.integrate([1, 0, 0], v0=[0, 0.8, 0.1], h=0.02, t_end=2.0)
     assert kink_passed(halo, orbit.t, orbit.q, []) is None
 
