@@ -163,13 +163,14 @@ def read_reductions(
     reductions = []
     for name, pair in given.items():
         if event_names and (
-            pair in OF_VARIATIONS or (isinstance(pair, tuple) and pair[0] in OF_VARIATIONS)
+            pair in OF_VARIATIONS or (isinstance(pair, tuple) and pair and pair[0] in OF_VARIATIONS)
         ):
             raise InputError(
                 f"reduce[{name!r}] tells how variations grow, which is not measured through events."
                 "\nLeave it out, or the events."
             )
-        kind = pair[0] if isinstance(pair, tuple) and len(pair) == 2 and not pair[1] else pair
+        alone = isinstance(pair, tuple) and len(pair) == 2 and pair[1] in (None, "")
+        kind = pair[0] if alone else pair
         if isinstance(kind, str) and kind in OF_VARIATIONS:
             reductions.append(Reduction("", "0.0", False, name=str(name), kind=kind))
             continue

@@ -325,6 +325,11 @@ OTHERS = {
         ss.SchemeError,
         "no scheme 4",
     ),
+    "no pair to reduce": (
+        lambda: swing(reduce={"a": ()}, events=[ss.Event("q1")]),
+        ss.InputError,
+        r"reduce\['a'\] is \(\)",
+    ),
     "nothing without a name": (lambda: ss.Switch("x"), ss.InputError, "1 arguments .* takes none"),
     "time": (
         lambda: ss.choose(PENDULUM, **START, t_end=np.inf, error=1e-3),

@@ -210,3 +210,14 @@ def test_explicit_steps_have_no_nodes_for_work():
     )
     with pytest.raises(ss.InputError, match="is explicit: its steps have no nodes"):
         ss.compile(system, "blanes_moan6").integrate([0.1], v0=[0.0], h=0.1, steps=5, record="work")
+
+
+def test_a_relation_is_reduced_as_the_difference_of_its_sides():
+    pendulum = ss.systems.pendulum()
+    (q,) = pendulum.coordinates
+    relation, difference = {"a": ("max", q < 0.5)}, {"a": ("max", q - 0.5)}
+    reduced = [
+        ss.compile(pendulum).integrate([1.0], v0=[0.5], h=0.01, steps=50, reduce=one).reduced["a"]
+        for one in (relation, difference)
+    ]
+    assert reduced[0] == reduced[1] > 0.5
