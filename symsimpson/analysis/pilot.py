@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import ConvergenceError, InputError, ResolutionWarning, StabilityWarning
 from symsimpson.program.evaluating import evaluate
 from symsimpson.program.status import Status
+from symsimpson.support.names import shortened
 
 if TYPE_CHECKING:
     from symsimpson.api.stepper import Stepper
@@ -55,6 +56,11 @@ def choose_state(
     InputError
         If the state makes no sense, or no random one can begin.
     """
+    if not isinstance(state, Mapping | None):
+        raise InputError(
+            f"state is {shortened(state)}, not a mapping.\n"
+            "Pass state={'q0': [...], 'v0': [...]}, or p0 for v0."
+        )
     given = {name: value for name, value in (state or {}).items() if value is not None}
     given = given or dict(stepper.reference_state or {})
     if "q0" in given:

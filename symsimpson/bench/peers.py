@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -51,14 +51,17 @@ def ours(
     return Contender(name, "steps", choices, make)
 
 
-def read_peers(names: str | Sequence[str]) -> list[str]:
+def read_peers(names: Any) -> list[str]:
     """Return names of other programs, of which there are such; raises InputError."""
     if names == "installed":
         return list(PROGRAMS)
-    wanted = [names] if isinstance(names, str) else list(names)
+    several = isinstance(names, Iterable) and not isinstance(names, str)
+    wanted = list(names) if several else [names]
     for name in wanted:
         if name not in PROGRAMS:
-            raise InputError(f"there is no peer {name!r}.\nThere are {', '.join(PROGRAMS)}.")
+            raise InputError(
+                f"there is no peer {name!r}.\nThere are {', '.join(PROGRAMS)}; () is none of them."
+            )
     return wanted
 
 

@@ -13,12 +13,16 @@ from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+import numpy as np
+
 from symsimpson.bench.benchmark_problem import Problem, make_problem
 from symsimpson.bench.contender import Contender, Runnable
 from symsimpson.bench.peers import ours, peers, read_peers
 from symsimpson.bench.record import Point, WorkPrecision
 from symsimpson.errors import InputError, SymsimpsonError
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.program.numbers import FLOAT64
+from symsimpson.program.values import read_array, read_count, read_number
 from symsimpson.schemes.named import read_schemes
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.calling import explained
@@ -60,7 +64,7 @@ def work_precision(
     system: MechanicalSystem,
     schemes: str | Scheme | Sequence[str | Scheme] = ("midpoint", "simpson"),
     peers: str | Sequence[str] = "installed",
-    errors: Sequence[float] = (1e-3, 1e-6, 1e-9, 1e-12),
+    errors: float | Sequence[float] = (1e-3, 1e-6, 1e-9, 1e-12),
     *,
     state: Mapping[str, Any] | None = None,
     t_end: float = 10.0,
@@ -80,7 +84,7 @@ def work_precision(
     peers : "installed" or sequence of str
         "runge-kutta" (compiled RK4 and DOP853 of our own), "scipy", "heyoka",
         "numbalsoda", "diffrax"; () for none.
-    errors : sequence of float
+    errors : float or sequence of float
         Levels of the table, between 1e-14 and 1.
     state : mapping, optional
         q0, and v0 or p0; the system's reference state if left out.
@@ -106,7 +110,10 @@ def work_precision(
     >>> found.fastest("simpson", 1e-6).error <= 1e-6
     True
     """
-    _check(errors, t_end, repeats)
+    errors = _read_levels(errors)
+    read_count("repeats", repeats, 1)
+    if not read_number("t_end", t_end, FLOAT64) > 0:
+        raise InputError(f"t_end is {t_end!r}.\nPass a positive number.")
     read_peers(peers)  # before anything is measured
     schemes = read_schemes(schemes)
     problem = make_problem(system, state, t_end)
@@ -148,7 +155,7 @@ def work_precision(
         tuple(problem.q0.tolist()),
         tuple(problem.p0.tolist()),
         problem.solution_error,
-        tuple(errors),
+        errors,
         tuple(points),
         seconds,
         _machine(),
@@ -156,11 +163,12 @@ def work_precision(
     )
 
 
-def _check(errors: Sequence[float], t_end: float, repeats: int) -> None:
-    if not errors or not all(1e-14 <= error <= 1 for error in errors):
+def _read_levels(errors: Any) -> tuple[float, ...]:
+    """Read levels of the error, of which there may be one by itself; raises InputError."""
+    levels = np.atleast_1d(read_array("errors", errors, FLOAT64))
+    if levels.ndim > 1 or not levels.size or not ((levels >= 1e-14) & (levels <= 1)).all():
         raise InputError(f"errors are {errors!r}.\nPass levels between 1e-14 and 1: [1e-6].")
-    if not t_end > 0 or not repeats >= 1:
-        raise InputError(f"t_end is {t_end!r} and repeats is {repeats!r}.\nBoth must be positive.")
+    return tuple(levels.tolist())
 
 
 def _contenders(

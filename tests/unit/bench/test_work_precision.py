@@ -125,8 +125,14 @@ WRONG = {
     "peer": ({"peers": ["matlab"]}, "no peer 'matlab'"),
     "errors": ({"errors": []}, "errors are"),
     "level": ({"errors": [2.0]}, "errors are"),
-    "time": ({"t_end": -1.0}, "must be positive"),
-    "repeats": ({"repeats": 0}, "must be positive"),
+    "no level": ({"errors": "fine"}, "errors is 'fine', not real numbers"),
+    "time": ({"t_end": -1.0}, r"t_end is -1.0"),
+    "endless": ({"t_end": np.inf}, "t_end is inf, not a finite"),
+    "no time": ({"t_end": None}, "t_end is None, not a finite"),
+    "repeats": ({"repeats": 0}, "repeats is 0"),
+    "part of a repeat": ({"repeats": 1.5}, "repeats is 1.5, not a whole number"),
+    "no peer": ({"peers": None}, r"no peer None.*\n.*\(\) is none"),
+    "a pair": ({"state": ([1.0], [0.0])}, "state is .*, not a mapping"),
 }
 
 
@@ -135,6 +141,11 @@ def test_wrong_input(case):
     given, message = WRONG[case]
     with pytest.raises(ss.InputError, match=message):
         ss.work_precision(ss.systems.pendulum(), **{"peers": (), "t_end": 0.1} | given)
+
+
+def test_one_level_is_a_table_of_one():
+    found = ss.work_precision(ss.systems.pendulum(), "midpoint", (), 1e-2, t_end=0.5, repeats=1)
+    assert found.levels == (1e-2,)
 
 
 @pytest.mark.slow
