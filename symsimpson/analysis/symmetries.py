@@ -121,13 +121,22 @@ def _of_constraints(
 
 
 def _refined(row: NDArray[np.float64], matrix: NDArray[Any], context: Any) -> NDArray[Any]:
-    """Solve for those entries of a null vector that are no round numbers, in many digits."""
+    """Solve for those entries of a null vector that are no round numbers, in many digits.
+
+    Raises
+    ------
+    ArithmeticError
+        If they are not determined.
+    """
     full = np.array([_fraction(x, context) for x in row], dtype=object)
     open_ = np.flatnonzero([x is None for x in full])
     if open_.size:
         full[open_] = context.zero
         right = -(matrix @ full)
-        solution, _ = context.qr_solve(matrix[:, open_].tolist(), right.tolist())
+        try:
+            solution, _ = context.qr_solve(matrix[:, open_].tolist(), right.tolist())
+        except ValueError as error:
+            raise ArithmeticError(f"a linear symmetry is not determined: {error}") from None
         full[open_] = list(solution)
     return full
 

@@ -13,7 +13,7 @@ from support.cases import sweep
 import symsimpson as ss
 from symsimpson.analysis.certify import DIGITS
 from symsimpson.analysis.precise import Precise
-from symsimpson.analysis.symmetries import linear_symmetries
+from symsimpson.analysis.symmetries import _refined, linear_symmetries
 from symsimpson.analysis.variants import rewritten
 from symsimpson.api.compiling import TOOLS
 from symsimpson.api.stepper import Stepper
@@ -300,6 +300,19 @@ def test_linear_symmetries(name, momenta):
     precise = Precise(stepper, run.parameters, DIGITS)
     found = linear_symmetries(precise, np.concatenate([run.q[0], run.p[0]]))
     assert [symmetry.name for symmetry in found] == momenta
+
+
+def test_a_symmetry_that_is_not_determined_is_a_row_that_has_not_passed(monkeypatch):
+    """mpmath's QR of a singular matrix raised a ValueError of its own, out of the certificate."""
+
+    def undetermined(precise, z):
+        return _refined(np.array([0.123456789, 0.23456789]), np.zeros((5, 2)), precise.context)
+
+    monkeypatch.setattr("symsimpson.analysis.subject.linear_symmetries", undetermined)
+    found = ss.compile(ss.systems.pendulum(), "midpoint").certify()
+    (row,) = [check for check in found.checks if check.name == "momenta"]
+    assert "a linear symmetry is not determined" in row.failure
+    assert not found.passed
 
 
 def test_rotations_of_many_coordinates_are_found():
