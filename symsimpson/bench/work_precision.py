@@ -21,8 +21,8 @@ from symsimpson.bench.peers import ours, peers, read_peers
 from symsimpson.bench.record import Point, WorkPrecision
 from symsimpson.errors import InputError, SymsimpsonError
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.program.input_values import read_array, read_count, read_number
 from symsimpson.program.numbers import FLOAT64
-from symsimpson.program.values import read_array, read_count, read_number
 from symsimpson.schemes.named import read_schemes
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.calling import explained

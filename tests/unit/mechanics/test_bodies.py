@@ -153,7 +153,7 @@ def test_what_is_no_quaternion_and_no_point(given):
 
 @pytest.mark.parametrize("vector", [None, "x+", (1, 2), [1, [2], 3]])
 def test_what_is_no_vector_in_a_body(vector):
-    with pytest.raises(ss.ModelError, match="not three|has none|neither a number"):
+    with pytest.raises(ss.ModelError, match=r"not three|has none|neither a number"):
         ss.RigidBody("b", inertia=(1, 2, 3)).to_space(vector)
 
 
