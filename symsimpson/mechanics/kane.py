@@ -6,24 +6,15 @@ import copy
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import sympy as sp
-from sympy.core.function import AppliedUndef
 
 from symsimpson.errors import ModelWarning
-from symsimpson.graph.derive import gradient
-from symsimpson.graph.findings import Findings
-from symsimpson.graph.nodes import ZERO, Graph, Value
-from symsimpson.graph.rebuild import rebuilt
 from symsimpson.mechanics.checks import fail, spell
 from symsimpson.mechanics.coordinates import time
-from symsimpson.mechanics.expression_checks import read_expression
-from symsimpson.mechanics.independence import vanishes
+from symsimpson.mechanics.identities import Identities
 from symsimpson.mechanics.loads import Force, added, generalised, potential_of
-from symsimpson.mechanics.plain import Symbols
 from symsimpson.mechanics.quadratic import rank
 from symsimpson.support.calling import warn
-from symsimpson.support.literals import float_literals
 
 __all__ = ["read_kane"]
 
@@ -67,7 +58,7 @@ def read_kane(
         )
     frame, held = kane._inertial, list(parts.f_c)
     coordinates, speeds, rows = _speeds(name, kane)
-    known = _Identities(name, coordinates, held)
+    known = Identities(name, "KanesMethod", coordinates, held)
     kinetic, rolling = _inertia(kane.bodies, frame, speeds, known)
     each = [generalised([load], frame, coordinates, speeds) for load in kane.loads or ()]
     given = sp.Add(*(body.potential_energy for body in kane.bodies)).xreplace(speeds)
@@ -88,71 +79,6 @@ def read_kane(
         held,
         _others(rows, known),
     )
-
-
-class _Identities:
-    """Tests of expressions in coordinates and velocities, with constraints of positions."""
-
-    def __init__(
-        self, name: str, coordinates: Sequence[AppliedUndef], held: Sequence[sp.Expr]
-    ) -> None:
-        self.name, self.coordinates, self.held = name, coordinates, held
-        self.rates = [q.diff(time) for q in coordinates]
-
-    def others(self, expressions: Iterable[sp.Expr]) -> list[sp.Expr]:
-        """List the symbols and functions in expressions besides coordinates, velocities and t."""
-        kinds = (sp.Symbol, AppliedUndef, sp.Derivative)
-        atoms = set().union(*(x.atoms(*kinds) for x in expressions))
-        return sorted(atoms - {time, *self.coordinates, *self.rates}, key=sp.default_sort_key)
-
-    def read(self, expressions: Iterable[sp.Expr]) -> tuple[Graph, list[Value]]:
-        """Read expressions, in which everything else is a parameter."""
-        expressions = list(map(sp.sympify, expressions))
-        symbols = Symbols(self.coordinates, dict.fromkeys(self.others(expressions), 0.0))
-        allowed = (*symbols.q, *symbols.v, *symbols.a, symbols.t)
-        return symbols.graph, [
-            read_expression(self.name, "KanesMethod", x, symbols, symbols.known, allowed)
-            for x in expressions
-        ]
-
-    def vanish(self, expressions: Iterable[sp.Expr]) -> bool:
-        """Return whether all of some expressions are zero."""
-        expressions = list(expressions)
-        graph, values = self.read(expressions)
-        known = Findings(graph, values)
-        return all(
-            known.vanishes(value)  # roots of squares and the like, SymPy knows
-            or (known.opaque(value) and sp.count_ops(x) < TOO_LONG and vanishes(x))
-            for x, value in zip(expressions, values, strict=True)
-        )
-
-    def idle(self, force: Sequence[sp.Expr]) -> bool:
-        """Return whether a force does nothing that the constraints allow, looked at in doubles."""
-        if self.vanish(force):
-            return True
-        if not self.held:
-            return False
-        phi, others = sp.Matrix(self.held), self.others([*force, *self.held])
-        dummies = {x: sp.Dummy() for x in (*self.coordinates, *self.rates, time, *others)}
-        parts = sp.Matrix(force), phi.row_join(phi.diff(time)), phi.jacobian(self.coordinates)
-        at = sp.lambdify(
-            [*dummies.values()], float_literals([x.xreplace(dummies) for x in parts]), cse=True
-        )
-        state = np.random.default_rng(20).uniform(0.3, 1, len(dummies))
-        for _ in range(ITERATIONS):
-            force_values, gaps, slopes = map(np.asarray, at(*state))
-            inverse = np.linalg.pinv(slopes)
-            state[: 2 * len(force)] -= (inverse @ gaps).T.ravel()
-        left = force_values - inverse @ slopes @ force_values
-        return bool(max(np.abs(gaps).max(), np.abs(left).max()) < NOTHING)
-
-    def rows(self, equations: Sequence[sp.Expr]) -> tuple[Graph, list[list[Value]]]:
-        """Return the coefficients of equations that are linear in the velocities."""
-        graph, values = self.read([*self.rates, *equations])
-        v = [n for _, n in values[: len(self.rates)]]
-        rest = rebuilt(graph, values[len(v) :], dict.fromkeys(v, ZERO))
-        slopes = (gradient(graph, value, v) for value in values[len(v) :])
-        return graph, [[*row, last] for row, last in zip(slopes, rest, strict=True)]
 
 
 def _speeds(name: str, kane: Any) -> tuple[tuple[Any, ...], dict[Any, sp.Expr], list[sp.Expr]]:
@@ -188,7 +114,7 @@ def _shorter(speed: sp.Expr) -> sp.Expr:
 
 
 def _inertia(
-    bodies: Iterable[Any], frame: Any, speeds: Mapping[Any, sp.Expr], known: _Identities
+    bodies: Iterable[Any], frame: Any, speeds: Mapping[Any, sp.Expr], known: Identities
 ) -> tuple[sp.Expr, Force]:
     """Return T, and the terms that Lagrange's equations of it have and Kane's have not."""
     kinetic: list[sp.Expr] = []
@@ -210,10 +136,10 @@ def _inertia(
     return sp.Add(*kinetic), {q: f for q, f in total.items() if not known.vanish([f])}
 
 
-def _others(rows: Sequence[sp.Expr], known: _Identities) -> list[sp.Expr]:
+def _others(rows: Sequence[sp.Expr], known: Identities) -> list[sp.Expr]:
     """Return the velocity constraints that do not follow from constraints of positions."""
-    count = len(known.held)
-    graph, matrix = known.rows([*(phi.diff(time) for phi in known.held), *rows])
+    count = len(known.constraints)
+    graph, matrix = known.rows([*(phi.diff(time) for phi in known.constraints), *rows])
     independent, kept = matrix[:count], []
     for equation, row in zip(rows, matrix[count:], strict=True):
         if rank(graph, [*independent, row]) > len(independent):

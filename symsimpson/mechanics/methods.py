@@ -9,8 +9,9 @@ import sympy as sp
 
 from symsimpson.mechanics.checks import fail
 from symsimpson.mechanics.forces import read_inputs
+from symsimpson.mechanics.identities import Identities
 from symsimpson.mechanics.kane import read_kane
-from symsimpson.mechanics.loads import generalised
+from symsimpson.mechanics.loads import generalised, potential_of
 
 __all__ = ["read_method"]
 
@@ -25,12 +26,14 @@ def read_method(
     ModelError
         If it is no LagrangesMethod and no KanesMethod, or one that lacks something.
     """
+    driven = read_inputs(name, inputs, (), ())
     if hasattr(method, "kindiffdict"):
-        return read_kane(name, method, read_inputs(name, inputs, (), ()))
+        return read_kane(name, method, driven)
     try:
         lagrangian, coordinates = method._L[0], tuple(method.q)
         held = list(method._hol_coneqs)
-        loads = generalised(method.forcelist or (), method.inertial, coordinates)
+        frame, loads = method.inertial, method.forcelist or ()
+        each = [generalised([load], frame, coordinates) for load in loads]
         rolling = list(method.coneqs)[len(held) :]
     except (AttributeError, TypeError, IndexError):
         raise fail(
@@ -40,4 +43,7 @@ def read_method(
             "Pass the method itself, as system.eom_method or joints.method, or use "
             "from_lagrangian(name, L, ...).",
         ) from None
-    return lagrangian, coordinates, {"forcelist": loads} if loads else {}, held, rolling
+    known = Identities(name, "LagrangesMethod", coordinates, held)
+    potential, force = potential_of(each, coordinates, sp.S.Zero, driven, known.vanish)
+    forces = {"forcelist": force} if force else {}
+    return lagrangian - potential, coordinates, forces, held, rolling

@@ -260,9 +260,10 @@ class MechanicalSystem(Described):
         constraints, velocity_constraints
             As for :class:`MechanicalSystem`; they stand beside those of ``lm``.
         lm : sympy.physics.mechanics.LagrangesMethod
-            Its ``forcelist`` becomes the generalised force named "forcelist": each pair is a point
-            with a force, or a frame with a torque. Its constraints get the names "1", "2", ...,
-            in its order.
+            Each pair of its ``forcelist`` is a point with a force, or a frame with a torque. The
+            part of them that has a potential, as gravity and springs have, belongs to V, which is
+            found by integration and holds as an identity; the rest is the generalised force named
+            "forcelist". Its constraints get the names "1", "2", ..., in its order.
 
         Raises
         ------
@@ -310,8 +311,7 @@ class MechanicalSystem(Described):
         kane : sympy.physics.mechanics.KanesMethod
             Its ``kanes_equations`` were called. T is that of its bodies, and speeds are written in
             velocities; one in no kinematical equation becomes that of a coordinate of its own,
-            ``u_integral``. The part of loads that has a potential, as gravity and springs have, is
-            V, which is found by integration and holds as an identity; a ``potential_energy`` of
+            ``u_integral``. The part of loads that has a potential is V; a ``potential_energy`` of
             bodies that is not theirs is left out. The rest is the force "loads". If bodies roll,
             and their places are no coordinates, there is a force "rolling" without power, by which
             equations are Kane's. Velocity constraints that follow from configuration constraints

@@ -198,6 +198,25 @@ def test_forcelist_of_lagranges_method_gives_the_equations_of_sympy():
     truth = [rate(a, b) for a, b in zip(run.q[2:-2, 0], v[2:-2], strict=True)]
     assert np.abs(found - truth).max() < 1e-6
     assert list(run.work) == ["forcelist", "total"]
+    assert sp.simplify(system.potential + m * g * l * sp.cos(theta)) == 0
+    assert np.abs(run.energy_balance).max() < 1e-6
+
+
+def test_a_forcelist_that_has_a_potential_is_no_force():
+    m, l, k, g = sp.symbols("m l k g", positive=True)
+    theta, frame, turned, bob, body = hanging_particle(m, l)
+    loads = [(bob, -m * g * frame.y), (turned, -k * theta * frame.z)]
+    lagrangian = me.Lagrangian(frame, body)
+    method = me.LagrangesMethod(lagrangian, [theta], forcelist=loads, frame=frame)
+    values = {m: 1.2, l: 0.7, k: 0.3, g: 9.81}
+    system = ss.MechanicalSystem.from_lagranges_method("hung", method, values)
+    assert not system.forces
+    run = ss.compile(system).integrate([0.4], [0.5], h=0.01, steps=200)
+    assert np.abs(run.energy_error).max() < 1e-6
+    V = -m * g * l * sp.cos(theta) + k * theta**2 / 2
+    plain = ss.MechanicalSystem.from_lagrangian("hung", lagrangian - V, [theta], values)
+    other = ss.compile(plain).integrate([0.4], [0.5], h=0.01, steps=200)
+    assert np.abs(run.q - other.q).max() < 1e-13
 
 
 @pytest.mark.slow
