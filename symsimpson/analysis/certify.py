@@ -23,6 +23,7 @@ from symsimpson.analysis.order import observed_orders
 from symsimpson.analysis.pilot import choose_state, choose_step
 from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.subject import SHORT, Subject, with_inputs
+from symsimpson.analysis.symmetries import block_size
 from symsimpson.analysis.variants import in_tau
 from symsimpson.derivatives.step_equations import At, evaluate_equations
 from symsimpson.errors import InputError, SymsimpsonError
@@ -182,6 +183,8 @@ def _momenta(s: Subject) -> Iterator[Check]:
     if not s.symmetries:
         header = s.stepper.program.header
         what = "none: there is no linear symmetry"
+        if block_size(s.n) < s.n:
+            what += " that moves or turns all points alike"
         if not header.conservative:
             what = "not asked: forces" if header.forces else "not asked: what depends on the time"
             what += " may change them"

@@ -16,16 +16,23 @@ from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.analysis.precise import Precise
 
-__all__ = ["Symmetry", "linear_symmetries"]
+__all__ = ["Symmetry", "block_size", "linear_symmetries"]
 
 #: Relative singular values below this are zeros; the matrix has 16 digits.
 RANK = 1e-12
 #: Points on constraints are looked for so near, relative to q.
 NEARBY = 1e-4
+#: An entry of a null vector is a pivot if it is no smaller than this part of the largest.
+PIVOT = 1e-6
 #: Entries closer to a number of few digits than this are that number, in a name.
 ROUND = 1e-9
 #: So many times as many points are tried as are needed.
 MOST = 20
+#: With more coordinates than this, not all linear maps are looked for: their number is squared, and
+#: as many gradients of H are needed. These have blocks of so many coordinates, all alike.
+MANY, BLOCKS = 12, (3, 2)
+#: A name has no more terms than this.
+SHOWN = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,14 +67,26 @@ class Symmetry:
         return float((p * (q @ np.abs(self.A).T + np.abs(self.b))).sum(axis=-1).max())
 
 
+def block_size(n: int) -> int:
+    """Return d, where A consists of equal blocks of d by d on its diagonal.
+
+    It is n, any A, of few coordinates; of many that of points in space or in the plane, whose
+    coordinates follow one another: then A turns all of them. It is 0 where neither divides n.
+    """
+    return n if n <= MANY else next((d for d in BLOCKS if n % d == 0), 0)
+
+
 def linear_symmetries(precise: Precise, z: NDArray[Any]) -> list[Symmetry]:
     """Find the linear point symmetries of a system around a state.
 
     G = p (A q + b) is conserved if its Poisson bracket with H vanishes, a linear equation for A
     and b at each point; as many points as there are unknowns, and some more, decide. Which
-    symmetries there are is found in double precision, their generators then have many digits.
+    symmetries there are is found in double precision, their generators then have many digits. Of
+    systems of many coordinates all displacements b are looked for, and A as in :func:`block_size`.
     """
     n = precise.n
+    d = block_size(n)
+    count = n + d * d + 4
     middle = np.array([float(x) for x in z])
     # b stands beside A q: in a unit in which q is not much smaller than 1
     unit = float(min(1, *precise.sizes[:n]))
@@ -75,46 +94,63 @@ def linear_symmetries(precise: Precise, z: NDArray[Any]) -> list[Symmetry]:
     size[n:] = 0.2 * (np.abs(middle[n:]).max() or float(max(precise.sizes[n:])))
     random = np.random.default_rng(1)
     rows: list[NDArray[Any]] = []
-    for _ in range(MOST * (n * n + n + 4)):
-        if len(rows) == n * n + n + 4:
+    for _ in range(MOST * count):
+        if len(rows) == count:
             break
         point = middle + size * random.uniform(-1, 1, 2 * n)
         gradient = precise.gradient(point)
         if not np.isfinite(gradient.astype(np.float64)).all():  # H has no value around there
             continue
         q, p, H_q, H_p = point[:n], point[n:], gradient[:n], gradient[n:]
-        turning = np.outer(H_q, q) - np.outer(p, H_p)
+        turning = _by_block(H_q, q, d) - _by_block(p, H_p, d)
         rows.append(np.concatenate([H_q * unit, turning.ravel()]))
-    rows += _of_constraints(precise, middle, random, unit)
+    rows += _of_constraints(precise, middle, random, unit, d)
     # energies and constraints have units of their own
     exact = np.array([row / (np.abs(row).max() or 1) for row in rows])
     matrix = exact.astype(np.float64)
     scale = np.abs(matrix).max(axis=0)
     scale[scale < RANK * scale.max()] = scale.max()
     _, singular, basis = np.linalg.svd(matrix / scale)
-    null = basis[np.count_nonzero(singular > RANK * singular[0]) :] / scale
+    null = basis[np.count_nonzero(singular > RANK * singular[0]) :]
     names = precise.stepper.coordinates
     symmetries = []
-    for row in _reduced(null):
+    for row in _reduced(null, scale):
         full = _refined(row, exact, precise.context)
+        row = _rounded(full.astype(np.float64))  # many digits tell what rounding has hidden
         if row[n:].any():  # else it is a displacement, of any length
             row[:n], full[:n] = row[:n] * unit, full[:n] * unit
-        generator = np.column_stack([full[n:].reshape(n, n), full[:n]])
-        symmetries.append(Symmetry(row[n:].reshape(n, n), row[:n], generator, _name(row, names)))
+        A, exact_A = (_blocks(x[n:], n, d) for x in (row, full))
+        generator = np.column_stack([exact_A, full[:n]])
+        symmetries.append(Symmetry(A, row[:n], generator, _name(A, row[:n], names)))
     return symmetries
 
 
+def _by_block(left: NDArray[Any], right: NDArray[Any], d: int) -> NDArray[Any]:
+    """Return left.E.right for each A that has a 1 in the same place of all its blocks, (d, d)."""
+    rows = left.reshape(-1, d) if d else left[:0].reshape(0, 0)
+    columns = right.reshape(-1, d) if d else right[:0].reshape(0, 0)
+    return rows.T @ columns
+
+
+def _blocks(entries: NDArray[Any], n: int, d: int) -> NDArray[Any]:
+    """Return the matrix with equal blocks on its diagonal, (n, n)."""
+    A = np.zeros((n, n), dtype=entries.dtype) + 0 * entries.sum()
+    for first in range(0, n if d else 0, d or 1):
+        A[first : first + d, first : first + d] = entries.reshape(d, d)
+    return A
+
+
 def _of_constraints(
-    precise: Precise, z: NDArray[np.float64], random: np.random.Generator, unit: float
+    precise: Precise, z: NDArray[np.float64], random: np.random.Generator, unit: float, d: int
 ) -> list[NDArray[Any]]:
     """Ask that a symmetry moves along the constraints: Phi (A q + b) = 0 where phi = 0."""
     n, held = precise.n, len(precise.stepper.program.header.constraints)
     rows = []
-    for _ in range(n * (n + 1) // held + 4 if held else 0):
+    for _ in range((n + d * d) // held + 4 if held else 0):
         point = z + NEARBY * (unit + np.abs(z)) * random.uniform(-1, 1, 2 * n)
         q = precise.placed(point)[:n]
         rows += [
-            np.concatenate([slope * unit, np.outer(slope, q).ravel()])
+            np.concatenate([slope * unit, _by_block(slope, q, d).ravel()])
             for slope in precise.slopes(q)
         ]
     return rows
@@ -147,35 +183,42 @@ def _fraction(value: float, context: Any) -> Any:
     return context.mpf(twelfths) / 12 if value == twelfths / 12 else None
 
 
-def _reduced(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bring a basis into reduced echelon form; what is round stays round."""
-    rows = rows.copy()
-    done = 0
+def _reduced(rows: NDArray[np.float64], scale: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bring an orthonormal basis into reduced echelon form, divided by the scale of its columns.
+
+    No pivot is a small entry of such a row, which is rounding, however the scales differ. What is
+    round stays round.
+    """
+    rows, pivots = rows.copy(), list[int]()
     for column in range(rows.shape[1]):
+        done = len(pivots)
         if done == len(rows):
             break
         pivot = done + int(np.abs(rows[done:, column]).argmax())
-        if abs(rows[pivot, column]) < ROUND * np.abs(rows[pivot]).max():
+        if abs(rows[pivot, column]) < PIVOT * np.abs(rows[pivot]).max():
             continue
         rows[[done, pivot]] = rows[[pivot, done]]
-        rows[done] /= rows[done, column]
         for other in range(len(rows)):
             if other != done:
-                rows[other] -= rows[other, column] * rows[done]
-        done += 1
-    rounded = np.round(rows * 12) / 12  # halves, thirds and quarters
-    return np.where(np.abs(rows - rounded) < ROUND, rounded, rows)
+                rows[other] -= rows[other, column] / rows[done, column] * rows[done]
+        pivots.append(column)
+    rows = rows / scale
+    return _rounded(rows / rows[np.arange(len(pivots)), pivots][:, None])
 
 
-def _name(row: NDArray[np.float64], names: Sequence[str]) -> str:
-    n = len(names)
-    terms = [(row[i], f"p_{a}") for i, a in enumerate(names)]
-    terms += [
-        (row[n + n * i + j], f"p_{a}*{b}") for i, a in enumerate(names) for j, b in enumerate(names)
-    ]
+def _rounded(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return halves, thirds and quarters where entries are as near to these as rounding."""
+    twelfths = np.round(rows * 12) / 12
+    return np.where(np.abs(rows - twelfths) < ROUND, twelfths, rows)
+
+
+def _name(A: NDArray[np.float64], b: NDArray[np.float64], names: Sequence[str]) -> str:
+    """Write p (A q + b), of a long sum its first terms."""
+    terms = [(b[i], f"p_{x}") for i, x in enumerate(names) if b[i]]
+    terms += [(A[i, j], f"p_{names[i]}*{names[j]}") for i, j in np.argwhere(A)]
     text = ""
-    for factor, term in terms:
-        if factor != 0:
-            amount = "" if abs(factor) == 1 else f"{abs(factor):.4g}*"
-            text += (" - " if factor < 0 else " + ") + amount + term
+    for factor, term in terms[:SHOWN]:
+        amount = "" if abs(factor) == 1 else f"{abs(factor):.4g}*"
+        text += (" - " if factor < 0 else " + ") + amount + term
+    text += f" + ... ({len(terms)} terms)" if len(terms) > SHOWN else ""
     return text.removeprefix(" + ").replace(" - ", "-", 1) if text[:3] == " - " else text[3:]

@@ -13,7 +13,7 @@ from support.cases import sweep
 import symsimpson as ss
 from symsimpson.analysis.certify import DIGITS
 from symsimpson.analysis.precise import Precise
-from symsimpson.analysis.symmetries import _refined, linear_symmetries
+from symsimpson.analysis.symmetries import _refined, block_size, linear_symmetries
 from symsimpson.analysis.variants import rewritten
 from symsimpson.api.compiling import TOOLS
 from symsimpson.api.stepper import Stepper
@@ -338,6 +338,27 @@ def test_rotations_of_many_coordinates_are_found():
         "p_x*z - p_z*x",
         "p_y*z - p_z*y",
     }
+
+
+def test_momenta_of_masses_that_differ_by_eight_orders_are_exact():
+    """Pluto has so little of the Sun's mass; displacements and rotations of all bodies alike."""
+    system = ss.systems.outer_solar_system()
+    stepper = ss.compile(system, "midpoint")
+    run = stepper.integrate(**system.reference_state, h=10.0, steps=1)
+    precise = Precise(stepper, run.parameters, DIGITS)
+    symmetries = linear_symmetries(precise, np.concatenate([run.q[0], run.p[0]]))
+    assert [x.name for x in symmetries[:2]] == [
+        " + ".join(f"p_{axis}{k}" for k in range(6)) for axis in "xy"
+    ]
+    assert symmetries[3].name.startswith("p_x0*y0 - p_y0*x0 + p_x1*y1 - p_y1*x1 + p_x2*y2")
+    assert len(symmetries) == 6
+    truth = np.kron(np.eye(6), [[0, 1, 0], [-1, 0, 0], [0, 0, 0]])
+    assert (symmetries[3].A == truth).all()
+    assert abs(symmetries[3].exact[:, :-1] - truth).max() < 1e-25
+
+
+def test_of_many_coordinates_blocks_alike_are_looked_for():
+    assert [block_size(n) for n in (2, 12, 13, 14, 15, 18)] == [2, 12, 0, 2, 3, 3]
 
 
 @pytest.mark.slow
