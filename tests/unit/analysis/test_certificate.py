@@ -353,7 +353,7 @@ def test_momenta_of_masses_that_differ_by_eight_orders_are_exact():
     assert symmetries[3].name.startswith("p_x0*y0 - p_y0*x0 + p_x1*y1 - p_y1*x1 + p_x2*y2")
     assert len(symmetries) == 6
     truth = np.kron(np.eye(6), [[0, 1, 0], [-1, 0, 0], [0, 0, 0]])
-    assert (symmetries[3].A == truth).all()
+    assert (truth == symmetries[3].A).all()
     assert abs(symmetries[3].exact[:, :-1] - truth).max() < 1e-25
 
 
