@@ -25,6 +25,8 @@ class Names:
     Attributes
     ----------
     coordinates, parameters, inputs, constraints, forces, invariants : Named
+    units : dict from str to str
+        Labels of quantities by name, as they were declared.
     """
 
     def __init__(
@@ -32,14 +34,14 @@ class Names:
         header: Header,
         declared: Any,
         defaults: Mapping[str, Any] | None,
-        users: Mapping[str, Iterable[Any]] | None = None,
+        users: Mapping[str, Any] | None = None,
     ) -> None:
         self._declared, given = declared, dict(users or {})
         if declared is not None:
             plain = declared.plain
             given = {"coordinates": declared.coordinates, "inputs": declared.inputs}
             given |= {"constraints": plain.held, "forces": plain.forces}
-            given |= {"invariants": plain.invariants}
+            given |= {"invariants": plain.invariants, "units": getattr(declared, "units", {})}
         if defaults is not None:
             given["parameters"] = defaults
 
@@ -54,12 +56,14 @@ class Names:
         self.constraints = named("constraints", header.constraints)
         self.forces = named("forces", header.forces)
         self.invariants = named("invariants", header.invariants)
+        self.units = {str(name): str(unit) for name, unit in dict(given.get("units", {})).items()}
 
     @property
-    def users(self) -> dict[str, list[str]]:
-        """The names that a user gave, where they are not those of the module, for files."""
+    def users(self) -> dict[str, Any]:
+        """Units, and the names that a user gave where they are not the module's; for files."""
         tables = {name: x for name, x in vars(self).items() if isinstance(x, Named)}
-        return {name: [*x.shown] for name, x in tables.items() if x.shown != x.own}
+        names = {name: [*x.shown] for name, x in tables.items() if x.shown != x.own}
+        return names | ({"units": self.units} if self.units else {})
 
     @cached_property
     def idle(self) -> frozenset[int]:

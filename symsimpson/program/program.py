@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -186,7 +186,7 @@ class Program:
     @property
     def units(self) -> dict[str, str]:
         """Units of quantities by name, as they were declared with the system."""
-        return dict(getattr(self.declared, "units", {}))
+        return dict(self.names.units)
 
     def __reduce__(self) -> tuple[Any, ...]:
         state, defaults = self.reference_state, self.given_defaults
@@ -305,10 +305,7 @@ def new_program(
 
 
 def read_program(
-    text: str,
-    where: str,
-    tools: Tools | None = None,
-    users: Mapping[str, Iterable[Any]] | None = None,
+    text: str, where: str, tools: Tools | None = None, users: Mapping[str, Any] | None = None
 ) -> Program:
     """Return the program of a module from a file, once digest and structure are checked.
 

@@ -145,3 +145,17 @@ def test_last_states_alone(stepper):
     assert found[1].q.shape == (1, 2)
     assert (found[1].q[0] == found.q[1]).all()
     assert found[-1].t[0] == 1.0
+
+
+@pytest.mark.parametrize("ending", ["nc", "zarr"])
+def test_units_are_saved_with_a_run(tmp_path, ending):
+    (x,) = ss.coordinates("x")
+    given = {"coordinates": (x,), "kinetic": x.diff() ** 2 / 2, "potential": x**2 / 2}
+    system = ss.MechanicalSystem("spring", **given, units={x: "m", "t": "s", "energy": "J"})
+    run = ss.compile(system).integrate([1.0], [0.0], h=0.1, steps=5)
+    run.save(tmp_path / f"run.{ending}")
+    again = ss.open_trajectory(tmp_path / f"run.{ending}")
+    assert again.program.units == run.program.units
+    assert again.to_xarray()["time"].attrs["units"] == "s"
+    again.save(tmp_path / f"again.{ending}")
+    assert ss.open_trajectory(tmp_path / f"again.{ending}").program.units["x"] == "m"
