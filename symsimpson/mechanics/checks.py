@@ -117,6 +117,12 @@ def check_names(system: str, coordinates: Sequence[str], invariants: Iterable[st
     for name in coordinates:
         taken |= {f"p_{name}": f"the momentum of {name}", f"v_{name}": f"the velocity of {name}"}
     for name in coordinates:
+        if name.endswith("(t)"):
+            raise fail(
+                system,
+                f"the name of the coordinate {name} has the time in it.",
+                f"The time is its argument: write sympy.Function('{name.removesuffix('(t)')}')(t).",
+            )
         if name in taken:
             raise fail(
                 system,

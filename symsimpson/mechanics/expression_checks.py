@@ -261,7 +261,9 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
         raise fail(
             system,
             f"the {what} contains {spell(node)}, which is defined by cases.",
-            "Newton's method needs two continuous derivatives. Use a smooth expression.",
+            "Newton's method needs two continuous derivatives. Use a smooth expression, as "
+            "(x + sqrt(x**2 + eps**2))/2 for Max(x, 0); or a system for each case: a run that "
+            "symsimpson.Event(x, terminal=True) ends tells where the other goes on.",
         )
     name = node.func.__name__
     raise fail(

@@ -48,7 +48,8 @@ _MESSAGES = {
     ),
     Status.DIVERGED: (
         "Newton's method diverged: the increments grew to many times what was expected. The step "
-        "is far too large for this motion: try a smaller h."
+        "is far too large for this motion: try a smaller h. Where smaller steps end at the same "
+        "time, the motion runs to infinity: look at the sign of the potential."
     ),
     Status.SINGULAR_JACOBIAN: (
         "The equations of the step do not determine it: their Jacobian is singular, as for a step "
@@ -60,7 +61,9 @@ _MESSAGES = {
     ),
     Status.STEP_TOO_LARGE: (
         "The equations of the step have a solution, but it is not continuously connected to the "
-        "state as h goes to 0. The step is too large for this motion: try a smaller h."
+        "state as h goes to 0. The step is too large for this motion: try a smaller h. Where "
+        "smaller steps end at the same time, the motion runs to infinity: look at the sign of the "
+        "potential."
     ),
     Status.COORDINATE_SINGULARITY: (
         "The motion passes a singular point of the coordinates (a pole of spherical angles, say) "

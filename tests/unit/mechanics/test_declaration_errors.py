@@ -220,3 +220,10 @@ def test_a_time_with_assumptions():
 
 def test_points_may_move_with_the_time():
     assert declare(positions={"bob": (x + sp.cos(ss.time), 0)}).positions["bob"][1] == 0
+
+
+def test_a_name_that_ends_with_the_time_is_refused():
+    """Names are told apart without it, so that its run could not be opened again."""
+    x = sp.Function("x(t)")(ss.time)
+    with pytest.raises(ss.ModelError, match=r"has the time in it(.|\n)*Function\('x'\)\(t\)"):
+        ss.MechanicalSystem("odd", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=x**2)
