@@ -7,7 +7,7 @@ sine.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import sympy as sp
@@ -187,22 +187,32 @@ def coincide(first: Any, second: Any) -> list[sp.Expr]:
 
 def read_components(point: Any) -> list[sp.Expr]:
     """Read the components of a point: a sequence or a matrix."""
-    if isinstance(point, str) or not isinstance(point, Iterable):
+    components = _listed(point)
+    if components is None:
         raise ModelError(
             f"a point has components, and {point!r} has none.\n"
             "Write them in a row: coincide((x, y), (1, 2)), or body.point((0, 0, 1))."
         )
-    return [read_scalar("a component of a point", x) for x in point]
+    return [read_scalar("a component of a point", x) for x in components]
+
+
+def _listed(given: Any) -> list[Any] | None:
+    """Return the parts of a sequence or a matrix, which has no iterator; None of anything else."""
+    try:
+        return None if isinstance(given, str) else list(given)
+    except TypeError:
+        return None
 
 
 def _four(q: Sequence[Any]) -> tuple[sp.Expr, sp.Expr, sp.Expr, sp.Expr]:
     """Read the four components of a quaternion."""
-    if isinstance(q, str) or not isinstance(q, Iterable):
+    components = _listed(q)
+    if components is None:
         raise ModelError(
             f"a quaternion has four components, and {q!r} has none.\n"
             "Make one: q = symsimpson.quaternion('q')."
         )
-    parts = tuple(read_scalar("a component of a quaternion", x) for x in q)
+    parts = tuple(read_scalar("a component of a quaternion", x) for x in components)
     if len(parts) != 4:
         raise ModelError(
             f"a quaternion has four components, not {len(parts)}.\n"

@@ -30,7 +30,7 @@ class Differentiated:
         Raises
         ------
         InputError
-            If the run was not asked for them.
+            If the run carried none along.
 
         Examples
         --------
@@ -52,7 +52,7 @@ class Differentiated:
         Raises
         ------
         InputError
-            If the run was not asked for them.
+            If the run carried none along.
 
         Examples
         --------
@@ -63,8 +63,6 @@ class Differentiated:
         (51, 2)
         """
         variations, names = self._carried("sensitivities='l'"), self._names_varied
-        if not names:
-            self._missing("sensitivities='l'")
         first = variations.shape[-1] - len(names)
         return {name: variations[..., first + j] for j, name in enumerate(names)}
 

@@ -2,40 +2,45 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from symsimpson.program.status import Status
 
 if TYPE_CHECKING:
-    from symsimpson.stepping.run import Run
+    from symsimpson.module.header import Header
 
 __all__ = ["failure"]
 
+Reals = NDArray[Any]
 
-def failure(run: Run) -> Status:
-    """Return why the last step of a run failed."""
-    status = Status(int(run.value("STATUS")))
-    if status is Status.NOT_CONVERGED and _diverged(run):
+
+def failure(header: Header, column: Reals, *, last_resort: bool) -> Status:
+    """Return why a step failed, from the workspace of one lane.
+
+    ``last_resort`` tells whether the kernels that eliminate with pivoting took it.
+    """
+    status = Status(int(column[header.layout["STATUS"]]))
+    if status is Status.NOT_CONVERGED and _diverged(header, column):
         return Status.DIVERGED
-    if status is Status.NOT_FINITE and run.last_resort and _singular(run):
+    if status is Status.NOT_FINITE and last_resort and _singular(header, column):
         return Status.SINGULAR_JACOBIAN
     return status
 
 
-def _diverged(run: Run) -> bool:
+def _diverged(header: Header, column: Reals) -> bool:
     """Return whether the increments became ten times what was predicted, and seen before."""
-    n, d = run.header.n, run.header.degree
-    predicted = run.rows("PREDICTED", d * n).reshape(d, n)
-    expected = max(
-        (run.rows("MASS_DIAGONAL", n) * predicted**2).sum(), run.value("LARGEST_SQUARED")
-    )
-    return bool(run.value("INCREMENT_SQUARED") > 100 * expected)
+    at, n, d = header.layout, header.n, header.degree
+    predicted = column[at["PREDICTED"] : at["PREDICTED"] + d * n].reshape(d, n)
+    masses = column[at["MASS_DIAGONAL"] : at["MASS_DIAGONAL"] + n]
+    expected = max((masses * predicted**2).sum(), column[at["LARGEST_SQUARED"]])
+    return bool(column[at["INCREMENT_SQUARED"]] > 100 * expected)
 
 
-def _singular(run: Run) -> bool:
+def _singular(header: Header, column: Reals) -> bool:
     """Return whether elimination with pivoting met a pivot of zero."""
-    at = run.header.layout
+    at = header.layout
     places = np.arange(at["SOLVE_UNKNOWNS"]) * (at["SOLVE_STRIDE"] + 1)
-    return bool((run.W[at["JACOBIAN"] + at["SOLVE_OFFSET"] + places, 0] == 0).any())
+    return bool((column[at["JACOBIAN"] + at["SOLVE_OFFSET"] + places] == 0).any())

@@ -232,12 +232,8 @@ class Run:
             return Status.INTERRUPTED
         if self.alive or self.arrived:
             return Status.SUCCESS
-        return failure(self)
-
-    @property
-    def last_resort(self) -> bool:
-        """Whether the kernels that eliminate with pivoting take the steps."""
-        return self._fallbacks[self._set] == "robust"
+        last_resort = self._fallbacks[self._set] == "robust"
+        return failure(self.header, self._column, last_resort=last_resort)
 
     @property
     def last_correction(self) -> float:
