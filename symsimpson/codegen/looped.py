@@ -343,14 +343,17 @@ class LoopKernels:
         """Return what finds the velocities of a state."""
         return (*self._velocity(), *self.solve_momentum())
 
-    def before_multipliers(self) -> tuple[Statement, ...]:
-        """Return what finds phi, and multipliers that keep accelerations allowed, at a state."""
+    def before_pushes(self) -> tuple[Statement, ...]:
+        """Return what finds phi and the velocities of a state."""
         # all at one place: its slopes and factors serve three solves
         nearest = (*self._velocity(), *map(_call, ("constrain", "change_to_constraints")))
-        names = ("pushes", "push_to_solve", "solve_held", "constraint_forces")
-        return (*nearest, *self.solve_momentum(), *map(_call, names))
+        return (*nearest, *self.solve_momentum())
+
+    def pushed(self) -> tuple[Statement, ...]:
+        """Return what finds multipliers then; accelerations take the places of velocities."""
+        return tuple(map(_call, ("pushes", "push_to_solve", "solve_held", "constraint_forces")))
 
     def multipliers(self) -> Kernel:
-        """Return the kernel of phi and of multipliers at a state."""
+        """Return the kernel of phi and of multipliers that keep accelerations allowed."""
         doc = "phi and the multipliers of L - lambda.phi at (q, p)."
-        return Kernel("multipliers", doc, lanes(self.before_multipliers()))
+        return Kernel("multipliers", doc, lanes((*self.before_pushes(), *self.pushed())))

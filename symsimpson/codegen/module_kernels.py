@@ -29,6 +29,7 @@ from symsimpson.codegen.terms_of_l import (
     family_functions,
     power_function,
     power_stores,
+    pull_stores,
     unrolled_functions,
 )
 from symsimpson.codegen.unrolled import (
@@ -197,9 +198,12 @@ def _looped_module(equations: DiscreteEquations) -> Module:
     if equations.plain.powers:
         state = Point("state", low.q, low.v, low.t, low.inputs(0))
         if plain.carried:
-            state = replace(state, multipliers=low.multipliers)
-        before = loops.before_multipliers() if plain.carried else loops.before_state()
-        kernels.append(_power(low, state, before))
+            behind = low.statements(
+                pull_stores(low, replace(state, multipliers=low.multipliers)), STATE
+            )
+            kernels.append(_power(low, state, loops.before_pushes(), (*loops.pushed(), *behind)))
+        else:
+            kernels.append(_power(low, state, loops.before_state()))
     blocks = 0
     own_tables = {**storage.node_constants(), "MASS_BAND": storage.band_of(plain.M)}
     if not isinstance(part, Composed):
@@ -353,11 +357,16 @@ def _state(low: Lowering) -> Point:
     return Point(f"{start.suffix}_state", start.q, tuple(v), start.t, start.u)
 
 
-def _power(low: Lowering, point: Point, before: tuple[Statement, ...] = ()) -> Kernel:
+def _power(
+    low: Lowering,
+    point: Point,
+    before: tuple[Statement, ...] = (),
+    behind: tuple[Statement, ...] = (),
+) -> Kernel:
     """Return the kernel of the powers of forces, then dL/dt where L depends on t."""
     stores = power_stores(low, point)
     doc = "Power of each force, then dL/dt where L depends on t, at (q, p)."
-    return Kernel("power", doc, lanes((*before, *low.statements(stores, STATE))))
+    return Kernel("power", doc, lanes((*before, *low.statements(stores, STATE), *behind)))
 
 
 def _watched(low: Lowering, before: tuple[Statement, ...]) -> Kernel:

@@ -25,6 +25,7 @@ __all__ = [
     "family_functions",
     "power_function",
     "power_stores",
+    "pull_stores",
     "unrolled_functions",
 ]
 
@@ -92,15 +93,20 @@ def unrolled_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
 
 
 def power_stores(low: Lowering, point: Point) -> list[Store]:
-    """Store the power of each force, and that of A v = b where multipliers are known."""
+    """Store the power of each force, and dL/dt; that of constraints is 0 here."""
+    powers = low.equations.plain.powers
+    values = [low.template.entry(point, "powers", "power", name) for name in powers]
+    return [Store(Row("POWER", k), value) for k, value in enumerate(values)]
+
+
+def pull_stores(low: Lowering, point: Point) -> list[Store]:
+    """Store the power of constraints A v = b that move, by their multipliers."""
     plain = low.equations.plain
-    powers = {name: low.template.entry(point, "powers", "power", name) for name in plain.powers}
-    if plain.carried and point.multipliers:
-        rolling = range(len(plain.constraints), len(plain.held))
-        b = [low.held.entry(point, "powers", "b", c) for c in rolling]
-        pulls = (-x * point.multipliers[c] for c, x in zip(rolling, b, strict=True))
-        powers["of constraints"] = low.graph.total(pulls)
-    return [Store(Row("POWER", k), value) for k, value in enumerate(powers.values())]
+    rolling = range(len(plain.constraints), len(plain.held))
+    b = [low.held.entry(point, "powers", "b", c) for c in rolling]
+    pulls = (-x * point.multipliers[c] for c, x in zip(rolling, b, strict=True))
+    row = Row("POWER", [*plain.powers].index("of constraints"))
+    return [Store(row, low.graph.total(pulls))]
 
 
 def power_function(low: Lowering) -> Function:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import sympy as sp
+from support.rolling import allowed_state, carried_by_time
 
 import symsimpson as ss
 
@@ -100,6 +101,14 @@ def test_zeros_and_ends_within_a_step_have_those_of_their_times(stepper):
         check(run, slope(run.t))
         np.testing.assert_allclose(run.power["push"], slope(run.t) * run["v_x"], atol=1e-9)
         check(run.events("low"), slope(run.t[-1:]))
+
+
+def test_powers_of_forces_are_by_velocities_where_constraints_move():
+    system = carried_by_time()
+    run = ss.compile(system).integrate(**allowed_state(system), h=H, steps=4)
+    forces = run.power["total"] - run.power["constraints"]
+    expected = np.sin(3 * run.t) / 10 * run["v_z"] - run["v_x"] ** 2 / 5
+    np.testing.assert_allclose(forces, expected, rtol=0, atol=1e-14)
 
 
 def test_members_have_those_of_their_own(stepper):
