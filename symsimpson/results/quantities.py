@@ -127,7 +127,7 @@ class Quantities:
     def constraint_forces(self) -> NDArray[Any]:
         """The generalised forces -Phi^T lambda of all constraints, in the shape of q."""
         if not self.program.header.constraints:
-            return 0 * self.q
+            return 0 * np.asarray(self.q)
         block, count = "CONSTRAINT_FORCE", self.program.n
         return -self._evaluated("multipliers", block, count, driven=True)
 

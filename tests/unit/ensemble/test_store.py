@@ -69,6 +69,12 @@ def assert_same(found, expected):
     assert repr(found) == repr(expected)
 
 
+def test_a_system_without_constraints_has_no_forces_of_them_in_a_store(stepper, tmp_path):
+    kept = stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s")
+    assert kept.constraint_forces.shape == kept.q.shape
+    assert not kept.constraint_forces.any()
+
+
 def test_a_store_holds_the_same_bits(stepper, whole, tmp_path):
     found = stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "new")
     assert_same(found, whole)
