@@ -246,7 +246,8 @@ def _seconds(program: Program, task: Task) -> float:
         begin = time.perf_counter()
         run_blocks(program, trial, lambda done: None)
         seconds.append(time.perf_counter() - begin)
-    return max(seconds[1], 1e-9) * task.steps / (trial.steps * task.lanes)
+    blocks = task.steps / trial.steps if trial.steps else 1.0  # as many as would take its time
+    return max(seconds[1], 1e-9) * blocks / task.lanes
 
 
 def run_missing(store: Store) -> bool:

@@ -69,6 +69,12 @@ def assert_same(found, expected):
     assert repr(found) == repr(expected)
 
 
+def test_members_that_take_no_step_go_to_a_store(stepper, tmp_path, monkeypatch):
+    monkeypatch.undo()  # chunks are as large as the time of a step says
+    kept = stepper.ensemble(ANGLES, p0=[0.0, 0.0], h=0.1, steps=0, store=tmp_path / "s")
+    assert (kept.q[:] == ANGLES).all()
+
+
 def test_a_system_without_constraints_has_no_forces_of_them_in_a_store(stepper, tmp_path):
     kept = stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s")
     assert kept.constraint_forces.shape == kept.q.shape
