@@ -100,6 +100,8 @@ class Ensemble(Quantities, Differentiated):
     ended_at: Floats | None = None
     #: How inputs went, where that is known.
     driven: Driven | None = field(default=None, repr=False)
+    #: 1 if the time goes on with the steps, -1 if it goes back.
+    _ahead: float = field(default=1.0, repr=False)
 
     @overload
     def __getitem__(self, key: str) -> NDArray[Any]: ...
@@ -359,7 +361,7 @@ class Ensemble(Quantities, Differentiated):
             "order": program.order,
             "digest": program.header.digest,
             "outcome": self.message,
-            "t_end": float(np.nanmax(self.t)),
+            "t_end": float(self._ahead * np.nanmax(self._ahead * self.t)),
         }
 
     def __len__(self) -> int:

@@ -335,6 +335,17 @@ def test_to_xarray(stepper, monkeypatch):
         found.to_xarray()
 
 
+def test_data_of_members_that_run_backwards_tell_their_end(stepper):
+    pytest.importorskip("pandas")
+    backwards = GIVEN | {"h": -0.02, "t0": 0.5}
+    for every in (15, None):
+        back = stepper.ensemble(ANGLES[:3], **backwards, every=every)
+        assert back.to_pandas().attrs["t_end"] == back.t[-1] == 0.5 - 0.02 * 60
+    end = ss.Event("q1", name="down", terminal=True)
+    members = stepper.ensemble([[0.1, 0.1], [1.0, 1.0]], **backwards, events=[end])
+    assert members.to_pandas().attrs["t_end"] == members.ended_at.min()
+
+
 def test_many_digits_are_refused():
     precise = ss.compile(PENDULUM, precision=30)
     with pytest.raises(ss.InputError, match="double precision"):
