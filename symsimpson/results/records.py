@@ -128,7 +128,9 @@ def actions_of(run: Any, name: str) -> Actions:
 def energies_given(run: Any) -> Floats:
     """Return the energy that events gave up to each stored state of a run."""
     program, values = run.program, run.parameter_values
-    t = np.array([record.t for record in run.records])
+    t, step = (
+        np.array([getattr(record, name) for record in run.records]) for name in ("t", "step")
+    )
     sides = (("q", "p"), ("q_after", "p_after"))
     before, behind = (
         States(
@@ -141,7 +143,12 @@ def energies_given(run: Any) -> Floats:
         ).energy
         for q, p in sides
     )
-    sign = 1.0 if run.h > 0 else -1.0
     total = np.concatenate([[0.0], np.cumsum(behind - before)])
-    energies: Floats = total[np.searchsorted(sign * t, sign * run.t, side="right")]
+    # a step has in it what acts where it begins, but for the start and the end of a run
+    states = (run.every or 1) * np.arange(len(run))
+    acted = np.searchsorted(step, states, side="left")
+    acted[0] = np.sum((step == 0) & (t == run.t[0]))
+    if run.success and (run.ended_by is not None or states[-1] == run.steps):
+        acted[-1] = len(run.records)
+    energies: Floats = total[acted]
     return energies

@@ -255,3 +255,18 @@ def test_work_of_a_step_that_is_not_taken_is_not_counted():
         assert run.status is ss.Status.EVENTS_ACCUMULATE
         found.append((run.t[-1], run.work["total"][-1]))
     assert found[0] == found[1]
+
+
+def kick(t=0.5, **more):
+    action = ss.Change(velocities={z: z.diff() + 1})
+    return ss.Event(ss.time - t, name="kick", action=action, **more)
+
+
+@pytest.mark.parametrize("every", [1, 2, 3, 7])
+def test_energies_of_a_state_where_an_event_acts_are_told_apart(every):
+    for t, h in ((0.5, 0.0625), (1.0, 0.0625), (-0.5, -0.0625)):
+        run = drop(kick(t), h=h, t_end=np.sign(h) * 1.0, every=every)
+        assert len(run.events("kick")) == 1
+        assert np.abs(run.energy_error).max() < 1e-13
+    run = drop(kick(terminal=True), h=0.0625, t_end=1.0, every=every)
+    assert np.abs(run.energy_error).max() < 1e-13
