@@ -128,7 +128,7 @@ class DenseOutput:
     ) -> tuple[Reals, Reals, NDArray[np.int64]]:
         """Return q, p and a status so much later than stored states, by their numbers.
 
-        Where events acted, from the last of them on.
+        Where events acted, from the last of them on; stored states are given as they are.
         """
         if not self._run.records:
             return self._after_states(start, later)
@@ -136,6 +136,7 @@ class DenseOutput:
         acted = sign * np.array([record.t for record in self._run.records])
         last = np.searchsorted(acted, sign * asked, side="right") - 1
         behind = (last >= 0) & (acted[last] >= sign * np.asarray(self._run.t[start], dtype=float))
+        behind &= np.asarray(later != 0, dtype=bool)  # stored states are as they are
         q, p = np.zeros((2, len(start), self._run.program.n))
         codes = np.zeros(len(start), dtype=np.int64)
         plain = np.flatnonzero(~behind)

@@ -270,3 +270,13 @@ def test_energies_of_a_state_where_an_event_acts_are_told_apart(every):
         assert np.abs(run.energy_error).max() < 1e-13
     run = drop(kick(terminal=True), h=0.0625, t_end=1.0, every=every)
     assert np.abs(run.energy_error).max() < 1e-13
+
+
+def test_a_stored_state_where_an_event_acts_is_given_as_it_is():
+    run = drop(kick(), h=0.0625, t_end=1.0)
+    assert (run.sol(run.t) == run.y).all()
+    before, behind = run.at([0.5 - 1e-9, 0.5 + 1e-9])["v_z"]
+    assert abs(behind - before - 1) < 1e-7
+    chosen = drop(kick(), h=0.0625, t_end=1.0, t_eval=run.t)
+    assert np.abs(chosen.q - run.q).max() < 1e-15
+    assert np.abs(chosen.p - run.p).max() < 1e-15
