@@ -61,6 +61,9 @@ def chosen_run(
         _check_names(program, spec, names)
     run, last, taken = by_pieces(program, spec, take, progress)
     columns = [np.concatenate(parts) for parts in zip(*taken, strict=True)]
+    t = columns[0]
+    if times is None and last.ended_by is not None and t.size > 1 and t[-1] == t[-2]:
+        columns = [np.delete(x, -2, axis=0) for x in columns]  # the end takes the place of a state
     about: dict[str, Any] = {name: getattr(last, name) for name in ("h", "steps", "status")}
     about |= {"message": last.message, "program": program}
     about |= {"parameter_values": last.parameter_values, "driven": last.driven}
@@ -68,8 +71,7 @@ def chosen_run(
     about["event_names"] = spec.run_events.names if spec.run_events else ()
     result: Sampled | Saved
     if names is None:
-        t, q, p = columns
-        result = Sampled(t=t, q=q, p=p, **about)
+        result = Sampled(**dict(zip("tqp", columns, strict=True)), **about)
     else:
         values = dict(zip(names, columns[1:], strict=True))
         result = Saved(t=columns[0], values=values, **about)

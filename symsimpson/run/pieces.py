@@ -111,10 +111,16 @@ class Pieces:
         tau = np.arange(run.first, run.step + 1) * run.h
         t = run.recorded[:kept, 0, 0] if run.header.retimed else run.t0 + tau
         columns: tuple[Any, ...] = t, tau, run.q[:kept, :, 0], run.p[:kept, :, 0]
+        within = run.end_within
+        if within is not None and within[0] == t[-1]:  # an event ended the run at the last of them
+            ends = zip(columns[2:], within[1:], strict=True)
+            columns = t, tau, *(np.vstack([x[:-1], y]) for x, y in ends)
         if end is not None:
             past = end.tau if run.header.retimed else end.t - run.t0
-            ends = end.t, past, end.q, end.p
-            columns = tuple(np.concatenate([x[-1:], y]) for x, y in zip(columns, ends, strict=True))
+            behind = end.t, past, end.q, end.p
+            columns = tuple(
+                np.concatenate([x[-1:], y]) for x, y in zip(columns, behind, strict=True)
+            )
         numbers = program.numbers
         t, tau, q, p = map(numbers.result, columns)
         inputs, h = numbers.result(since(self._spec.inputs, run.first)), numbers.single(run.h)

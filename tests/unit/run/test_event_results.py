@@ -280,3 +280,15 @@ def test_a_stored_state_where_an_event_acts_is_given_as_it_is():
     chosen = drop(kick(), h=0.0625, t_end=1.0, t_eval=run.t)
     assert np.abs(chosen.q - run.q).max() < 1e-15
     assert np.abs(chosen.p - run.p).max() < 1e-15
+
+
+@pytest.mark.parametrize("every", [1, 3, 8, None])
+@pytest.mark.parametrize("t_end", [0.5, 1.0])
+def test_quantities_of_a_run_that_ends_at_a_stored_state_have_that_once(every, t_end):
+    for end in (kick(terminal=True), ss.Event(ss.time - 0.5, name="end", terminal=True)):
+        how = {"h": 0.0625, "t_end": t_end, "every": every}
+        run, kept = drop(end, **how), drop(end, **how, save=["t", "p_z"])
+        assert np.array_equal(kept["t"], run.t)
+        assert np.array_equal(kept["p_z"], run["p_z"])
+        how["every"] = 1
+        assert drop(end, **how, t_eval=[0.25, 0.5])["p_z"][-1] == run["p_z"][-1]
