@@ -123,8 +123,8 @@ class Pieces:
             )
         numbers = program.numbers
         t, tau, q, p = map(numbers.result, columns)
-        inputs, h = numbers.result(since(self._spec.inputs, run.first)), numbers.single(run.h)
         first = run.step if end is not None else run.first
+        inputs, h = numbers.result(since(self._spec.inputs, first)), numbers.single(run.h)
         acted = (record.since(first) for record in run.records if record.step >= first)
         return Trajectory(
             t=t,

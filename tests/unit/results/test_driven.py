@@ -111,6 +111,16 @@ def test_powers_of_forces_are_by_velocities_where_constraints_move():
     np.testing.assert_allclose(forces, expected, rtol=0, atol=1e-14)
 
 
+def test_chosen_states_before_an_end_have_those_of_the_step_that_was_ended(stepper):
+    how = {**START, "steps": STEPS, "inputs": {"u": np.linspace(-3, 3, STEPS)}}
+    how["events"] = [ss.Event("y + 1/2", name="low", terminal=True)]
+    run = stepper.integrate(**how)
+    times = run.t[-1] - np.array([0.5, 0.05]) * (run.t[-1] - run.t[-2])
+    kept = stepper.integrate(**how, t_eval=times)
+    np.testing.assert_allclose(kept.p, run.at(times).p, rtol=1e-13)
+    np.testing.assert_allclose(kept.multipliers, run.at(times).multipliers, rtol=1e-12)
+
+
 def test_members_have_those_of_their_own(stepper):
     inputs = np.array([0.0, 4.0, -3.0])
     many = stepper.ensemble(
