@@ -90,7 +90,8 @@ def _put(program: Program, task: Task, results: Results, member: Any, run: Traje
         stored = states[:whole][::stride] if task.every else states[-1:]
         array[member, : len(stored)], array[member, len(stored) :] = stored, np.nan
     results.codes[member] = run.status, run.steps, run.newton_iterations.sum()
-    results.ended_at[member] = run.t[-1]
+    if not run.every or run.ended_by is not None:  # else behind so many whole steps
+        results.ended_at[member] = run.t[-1]
 
 
 def _carrying(program: Program, task: Task) -> dict[str, Any]:

@@ -35,3 +35,11 @@ def test_times_of_stored_states_are_those_of_the_grid():
     assert found.ended_at == pytest.approx([0.1496594, 0.5218894, 1.0], abs=1e-6)
     plain = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.05, steps=4, every=2)
     assert plain.ended_at is None
+
+
+def test_members_in_which_events_act_end_behind_all_steps():
+    bounce = ss.Event(z, name="floor", action=ss.Impact(0.5))
+    for every in (1, 7, 30, None):
+        how = {"v0": [0.0], "h": 0.05, "steps": 20, "events": [bounce], "every": every}
+        found = ss.compile(GROWING).ensemble([[1.0], [90.0]], **how)
+        assert found.ended_at == pytest.approx([1.0, 1.0], abs=1e-15)
