@@ -42,6 +42,7 @@ NODES = (
     ast.Expr,
     ast.For,
     ast.While,
+    ast.Break,
     ast.If,
     ast.IfExp,
     ast.Lambda,

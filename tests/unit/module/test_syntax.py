@@ -119,6 +119,11 @@ def test_generated_modules_pass(path):
     check_structure(path.read_text(), path.name)
 
 
+def test_compositions_that_constraints_hold_pass(tmp_path):
+    path = ss.generate(ss.systems.cartesian_pendulum(), "kahan_li8", tmp_path)
+    assert ss.load(path).scheme == "kahan_li8"
+
+
 @pytest.mark.parametrize("scheme", sweep(["lobatto_5_5", "gauss16", "lobatto10", "gauss_4_3"], 0))
 def test_other_schemes_pass(scheme, tmp_path):
     path = ss.generate(ss.systems.lagrange_top(), scheme, tmp_path)
