@@ -10,7 +10,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, UnknownNameError
-from symsimpson.module.quantity import SCALARS
+from symsimpson.module.quantity import QUANTITIES, SCALARS
 from symsimpson.module.quantity import VECTORS as WITH_COORDINATES
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
@@ -272,9 +272,10 @@ class Saved(WithEvents, Outcome):
             if values.ndim == 1:
                 table[name] = values
             elif values.ndim == 2:
-                prefix = "" if name == "q" else f"{name}_"
-                parts = self.program.coordinates if name in VECTORS else "xyz"[: values.shape[1]]
-                table |= {f"{prefix}{x}": values[:, k] for k, x in enumerate(parts)}
+                quantity = QUANTITIES.get(name)
+                parts = [f"{name}_{x}" for x in "xyz"[: values.shape[1]]]  # of a point
+                shown = quantity.shown(self.program.names) if quantity else parts
+                table |= {x: values[:, k] for k, x in enumerate(shown)}
         return table
 
     def _about(self) -> dict[str, Any]:

@@ -94,6 +94,18 @@ def test_a_run_that_fails_keeps_what_it_reached():
     assert "not taken" in kept.message
 
 
+def test_tables_of_chosen_multipliers_have_them_all_by_name():
+    pytest.importorskip("pandas")
+    chain = ss.systems.hanging_chain()
+    asked = {**chain.reference_state, "h": 0.001, "steps": 2}
+    run = ss.compile(chain).integrate(**asked)
+    table = ss.compile(chain).integrate(**asked, save=["multipliers", "p"]).to_pandas()
+    names = [f"lambda_{name}" for name in chain.constraints]
+    assert list(table)[: len(names)] == names
+    for name in table:
+        assert (table[name].to_numpy() == run[name]).all()
+
+
 def test_many_digits():
     precise = ss.compile(ss.systems.pendulum(), precision=30)
     found = precise.integrate(["1"], v0=[0], h="0.1", t_eval=["0.25"])
