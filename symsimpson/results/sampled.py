@@ -237,8 +237,8 @@ class Saved(WithEvents, Outcome):
         xarray = library("xarray", "to_xarray", "data")
         variables = {}
         for name, values in self.values.items():
-            axes = ("coord",) if name in VECTORS else (f"axis_{name}", f"corner_{name}")
-            variables[name] = ("time", *axes[: values.ndim - 1]), values
+            axes = ("coord",) if name in VECTORS else (f"corner_{name}", f"axis_{name}")
+            variables[name] = ("time", *axes[len(axes) + 1 - values.ndim :]), values
         places = {"time": self.t, "coord": list(self.program.coordinates)}
         return with_units(xarray.Dataset(variables, places, self._about()), self.program.units)
 

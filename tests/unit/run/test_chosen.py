@@ -106,6 +106,18 @@ def test_tables_of_chosen_multipliers_have_them_all_by_name():
         assert (table[name].to_numpy() == run[name]).all()
 
 
+def test_data_of_a_chosen_body_have_its_corners_before_their_places():
+    pytest.importorskip("xarray")
+    top = ss.systems.lagrange_top()
+    asked = {**top.reference_state, "h": 0.001, "steps": 2}
+    run = ss.compile(top).integrate(**asked).to_xarray()
+    names = ["disc", "centre of mass", "theta"]
+    kept = ss.compile(top).integrate(**asked, save=names).to_xarray()
+    assert kept["disc"].sizes == run["point_disc"].sizes
+    assert kept["centre of mass"].sizes == run["point_centre of mass"].sizes
+    assert kept["theta"].dims == ("time",)
+
+
 def test_many_digits():
     precise = ss.compile(ss.systems.pendulum(), precision=30)
     found = precise.integrate(["1"], v0=[0], h="0.1", t_eval=["0.25"])
