@@ -108,10 +108,13 @@ def plot_energy(run: Any, *, shadow: bool = False, ax: Any = None) -> Any:
         ax.plot(run.t, (kept - kept[0]) / run.energy_scale, lw=0.8, label="shadow energy")
         ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1), frameon=False)
     name = f"{run.program.system}, {run.program.scheme}, h = {float(run.h):g}"
-    relative = constant and run.energy[0] != 0
-    unit = run.program.units.get("energy")
-    shown = "(H - H0) / |H0|" if relative else "H - H0" if constant else "H - H0 - work"
-    shown += f" [{unit}]" if unit and not relative else ""
+    shown, unit = "H - H0" if constant else "H - H0 - work", run.program.units.get("energy")
+    if constant and run.energy_scale == abs(run.E0):
+        shown = "(H - H0) / |H0|"
+    elif constant and run.kinetic_energy.any():
+        shown = "(H - H0) / kinetic energy"
+    elif unit:
+        shown += f" [{unit}]"
     what = "energy error" if constant else "energy balance"
     time = with_unit("t", run.program.units)
     ax.set(xlabel=time, ylabel=shown, title=f"{what}: {name}")

@@ -57,6 +57,16 @@ def test_energy(run):
     assert free.integrate(**free.reference_state, h=0.01, steps=5).plot_energy().get_xlabel() == "t"
 
 
+def test_energies_are_labelled_by_the_scale_that_they_are_relative_to():
+    pendulum = ss.compile(ss.systems.pendulum())
+    level = pendulum.integrate([np.pi / 2], v0=[0.0], h=0.1, steps=50)  # H0 is 1e-16
+    assert level.energy_scale > 1
+    assert level.plot_energy().get_ylabel() == "(H - H0) / kinetic energy"
+    fall = ss.compile(ss.systems.harmonic_oscillator())
+    rest = fall.integrate([0.0], v0=[0.0], h=0.1, steps=5)
+    assert rest.plot_energy().get_ylabel() == "H - H0"
+
+
 def test_paths(run):
     ax = run.plot_path()
     paths = {line.get_label(): line for line in ax.lines[:2]}
