@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = [
     "SINGULAR",
     "close",
+    "ended_after",
     "first_states",
     "independence_of",
     "look_at_folds",
@@ -68,6 +70,12 @@ def first_states(trajectory: Trajectory, count: int) -> dict[str, Any]:
     return {**some, "recorded_values": recorded}
 
 
+def ended_after(trajectory: Trajectory, steps: int) -> dict[str, Any]:
+    """Return what tells that a run ended after fewer steps; its last inputs are those before."""
+    inputs = trajectory.driven
+    return {"steps": steps, "driven": None if inputs is None else replace(inputs, steps=steps)}
+
+
 def unknown_values(trajectory: Trajectory) -> tuple[tuple[str, float], ...]:
     """Return what observed values came to where the run ended before states that they took in."""
     return tuple((name, np.nan) for name, _ in trajectory.reduced_values)
@@ -109,7 +117,7 @@ def look_at_folds(
         about = trajectory.__getstate__() | {"reduced_values": unknown_values(trajectory)}
         if trajectory.every is not None:
             about |= first_states(trajectory, bad)
-            about["steps"] = (bad - 1) * every
+            about |= ended_after(trajectory, (bad - 1) * every)
         return Trajectory(**about | {"status": Status.SINGULAR_CONSTRAINTS, "message": message})
     near = np.flatnonzero(close(independence))
     if every > 1 or not near.size:  # of states that are far apart nothing can be said

@@ -10,7 +10,7 @@ import numpy as np
 from symsimpson.errors import ResolutionWarning
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.run.folds import first_states, look_at_folds, unknown_values
+from symsimpson.run.folds import ended_after, first_states, look_at_folds, unknown_values
 from symsimpson.run.resolution import Sampled, look_at_energy
 from symsimpson.stepping.kept import KeptStates
 from symsimpson.stepping.run import Run
@@ -193,4 +193,5 @@ def _ended_before(
         "motion left their domain, or a step jumped across a singular point: check the state "
         "before, or try a smaller h."
     )
-    return Trajectory(**about | {"steps": done, "status": Status.NOT_FINITE, "message": message})
+    about |= ended_after(trajectory, done)
+    return Trajectory(**about | {"status": Status.NOT_FINITE, "message": message})

@@ -121,6 +121,24 @@ def test_chosen_states_before_an_end_have_those_of_the_step_that_was_ended(stepp
     np.testing.assert_allclose(kept.multipliers, run.at(times).multipliers, rtol=1e-12)
 
 
+@pytest.mark.parametrize("every", [1, None])
+def test_a_run_that_left_its_domain_ends_with_those_of_its_last_step(every):
+    system = ss.MechanicalSystem(
+        "well",
+        coordinates=(X,),
+        kinetic=X.diff() ** 2 / 2,
+        potential=sp.log(X) / 50,  # of which the force is real beyond, too
+        forces={"push": {X: U}},
+        inputs=(U,),
+    )
+    inputs = {"u": np.linspace(0.1, 0.3, STEPS)}
+    how = {"h": 0.125, "steps": STEPS, "inputs": inputs, "every": every, "on_failure": "return"}
+    run = ss.compile(system).integrate([0.31], v0=[-0.9], **how)
+    assert run.status == ss.Status.NOT_FINITE
+    assert 0 < run.steps < 4
+    assert run.power["push"][-1] == inputs["u"][run.steps - 1] * run["v_x"][-1]
+
+
 def test_members_have_those_of_their_own(stepper):
     inputs = np.array([0.0, 4.0, -3.0])
     many = stepper.ensemble(
