@@ -206,7 +206,8 @@ def zeros(run: Stored, sought: Zeros, *, begins: bool = True) -> tuple[Floats, .
 def _with_end(run: Stored, dense: DenseOutput) -> tuple[Floats, Floats, Floats]:
     """Return the stored states, and the last one of the run where that was not stored."""
     times, positions, momenta = run.t, run.q, run.p
-    if run.every and run.steps % run.every and run.tau_values is None:
+    left_out = run.every and run.steps % run.every
+    if left_out and run.tau_values is None and run.ended_by is None:
         end = np.array([run.t[0] + run.h * run.steps])
         q, p, codes = dense.after(np.array([len(times) - 1]), end - times[-1])
         if not codes.any():

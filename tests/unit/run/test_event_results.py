@@ -292,3 +292,14 @@ def test_quantities_of_a_run_that_ends_at_a_stored_state_have_that_once(every, t
         assert np.array_equal(kept["p_z"], run["p_z"])
         how["every"] = 1
         assert drop(end, **how, t_eval=[0.25, 0.5])["p_z"][-1] == run["p_z"][-1]
+
+
+@pytest.mark.parametrize("every", [1, 4, 7, 100])
+def test_zeros_of_a_run_that_was_ended_are_there_once(every):
+    end = ss.Event(z, name="floor", terminal=True)
+    run = drop(end, h=0.05, t_end=1.0, every=every)
+    assert run.t[-1] == pytest.approx(FALL)
+    for height in (0.003, 0.02, 0.5):
+        zeros = run.events(z - height)
+        assert zeros.t == pytest.approx([FALL * np.sqrt(1 - height)])
+        assert zeros.direction.tolist() == [-1]
