@@ -370,7 +370,7 @@ class Ensemble(Quantities, Differentiated):
     def _repr_html_(self) -> str:
         from symsimpson.results.html import ensemble
 
-        return ensemble(self)
+        return ensemble(self, self._about()["t_end"])
 
     def __repr__(self) -> str:
         program = self.program

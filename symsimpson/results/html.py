@@ -8,6 +8,7 @@ import numpy as np
 
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
+from symsimpson.results.stored import iterations_a_step
 from symsimpson.support.markup import Markup, box, curves, facts, scatter
 
 __all__ = ["ensemble", "events", "states", "stepper", "trajectory", "verdict"]
@@ -71,9 +72,9 @@ def trajectory(run: Any) -> str:
     ]
     if not run.success:
         rows.append(("message", run.message))
-    iterations = int(run.newton_iterations.sum())
-    if run.steps and iterations:
-        rows.append(("iterations a step", f"{iterations / run.steps:.2f}"))
+    iterations = iterations_a_step(run)
+    if iterations:
+        rows.append(("iterations a step", f"{iterations:.2f}"))
     constant = run.program.header.conservative
     if len(run) > 1:
         energy = np.asarray(run.energy_error if constant else run.energy, dtype=float)
@@ -93,14 +94,14 @@ def _drawn(some: Any) -> list[tuple[str, Any]]:
     return [(name, curves(some.t, [some[name]])) for name in names]
 
 
-def ensemble(members: Any) -> str:
-    """Show the outcome of many runs, with pictures of their ends."""
+def ensemble(members: Any, t_end: float) -> str:
+    """Show the outcome of many runs to a time, with pictures of their ends."""
     names = members.program.coordinates
     good = bool((members.status == Status.SUCCESS).all())
     rows: list[tuple[str, Any]] = [
         ("scheme", f"{members.program.scheme}, order {members.program.order}"),
         ("members", len(members)),
-        ("to t", f"{np.nanmax(members.t):g}, {members.stored} states of each stored"),
+        ("to t", f"{t_end:g}, {members.stored} states of each stored"),
         ("status", verdict(members.message, good)),
     ]
     if members.store is not None:

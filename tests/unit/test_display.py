@@ -120,6 +120,20 @@ def test_hostile_names_stay_text(shown):
     assert "a_{0}" in system._repr_latex_()
 
 
+def test_members_that_run_backwards_show_where_to():
+    pendulum = ss.compile(ss.systems.pendulum())
+    back = pendulum.ensemble([[0.1], [0.2]], v0=[0.0], h=-0.1, steps=30, every=10)
+    assert "-3, 4 states of each stored" in back._repr_html_()
+
+
+def test_iterations_are_shown_by_the_steps_that_they_are_of():
+    pendulum = ss.compile(ss.systems.pendulum())
+    run = pendulum.integrate([1.0], v0=[0.0], h=0.1, steps=59, every=30)
+    whole = pendulum.integrate([1.0], v0=[0.0], h=0.1, steps=30)
+    shown = f"{whole.newton_iterations.sum() / 30:.2f}"
+    assert re.search(f"iterations a step.*?{shown}", run._repr_html_(), re.DOTALL)
+
+
 def test_every_cell_is_escaped():
     cells = [[HOSTILE, HOSTILE], [HOSTILE, HOSTILE]]
     for text in (markup.table(cells), markup.facts(cells), markup.box(HOSTILE)):
