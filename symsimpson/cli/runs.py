@@ -159,24 +159,22 @@ def _end(trajectory: Trajectory) -> float:
 
 
 def _report(trajectory: Trajectory, given: dict[str, Any]) -> None:
-    program, steps = trajectory.program, max(trajectory.steps, 1)
+    from symsimpson.results.stored import iterations_a_step
+
+    program, end = trajectory.program, _end(trajectory)
     print(f"{program.system}, {program.scheme} (order {program.order}), h = {trajectory.h:g}")
     for name in ("q0", "v0", "p0"):
         if name in given:
             print(f"  {name} = ({', '.join(f'{x:g}' for x in given[name])})")
     for name, value in given["parameters"].items():
         print(f"  {name} = {value:g}")
-    last = trajectory.newton_iterations.sum() / steps
-    print(
-        f"  {trajectory.steps} steps to t = {_end(trajectory):g}, "
-        f"{last:.2f} Newton iterations a step"
-    )
+    iterations = iterations_a_step(trajectory)
+    said = "" if iterations is None else f", {iterations:.2f} Newton iterations a step"
+    print(f"  {trajectory.steps} steps to t = {end:g}{said}")
     if program.header.conservative:
         print(f"  largest relative energy error {np.abs(trajectory.energy_error).max():.2e}")
     else:
-        print(
-            f"  energy {trajectory.energy[0]:.9g} at the start, "
-            f"{trajectory.energy[-1]:.9g} at the end"
-        )
+        last = trajectory.energy[-1] if trajectory.t[-1] == end else trajectory.at(end).energy[0]
+        print(f"  energy {trajectory.energy[0]:.9g} at the start, {last:.9g} at the end")
     for name, values in trajectory.invariants.items():
         print(f"  {name}: {values[0]:.9g}, changed by at most {np.ptp(values):.1e}")

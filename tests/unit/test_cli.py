@@ -45,6 +45,20 @@ def test_generate(tmp_path, own, capsys):
     assert ss.load(target / names[0]).order == 4
 
 
+def test_what_is_told_of_a_run_does_not_depend_on_the_states_that_it_stores(capsys):
+    told, asked = [], ["run", "damped_pendulum", "--h", "0.01", "--steps", "150", "--every"]
+    for every in ("1", "70"):
+        assert main([*asked, every]) == 0
+        told.append(capsys.readouterr().out.splitlines())
+    whole, few = told
+    assert whole[-2] == few[-2]
+    assert whole[-2].startswith("  energy")
+    *_, rough = (float(lines[-3].split(", ")[1].split()[0]) for lines in told)
+    assert rough > 1.1  # of the 140 steps up to the last stored state
+    assert main([*asked, "151"]) == 0
+    assert "Newton" not in capsys.readouterr().out
+
+
 @pytest.mark.slow
 def test_check(tmp_path, capsys):
     from shutil import copytree
