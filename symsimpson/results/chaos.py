@@ -27,7 +27,8 @@ class Chaos:
     t : ndarray, shape (M,)
         Times at which variations were made orthonormal again.
     exponents : ndarray, shape (k,)
-        Lyapunov exponents, the largest first, in 1 / time: means over the whole run.
+        Lyapunov exponents in 1 / time, means up to the last of these times: the largest first, if
+        the run is long enough to tell them apart.
     history : ndarray, shape (M, k)
         Means up to each of these times.
     megno : ndarray, shape (M,)
@@ -56,7 +57,7 @@ class Chaos:
 
     @property
     def exponents(self) -> Floats:
-        """Lyapunov exponents over the whole run."""
+        """Lyapunov exponents up to the last time, in the order of ``history``."""
         return np.asarray(self.history[-1])
 
     def plot(self, *, ax: Any = None) -> Any:
