@@ -61,6 +61,8 @@ def chosen_run(
         _check_names(program, spec, names)
     run, last, taken = by_pieces(program, spec, take, progress)
     columns = [np.concatenate(parts) for parts in zip(*taken, strict=True)]
+    if times is None and not spec.every and not columns[0].size:  # it did not come to its end
+        columns = [last.t, *(np.asarray(last[name]) for name in names or ())]
     t = columns[0]
     if times is None and last.ended_by is not None and t.size > 1 and t[-1] == t[-2]:
         columns = [np.delete(x, -2, axis=0) for x in columns]  # the end takes the place of a state

@@ -42,6 +42,16 @@ def test_ctrl_c_loses_no_chosen_states(monkeypatch, stepper, how, last):
     assert np.abs(kept["q"] - whole.q[: last + 1]).max() < 1e-14
 
 
+def test_a_run_that_fails_has_its_last_state(monkeypatch, stepper):
+    whole = stepper.integrate(**START, steps=50)
+    interrupt_at(monkeypatch, 20)
+    how = {"steps": 50, "every": None, "save": ("q", "energy"), "on_failure": "return"}
+    kept = stepper.integrate(**START, **how)
+    assert kept.t.tolist() == [whole.t[20]]
+    assert (kept["q"] == whole.q[20]).all()
+    assert kept["energy"] == whole.energy[20]
+
+
 def test_ctrl_c_loses_no_crossings(monkeypatch, stepper):
     whole = stepper.integrate(**START, steps=400).events("theta")
     interrupt_at(monkeypatch, 390)
