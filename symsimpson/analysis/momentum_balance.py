@@ -51,11 +51,13 @@ def momentum_balance(s: Subject) -> tuple[float, list[Symmetry]]:
         q, v, t = _nodes(s, scheme, j)
         with mpmath.workdps(s.precise.context.dps):  # the functions of SymPy's text are global
             f = [force(*q[i], *v[i], *values, t[i]) for i in range(scheme.stages)]
+        # as numbers of the context, which keep their digits here
+        forces = np.array([[s.precise.context.convert(x) for x in row] for row in f], dtype=object)
         b = [_number(s, x) for x in scheme.quadrature.weights]
         ends = s.path.q[j : j + 2], s.path.p[j : j + 2]
         for symmetry in symmetries:
             before, after = symmetry.momentum(*ends)
-            rates = symmetry.momentum(q, np.array(f, dtype=object))
+            rates = symmetry.momentum(q, forces)
             change = s.h * sum(x * y for x, y in zip(b, rates, strict=True))
             size = symmetry.size(*ends) or 1.0
             worst = max(worst, abs(float(after - before - change)) / size)

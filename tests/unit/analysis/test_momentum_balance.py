@@ -1,10 +1,13 @@
 """What forces give to momenta, as a certificate measures it."""
 
+import numpy as np
 import pytest
 import sympy as sp
 
 import symsimpson as ss
 from symsimpson.analysis import momentum_balance
+from symsimpson.analysis.precise import Precise
+from symsimpson.analysis.subject import Subject
 
 x, y = ss.coordinates("x y")
 c, w = sp.symbols("c w", positive=True)
@@ -53,6 +56,24 @@ def test_constraints_pull_beside_the_forces(scheme):
     assert certificate["momenta"].measured < 1e-45
     assert "p_x*y" in certificate["momenta"].what
     assert certificate.passed, certificate
+
+
+@pytest.mark.parametrize("push", [sp.Rational(1, 4), -x.diff() / 9])
+def test_forces_with_numbers_alone_have_all_digits(push):
+    """A number of the force, or a multiple of v, stood to the left of q, with 15 digits."""
+    system = ss.MechanicalSystem(
+        "pushed",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=R2,
+        forces={x: push},
+    )
+    stepper = ss.compile(system)
+    precise = Precise(stepper, {}, 50)
+    subject = Subject(stepper, precise, np.array([1.0, 0.0, 0.0, 0.6]), 0.03)
+    defect, symmetries = momentum_balance.momentum_balance(subject)
+    assert [symmetry.name for symmetry in symmetries] == ["p_x*y - p_y*x"]
+    assert defect < 1e-45
 
 
 @pytest.mark.slow
