@@ -15,6 +15,9 @@ __all__ = ["extrapolate"]
 
 #: Columns of the extrapolation table before the step is halved.
 MOST_COLUMNS = 24
+#: Length of the first step, or this part of the way, if that is more: units of time in which the
+#: way is long.
+FIRST, LEAST_PART = mpmath.mpf(1) / 16, mpmath.mpf(1) / 1024
 #: Steps on trial, before it is told how many the whole way would take.
 TRIAL = 12
 
@@ -55,7 +58,8 @@ def extrapolate(
         ``most`` steps, which is told early on.
     """
     states = []
-    t, H, taken = mpmath.mpf(0), mpmath.mpf(1) / 16, 0
+    t, taken = mpmath.mpf(0), 0
+    H = max([FIRST, *(abs(end) * LEAST_PART for end in times[:1])])
     for end in times:
         while t != end:
             if most is not None:
