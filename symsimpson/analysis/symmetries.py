@@ -88,9 +88,10 @@ def linear_symmetries(precise: Precise, z: NDArray[Any]) -> list[Symmetry]:
     d = block_size(n)
     count = n + d * d + 4
     middle = np.array([float(x) for x in z])
-    # b stands beside A q: in a unit in which q is not much smaller than 1
-    unit = float(min(1, *precise.sizes[:n]))
-    size = 0.2 * (unit + np.abs(middle))
+    # b stands beside A q: in a unit in which no q is much smaller than 1
+    unit = float(min(precise.sizes[:n]))
+    # a coordinate that is zero here has the size that it has on the way
+    size = 0.2 * (precise.sizes.astype(np.float64) + np.abs(middle))
     size[n:] = 0.2 * (np.abs(middle[n:]).max() or float(max(precise.sizes[n:])))
     random = np.random.default_rng(1)
     rows: list[NDArray[Any]] = []

@@ -361,6 +361,20 @@ def test_of_many_coordinates_blocks_alike_are_looked_for():
     assert [block_size(n) for n in (2, 12, 13, 14, 15, 18)] == [2, 12, 0, 2, 3, 3]
 
 
+def test_a_planet_in_metres_and_seconds_has_the_symmetry_of_one_in_years():
+    """At y = 0 points within a metre were looked at, where H does not depend on y to 12 digits."""
+    x, y = ss.coordinates("x y")
+    system = ss.MechanicalSystem(
+        "planet",
+        coordinates=(x, y),
+        kinetic=5e24 * (x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=-6.67e44 / sp.sqrt(x**2 + y**2),
+    )
+    certificate = ss.compile(system).certify([1.5e11, 0.0], v0=[0.0, 2e4])
+    assert certificate.passed, certificate
+    assert "change of p_x*y - p_y*x in" in certificate["momenta"].what
+
+
 @pytest.mark.slow
 @pytest.mark.plain
 def test_a_jacobian_of_loops_is_that_of_the_unknowns():
