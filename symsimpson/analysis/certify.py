@@ -41,6 +41,8 @@ __all__ = ["certify"]
 
 #: What is exact comes out as zero to so many digits; differences have two thirds of DIGITS.
 EXACT = 1e-25
+#: So many steps, each half as long as the one before, are tried by kernels that are compared.
+HALVINGS = 8
 
 
 @waiting("certifying")
@@ -235,13 +237,22 @@ def _fallbacks(s: Subject) -> Iterator[Check]:
     names = s.stepper.program.kernels.fallbacks
     if len(names) < 2 or s.timed is not None:
         return
-    ends = [s.precise.step_by(name, s.z, s.h) for name in names]
-    apart = max(abs(x) for end in ends[1:] for x in (end - ends[0]) / s.precise.sizes)
+    for halvings in range(HALVINGS):
+        h = s.precise.context.ldexp(s.h, -halvings)
+        ends = [s.precise.step_by(name, s.z, h) for name in names]
+        taken = [end for end in ends if end is not None]
+        if len(taken) == len(names):
+            break
+    else:
+        without = ", ".join(name for name, end in zip(names, ends, strict=True) if end is None)
+        raise ArithmeticError(f"no step down to h/{2**halvings} was taken by {without}")
+    part = f" of h/{2**halvings}" if halvings else ""
+    apart = max(abs(x) for end in taken[1:] for x in (end - taken[0]) / s.precise.sizes)
     yield Check.at_most(
         "fallbacks",
         float(apart),
         EXACT,
-        f"a step by {', '.join(names[1:])}, relative to that by {names[0]}",
+        f"a step{part} by {', '.join(names[1:])}, relative to that by {names[0]}",
         "Where one does not converge another one goes on, with the same equations.",
     )
 

@@ -239,11 +239,13 @@ class Precise:
             last = self._begun(z, h).rows("GROWTH", nodes + 1)[-1:]
             return 1 / self._numbers.result(last)[0]
 
-    def step_by(self, kernels: str, z: Vector, h: Any) -> Vector:
-        """Return the state after a step that is taken by some of the kernels that may."""
+    def step_by(self, kernels: str, z: Vector, h: Any) -> Vector | None:
+        """Return the state after a step by some of the kernels that may; None if they do not."""
         with self._numbers.working():
             run = self._begun(z, h, kernels)
             run.advance(1)
+            if not run.step:
+                return None
             return self._numbers.result(np.concatenate(run.end(), axis=1)[0])
 
     def _begun(self, z: Vector, h: Any, kernels: str = "newton") -> Run:

@@ -431,3 +431,19 @@ def test_newtons_method_with_other_weights_than_stages_fails():
     failed = [check.name for check in certificate.checks if not check.passed]
     assert "fallbacks" in failed
     assert certificate["order"].passed
+
+
+def test_kernels_are_compared_in_a_step_that_all_of_them_take():
+    """At h = 2 stages do not converge here: the state that they left was compared with others."""
+    x, y = ss.coordinates("x y")
+    vx, vy = x.diff(), y.diff()
+    system = ss.MechanicalSystem(
+        "rubbed",
+        coordinates=(x, y),
+        kinetic=(vx**2 + vy**2) / 2 + vx * vy * sp.cos(x) / 4,
+        potential=x**2 / 2 + y**4 / 4,
+        dissipation=(vx - vy) ** 2 / 4,
+    )
+    certificate = ss.compile(system, "gauss6").certify([1.0, 0.5], v0=[1.0, 0.0], h=2.0)
+    assert certificate["fallbacks"].passed, certificate
+    assert "a step of h/2 by newton" in certificate["fallbacks"].what
