@@ -130,6 +130,7 @@ class Sampled:
         return int(self.places[bad[0]]) if bad.size else None
 
     @property
+    @np.errstate(over="ignore", invalid="ignore")  # what grows without bound has no finite work
     def left_at(self) -> tuple[int, float] | None:
         """Where a level of the energy begins that is another one, and how far it is off.
 
@@ -238,6 +239,7 @@ def count_looked_at(program: Program, last: int) -> int:
     return min(last, SAMPLES - 1) if last + 1 >= FEWEST else 0
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of powers that grow without bound
 def look_at_energy(
     program: Program, run: Run, trajectory: Trajectory, kept: KeptStates
 ) -> Sampled | None:

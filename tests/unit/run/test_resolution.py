@@ -292,3 +292,18 @@ def test_forces_are_judged_where_few_states_are_stored():
     run = stepper.integrate([0.5], v0=[0.0], h=0.02, steps=1000, every=250)
     assert len(run) == 5
     assert run.success  # in silence
+
+
+@pytest.mark.filterwarnings("error")
+def test_motions_without_bound_are_not_warned_of_by_numpy():
+    """A force across the way gives energy, here so long that its powers leave doubles."""
+    x, y = ss.coordinates("x y")
+    system = ss.MechanicalSystem(
+        "turned_round",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=x**2 + y**2,
+        forces={x: -y, y: x},
+    )
+    with pytest.raises(ss.ConvergenceError, match="the energy is no finite number"):
+        ss.compile(system).integrate([1.0, 0.0], v0=[0.0, 0.6], h=0.1, steps=10_500)
