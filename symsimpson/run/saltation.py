@@ -35,6 +35,8 @@ State = tuple[Floats, Floats]
 GRAZED = 1e-3
 #: The part of a step over which the vector field is a mean of two derivatives by the length.
 SHORT = 1e-4
+#: What would be zero, or was, within this part of a step is zero, but for rounding.
+AWAY = 1e-6
 #: Parts of a step that are shorter than this part of it have no length.
 NOTHING = 1e-12
 
@@ -111,13 +113,27 @@ class Saltation:
             self.moved = 0 * self.moved
 
     def _retime(self, t: float, state: State, event: int, step: int) -> None:
-        """Let the time that has come be that of another event, which is there, too."""
+        """Let the time that has come be that of another event, which is there, too.
+
+        An impact on a wall behind which a change has led has no zero there, and no time of its own.
+        """
+        field, self._timed = self._field(t, state, step), event
+        if self._is_behind(event, t, state, field):
+            return
         self.settle(t, state, step)
-        field = self._field(t, state, step)
         with workdps(DIGITS):
             later = self._later(event, t, state, self.columns, field, 0.0)
         self.columns = self.columns + np.outer(field, later)
-        self.moved, self._timed = later, event
+        self.moved = later
+
+    def _is_behind(self, event: int, t: float, state: State, field: Floats) -> bool:
+        """Return whether the expression of an event is further from zero than roundings make it."""
+        with workdps(DIGITS):
+            at = self._jumps.point(t, *state)
+            value: Callable[[Any], Any] = lambda z: [self._jumps.value(event, z)]  # noqa: E731
+            (motion,) = self._jumps.ways(np.ones(1), field[:, None], ())
+            (rate,) = slope(value, at, motion)
+            return bool(abs(value(at)[0]) > AWAY * abs(rate * self._h))
 
     def _field(self, t: float, state: State, step: int) -> Floats:
         """Return the derivative by the length of parts of no length: the vector field."""

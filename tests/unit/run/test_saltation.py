@@ -263,3 +263,13 @@ def test_an_event_on_a_time_of_the_grid_moves_all_the_same():
     )
     right = [[-0.8 + 1.8 * 9.81 * 0.05, -0.8 * 0.05], [1.8 * 9.81, -0.8]]
     assert np.abs(begun.tangent[-1] - right).max() < 1e-7
+
+
+def test_an_impact_behind_a_wall_comes_when_the_change_that_led_there_does():
+    """It was given the time at which its gap would have been zero, and derivatives were others."""
+    pushed = ss.Change(positions={x: x - 0.07})
+    events = [WALL, ss.Event(x + y / 9 + 0.2, name="push", direction=-1, action=pushed)]
+    run = compare(PLANE, events, [0.5, 0.2], [0.1, 0.6], h=0.07, steps=30)
+    first, second = run.records[:2]
+    assert first.t == second.t
+    assert run.events("wall").q[0, 0] < -0.253
