@@ -199,6 +199,8 @@ class Precise:
                     self._numbers.result(run.rows(f"{name}_SQUARED", 1))[0]
                     for name in ("CORRECTION", "INCREMENT")
                 ]
+                if not sizes[0] * sizes[1] >= 0:
+                    raise ArithmeticError("a sum of squares is negative, or no number")
                 ratios.append(self.context.sqrt(sizes[0] / sizes[1]))
                 if not 0 < ratios[-1] < self.context.inf:
                     break

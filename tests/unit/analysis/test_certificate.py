@@ -447,3 +447,16 @@ def test_kernels_are_compared_in_a_step_that_all_of_them_take():
     certificate = ss.compile(system, "gauss6").certify([1.0, 0.5], v0=[1.0, 0.0], h=2.0)
     assert certificate["fallbacks"].passed, certificate
     assert "a step of h/2 by newton" in certificate["fallbacks"].what
+
+
+@pytest.mark.parametrize("value", ["-correction_squared", "real('nan')"])
+def test_sizes_of_corrections_that_are_none_have_not_passed(value):
+    """Their root was no real number, a TypeError; NaN was taken for a step solved at once."""
+    stepper = ss.compile(ss.systems.pendulum(), "simpson")
+    right = "W[CORRECTION_SQUARED, lane] = correction_squared"
+    assert right in stepper.source
+    text = stepper.source.replace(right, right.replace("correction_squared", value))
+    banner = SIGNED.search(text)
+    precise = Precise(stepper_of(text.replace(banner[1], digest(text[banner.end() :]), 1)), {}, 50)
+    with pytest.raises(ArithmeticError, match="a sum of squares is"):
+        precise.corrections([0.5, 0.1], 0.1, 8)
