@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-import mpmath
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -22,6 +21,7 @@ from symsimpson.analysis.momentum_balance import momentum_balance
 from symsimpson.analysis.order import observed_orders
 from symsimpson.analysis.pilot import choose_state, choose_step
 from symsimpson.analysis.precise import Precise
+from symsimpson.analysis.solver_checks import EXACT, fallbacks, iterations, jacobian, newton
 from symsimpson.analysis.subject import SHORT, Subject, with_inputs
 from symsimpson.analysis.symmetries import block_size
 from symsimpson.analysis.variants import in_tau
@@ -38,11 +38,6 @@ if TYPE_CHECKING:
     from symsimpson.results.trajectory import Trajectory
 
 __all__ = ["certify"]
-
-#: What is exact comes out as zero to so many digits; differences have two thirds of DIGITS.
-EXACT = 1e-25
-#: So many steps, each half as long as the one before, are tried by kernels that are compared.
-HALVINGS = 8
 
 
 @waiting("certifying")
@@ -232,59 +227,6 @@ def _equations(s: Subject) -> Iterator[Check]:
     )
 
 
-def _fallbacks(s: Subject) -> Iterator[Check]:
-    """fallbacks: kernels that take steps where others fail solve the same equations."""
-    names = s.stepper.program.kernels.fallbacks
-    if len(names) < 2 or s.timed is not None:
-        return
-    for halvings in range(HALVINGS):
-        h = s.precise.context.ldexp(s.h, -halvings)
-        ends = [s.precise.step_by(name, s.z, h) for name in names]
-        taken = [end for end in ends if end is not None]
-        if len(taken) == len(names):
-            break
-    else:
-        without = ", ".join(name for name, end in zip(names, ends, strict=True) if end is None)
-        raise ArithmeticError(f"no step down to h/{2**halvings} was taken by {without}")
-    part = f" of h/{2**halvings}" if halvings else ""
-    apart = max(abs(x) for end in taken[1:] for x in (end - taken[0]) / s.precise.sizes)
-    yield Check.at_most(
-        "fallbacks",
-        float(apart),
-        EXACT,
-        f"a step{part} by {', '.join(names[1:])}, relative to that by {names[0]}",
-        "Where one does not converge another one goes on, with the same equations.",
-    )
-
-
-def _jacobian(s: Subject) -> Iterator[Check]:
-    """Jacobian: the one of the iteration, which may be reduced, at the solution of a step."""
-    if s.stepper.program.header.newton_unknowns == 0:
-        return
-    yield Check.at_most(
-        "Jacobian",
-        s.precise.jacobian_defect(s.z, s.h),
-        EXACT**0.5,
-        "what an iteration leaves of a small displacement from the solution",
-        f"With the exact Jacobian, a number of second order: {float(s.precise.small):.0e}.",
-    )
-
-
-def _newton(s: Subject) -> Iterator[Check]:
-    """Newton: corrections shrink quadratically."""
-    if s.stepper.program.header.newton_unknowns == 0:
-        return
-    sizes = s.precise.corrections(s.z, s.h, 8)
-    usable = [x for x in sizes if x > 10.0 ** (5 - DIGITS)]
-    reason = "With the exact Jacobian each correction is about the square of the one before."
-    shown = ", ".join(f"{float(x):.0e}" for x in sizes[:5])
-    order = 2.0  # solved at once
-    if len(usable) > 2:
-        a, b, c = (float(mpmath.log(x)) for x in usable[-3:])
-        order = (c - b) / (b - a) if b < a else 0.0
-    yield Check.at_least("Newton", order, 1.7, f"corrections {shown}", reason)
-
-
 def _invariants(s: Subject) -> Iterator[Check]:
     """invariants: change with the order of the scheme, or not at all."""
     if not s.stepper.invariants:
@@ -365,19 +307,6 @@ def _rounding(s: Subject) -> Iterator[Check]:
     )
 
 
-def _iterations(s: Subject) -> Iterator[Check]:
-    """iterations: for each step, of Newton's method or over stages."""
-    most = 16.0 if s.stepper.program.header.by_stages else 6.0
-    run = s.compiled(1000, every=None)
-    yield Check.at_most(
-        "iterations",
-        float(run.newton_iterations.sum()) / 1000,
-        most,
-        "iterations a step",
-        "The predictor leaves few at a reasonable step.",
-    )
-
-
 CHECKS: tuple[Callable[[Subject], Iterator[Check]], ...] = (
     order_of_errors,
     order_of_time,
@@ -387,10 +316,10 @@ CHECKS: tuple[Callable[[Subject], Iterator[Check]], ...] = (
     _constraints,
     _invariants,
     _equations,
-    _fallbacks,
-    _jacobian,
-    _newton,
-    _iterations,
+    fallbacks,
+    jacobian,
+    newton,
+    iterations,
     _rounding,
     shadow,
     drift,

@@ -1,0 +1,84 @@
+"""How steps are solved: by which kernels, with what Jacobian, and in how many iterations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import mpmath
+
+from symsimpson.analysis.certificate import Check
+from symsimpson.analysis.convergence import DIGITS
+from symsimpson.analysis.subject import Subject
+
+__all__ = ["EXACT", "fallbacks", "iterations", "jacobian", "newton"]
+
+#: What is exact comes out as zero to so many digits; differences have two thirds of DIGITS.
+EXACT = 1e-25
+#: So many steps, each half as long as the one before, are tried by kernels that are compared.
+HALVINGS = 8
+
+
+def fallbacks(s: Subject) -> Iterator[Check]:
+    """fallbacks: kernels that take steps where others fail solve the same equations."""
+    names = s.stepper.program.kernels.fallbacks
+    if len(names) < 2 or s.timed is not None:
+        return
+    for halvings in range(HALVINGS):
+        h = s.precise.context.ldexp(s.h, -halvings)
+        ends = [s.precise.step_by(name, s.z, h) for name in names]
+        taken = [end for end in ends if end is not None]
+        if len(taken) == len(names):
+            break
+    else:
+        without = ", ".join(name for name, end in zip(names, ends, strict=True) if end is None)
+        raise ArithmeticError(f"no step down to h/{2**halvings} was taken by {without}")
+    part = f" of h/{2**halvings}" if halvings else ""
+    apart = max(abs(x) for end in taken[1:] for x in (end - taken[0]) / s.precise.sizes)
+    yield Check.at_most(
+        "fallbacks",
+        float(apart),
+        EXACT,
+        f"a step{part} by {', '.join(names[1:])}, relative to that by {names[0]}",
+        "Where one does not converge another one goes on, with the same equations.",
+    )
+
+
+def jacobian(s: Subject) -> Iterator[Check]:
+    """Jacobian: the one of the iteration, which may be reduced, at the solution of a step."""
+    if s.stepper.program.header.newton_unknowns == 0:
+        return
+    yield Check.at_most(
+        "Jacobian",
+        s.precise.jacobian_defect(s.z, s.h),
+        EXACT**0.5,
+        "what an iteration leaves of a small displacement from the solution",
+        f"With the exact Jacobian, a number of second order: {float(s.precise.small):.0e}.",
+    )
+
+
+def newton(s: Subject) -> Iterator[Check]:
+    """Newton: corrections shrink quadratically."""
+    if s.stepper.program.header.newton_unknowns == 0:
+        return
+    sizes = s.precise.corrections(s.z, s.h, 8)
+    usable = [x for x in sizes if x > 10.0 ** (5 - DIGITS)]
+    reason = "With the exact Jacobian each correction is about the square of the one before."
+    shown = ", ".join(f"{float(x):.0e}" for x in sizes[:5])
+    order = 2.0  # solved at once
+    if len(usable) > 2:
+        a, b, c = (float(mpmath.log(x)) for x in usable[-3:])
+        order = (c - b) / (b - a) if b < a else 0.0
+    yield Check.at_least("Newton", order, 1.7, f"corrections {shown}", reason)
+
+
+def iterations(s: Subject) -> Iterator[Check]:
+    """iterations: for each step, of Newton's method or over stages."""
+    most = 16.0 if s.stepper.program.header.by_stages else 6.0
+    run = s.compiled(1000, every=None)
+    yield Check.at_most(
+        "iterations",
+        float(run.newton_iterations.sum()) / 1000,
+        most,
+        "iterations a step",
+        "The predictor leaves few at a reasonable step.",
+    )
