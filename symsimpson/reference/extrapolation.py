@@ -15,9 +15,9 @@ __all__ = ["extrapolate"]
 
 #: Columns of the extrapolation table before the step is halved.
 MOST_COLUMNS = 24
-#: Length of the first step, or this part of the way, if that is more: units of time in which the
-#: way is long.
-FIRST, LEAST_PART = mpmath.mpf(1) / 16, mpmath.mpf(1) / 1024
+#: Length of the first step; where the state changes more slowly, this part of the time in which it
+#: moves by itself, but of the way no more than the other one.
+FIRST, MOST_PART = mpmath.mpf(1) / 16, mpmath.mpf(1) / 8
 #: Steps on trial, before it is told how many the whole way would take.
 TRIAL = 12
 
@@ -59,7 +59,7 @@ def extrapolate(
     """
     states = []
     t, taken = mpmath.mpf(0), 0
-    H = max([FIRST, *(abs(end) * LEAST_PART for end in times[:1])])
+    H = max([FIRST, *(min(FIRST * _scale(f, y), MOST_PART * abs(end)) for end in times[:1])])
     for end in times:
         while t != end:
             if most is not None:
@@ -77,6 +77,12 @@ def extrapolate(
                 H = abs(whole) * 2
         states.append(y)
     return states
+
+
+def _scale(f: Callable[[Vector], Vector], y: Vector) -> Any:
+    """Return the time in which a state moves by itself, 0 for one that stands still."""
+    rate = max(map(abs, f(y)))
+    return max(map(abs, y)) / rate if rate else mpmath.mpf(0)
 
 
 def _check_steps(taken: int, t: Any, end: Any, H: Any, most: int) -> None:
