@@ -22,7 +22,7 @@ from symsimpson.analysis.momentum_balance import momentum_balance
 from symsimpson.analysis.order import observed_orders
 from symsimpson.analysis.pilot import choose_state, choose_step
 from symsimpson.analysis.precise import Precise
-from symsimpson.analysis.solver_checks import EXACT, fallbacks, iterations, jacobian, newton
+from symsimpson.analysis.solver_checks import EXACT, fallbacks, iterations, jacobian, newton, starts
 from symsimpson.analysis.subject import SHORT, Subject, with_inputs
 from symsimpson.analysis.symmetries import block_size
 from symsimpson.analysis.variants import in_tau
@@ -322,6 +322,7 @@ CHECKS: tuple[Callable[[Subject], Iterator[Check]], ...] = (
     _constraints,
     _invariants,
     _equations,
+    starts,
     fallbacks,
     jacobian,
     newton,

@@ -10,12 +10,25 @@ from symsimpson.analysis.certificate import Check
 from symsimpson.analysis.convergence import DIGITS
 from symsimpson.analysis.subject import Subject
 
-__all__ = ["EXACT", "fallbacks", "iterations", "jacobian", "newton"]
+__all__ = ["EXACT", "fallbacks", "iterations", "jacobian", "newton", "starts"]
 
 #: What is exact comes out as zero to so many digits; differences have two thirds of DIGITS.
 EXACT = 1e-25
 #: So many steps, each half as long as the one before, are tried by kernels that are compared.
 HALVINGS = 8
+
+
+def starts(s: Subject) -> Iterator[Check]:
+    """starts: check p0 = L_v(q0, v0), and tell of it only where it is not so."""
+    if s.timed is not None:
+        return
+    q, p, v = s.z[: s.n], s.z[s.n :], s.precise.gradient(s.z)[s.n :]
+    parameters = s.precise.parameters
+    begun = s.precise.stepper.integrate(q, v0=v, h=s.h, steps=0, parameters=parameters)
+    off = float(max(abs((begun.p[0] - p) / s.precise.sizes[s.n :])))
+    if not off <= EXACT:
+        reason = "A run that begins with velocities has other momenta, and another energy."
+        yield Check.at_most("starts", off, EXACT, "p0 of the velocities at p, less p", reason)
 
 
 def fallbacks(s: Subject) -> Iterator[Check]:

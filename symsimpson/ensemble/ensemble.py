@@ -232,10 +232,8 @@ class Ensemble(Quantities, Differentiated):
         reduced, parameters = names_in_dataset(self.reduced, identifiers)
         coordinates = dict(zip(parameters.values(), self.parameters.values(), strict=True))
         if self.store is not None:
-            dataset = xarray.open_zarr(
-                self.store, chunks=None, consolidated=False, decode_times=False
-            )
-            return dataset.set_coords(list(coordinates))
+            how = {"chunks": None, "consolidated": False, "decode_times": False}
+            return xarray.open_zarr(self.store, **how).set_coords(list(coordinates))
         dims = ("member", "time", "coord") if self.q.ndim == 3 else ("member", "coord")
         variables: dict[str, Any] = {"q": (dims, self.q), "p": (dims, self.p)}
         if self.variations is not None:

@@ -13,6 +13,7 @@ from support.cases import sweep
 import symsimpson as ss
 from symsimpson.analysis.certify import DIGITS
 from symsimpson.analysis.precise import Precise
+from symsimpson.analysis.solver_checks import starts
 from symsimpson.analysis.symmetries import _refined, block_size, linear_symmetries
 from symsimpson.analysis.variants import rewritten
 from symsimpson.api.compiling import TOOLS
@@ -84,6 +85,27 @@ def test_a_time_by_the_ends_of_steps_fails_on_its_row():
     certificate = stepper_of(text, stepper.reference_state).certify()
     assert [check.name for check in certificate.checks if not check.passed] == ["time"]
     assert certificate["time"].measured == pytest.approx(2, abs=0.1)
+
+
+def test_wrong_momenta_of_velocities_are_told(monkeypatch):
+    """Steps go from q and p; a run that begins with velocities has other momenta."""
+    monkeypatch.setattr("symsimpson.analysis.certify.CHECKS", (starts,))
+    x, y = ss.coordinates("x y")
+    kinetic = (x.diff() ** 2 + y.diff() ** 2) / 2 + x.diff() * y.diff() * sp.cos(x) / 4
+    system = ss.MechanicalSystem(
+        "skew", coordinates=(x, y), kinetic=kinetic, potential=x * x + y * y
+    )
+    state = {"q0": [0.6, 0.5], "v0": [0.4, -0.3]}
+    stepper = ss.compile(system)
+    assert not stepper.certify(**state, h=0.01).checks
+    right = "P_x_0_given = v_x + cos_x*v_y/4"
+    assert stepper.source.count(right) == 1
+    text = stepper.source.replace(right, right.replace("+", "-"))
+    banner = SIGNED.search(text)
+    text = text.replace(banner[1], digest(text[banner.end() :]), 1)
+    (row,) = stepper_of(text, stepper.reference_state).certify(**state, h=0.01).checks
+    assert row.name == "starts"
+    assert row.measured > 0.1
 
 
 @pytest.mark.slow
