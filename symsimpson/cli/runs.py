@@ -159,7 +159,7 @@ def _end(trajectory: Trajectory) -> float:
 
 
 def _report(trajectory: Trajectory, given: dict[str, Any]) -> None:
-    from symsimpson.results.stored import iterations_a_step
+    from symsimpson.results.outcome import iterations_a_step
 
     program, end = trajectory.program, _end(trajectory)
     print(f"{program.system}, {program.scheme} (order {program.order}), h = {trajectory.h:g}")

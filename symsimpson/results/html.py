@@ -8,7 +8,7 @@ import numpy as np
 
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
-from symsimpson.results.stored import iterations_a_step
+from symsimpson.results.outcome import iterations_a_step
 from symsimpson.support.markup import Markup, box, curves, facts, scatter
 
 __all__ = ["ensemble", "events", "states", "stepper", "trajectory", "verdict"]

@@ -6,7 +6,7 @@ from typing import Any
 
 from symsimpson.program.status import Status
 
-__all__ = ["Outcome"]
+__all__ = ["Outcome", "iterations_a_step"]
 
 
 class Outcome:
@@ -36,3 +36,9 @@ class Outcome:
             "status": self.status.name,
             "message": self.message,
         }
+
+
+def iterations_a_step(run: Any) -> float | None:
+    """Return Newton iterations a step, up to the last stored state; None if it is the first."""
+    steps = run.steps if run.every is None else min((len(run) - 1) * run.every, run.steps)
+    return float(run.newton_iterations.sum()) / steps if steps else None

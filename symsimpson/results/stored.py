@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from symsimpson.results.outcome import Outcome
 from symsimpson.results.states import States
 
-__all__ = ["Stored", "iterations_a_step"]
+__all__ = ["Stored"]
 
 
 class Stored(Outcome, States):
@@ -49,9 +49,3 @@ class Stored(Outcome, States):
     def recorded(self) -> dict[str, NDArray[Any]]:
         """The sums requested by ``record``, by name, shape (N + 1, k) each."""
         return dict(self.recorded_values)
-
-
-def iterations_a_step(run: Stored) -> float | None:
-    """Return Newton iterations a step, up to the last stored state; None if it is the first."""
-    steps = run.steps if run.every is None else min((len(run) - 1) * run.every, run.steps)
-    return float(run.newton_iterations.sum()) / steps if steps else None
