@@ -8,9 +8,7 @@ wrong.
 
 from __future__ import annotations
 
-from contextlib import suppress
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,8 +54,7 @@ Times = tuple[float, float, int]
 Stored = tuple[Floats, NDArray[np.int64]]
 
 
-@dataclass(frozen=True)
-class BriefRequest:
+class BriefRequest(NamedTuple):
     """Checked input of a short run: values of parameters, initial state, and stride of storage.
 
     ``other`` is v0 where ``velocity`` says so, else p0; ``every`` is 0 where only the last state
@@ -163,8 +160,10 @@ def read_state(name: str, value: Any, coordinates: Named) -> Floats:
     if kind is np.ndarray and value.dtype is DOUBLE and value.shape == (n,):
         return np.array(value)
     if kind in (list, tuple) and len(value) == n and PLAIN.issuperset(map(type, value)):
-        with suppress(OverflowError):
+        try:
             return np.array(value, DOUBLE)
+        except OverflowError:
+            pass
     return read_vector(name, value, coordinates, FLOAT64)
 
 
