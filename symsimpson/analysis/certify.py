@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import textwrap
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +28,7 @@ from symsimpson.analysis.subject import SHORT, Subject, with_inputs
 from symsimpson.analysis.symmetries import block_size
 from symsimpson.analysis.variants import in_tau
 from symsimpson.derivatives.step_equations import At, evaluate_equations
-from symsimpson.errors import InputError, SymsimpsonError
+from symsimpson.errors import InputError, StabilityWarning, SymsimpsonError
 from symsimpson.module.header import digest
 from symsimpson.program.numbers import FLOAT64
 from symsimpson.schemes.named import read_scheme
@@ -43,6 +44,8 @@ __all__ = ["certify"]
 #: How far from a state, in units of its sizes, another one tells how errors grow: far above what
 #: DIGITS leave, and so near that they still grow in proportion.
 NEARBY = mpmath.mpf("1e-40")
+#: So often a step that a run would be warned of is halved.
+HALVINGS = 40
 
 
 @waiting("certifying")
@@ -80,7 +83,7 @@ def certify(
     if stepper.program.header.retimed:  # its steps are those of tau, where E0 is a number
         timed = Precise(stepper, values, DIGITS)
         measured, exact = in_tau(stepper), timed.from_start(z)
-    step = choose_step(measured, q, p, exact, LONG) if h is None else read_step(h, FLOAT64)
+    step = _chosen_step(measured, q, p, exact) if h is None else read_step(h, FLOAT64)
     precise = Precise(measured, exact, DIGITS)
     held = bool(stepper.program.header.constraints)
     subject = Subject(measured, precise, precise.placed(z) if held else z, step, timed)
@@ -98,6 +101,25 @@ def certify(
         tuple(checks),
         time.perf_counter() - begin,
     )
+
+
+def _chosen_step(stepper: Stepper, q: Any, p: Any, values: Mapping[str, float]) -> float:
+    """Choose a step that follows the motion, and that no run would be warned of."""
+    step, program = choose_step(stepper, q, p, values, LONG), stepper.program
+    tools, system = program.tools, program.declared
+    if tools is None or system is None:
+        return step
+    v = stepper.integrate(q, p0=p, h=step, steps=0, parameters=values).v[0]
+    inputs = (program.default_inputs or {}).values()
+    numbers = [*map(float, values.values()), *map(float, inputs)]
+    for halvings in range(HALVINGS):
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always", StabilityWarning)
+            tools.check_step(program, system, q, v, numbers, step / 2**halvings, 0.0)
+        if not warned:
+            break
+    # half of a limit: at the limit itself nothing is measured well
+    return step / 2 ** (halvings + 1) if halvings else step
 
 
 def _guarded(measure: Callable[[Subject], Iterator[Check]], subject: Subject) -> Iterator[Check]:

@@ -108,6 +108,22 @@ def test_wrong_momenta_of_velocities_are_told(monkeypatch):
     assert row.measured > 0.1
 
 
+@pytest.mark.parametrize("scheme", sweep(["midpoint", "simpson", "gauss4", "gauss6"]))
+def test_a_stiff_direction_in_which_nothing_swings_is_resolved(scheme):
+    """Steps without its oscillation succeed at any h, but differences of the map see it."""
+    x, y = ss.coordinates("x y")
+    spring = 5e5 * (sp.sqrt(x**2 + y**2) - 1) ** 2
+    system = ss.MechanicalSystem(
+        "stiff",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=9.81 * y + spring,
+    )
+    certificate = ss.compile(system, scheme).certify([0.8, -0.6], [0.0, 0.0])
+    assert certificate.passed, certificate
+    assert certificate.h * 1000 < 1.5
+
+
 @pytest.mark.slow
 def test_a_system_without_a_state_of_reference():
     x, y = ss.coordinates("x y")
