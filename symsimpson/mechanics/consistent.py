@@ -50,7 +50,7 @@ def consistent(
     except (TypeError, ValueError, OverflowError):
         t = np.nan
     if not np.isfinite(t):
-        raise InputError(f"{system.name}: t is no finite number.\nPass single, as t=0.0.")
+        raise InputError(f"{system.name}: t is no finite number.\nPass one, as t=0.0.")
     single = isinstance(fixed, str) or hasattr(fixed, "free_symbols")
     if not (single or isinstance(fixed, Iterable)):
         raise InputError(
