@@ -128,15 +128,15 @@ def linear_symmetries(precise: Precise, z: NDArray[Any]) -> list[Symmetry]:
 
 def _by_block(left: NDArray[Any], right: NDArray[Any], d: int) -> NDArray[Any]:
     """Return left.E.right for each A that has a 1 in the same place of all its blocks, (d, d)."""
-    rows = left.reshape(-1, d) if d else left[:0].reshape(0, 0)
-    columns = right.reshape(-1, d) if d else right[:0].reshape(0, 0)
-    return rows.T @ columns
+    if not d:
+        return np.zeros((0, 0), dtype=left.dtype)
+    return left.reshape(-1, d).T @ right.reshape(-1, d)
 
 
 def _blocks(entries: NDArray[Any], n: int, d: int) -> NDArray[Any]:
     """Return the matrix with equal blocks on its diagonal, (n, n)."""
     A = np.zeros((n, n), dtype=entries.dtype) + 0 * entries.sum()
-    for first in range(0, n if d else 0, d or 1):
+    for first in range(0, n, d) if d else ():
         A[first : first + d, first : first + d] = entries.reshape(d, d)
     return A
 
