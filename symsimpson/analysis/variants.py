@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 
 from symsimpson.api.stepper import Stepper
 from symsimpson.module.definitions import definitions, redefined
-from symsimpson.module.header import SIGNED, digest, with_facts
+from symsimpson.module.header import signed_anew, with_facts
 from symsimpson.program.program import new_program
 
 __all__ = ["in_tau", "oversolved", "rewritten"]
@@ -35,12 +35,8 @@ def rewritten(stepper: Stepper, constants: Mapping[str, str]) -> Stepper:
 
 def _with(stepper: Stepper, text: str, changes: Mapping[str, str]) -> Stepper:
     """Return a stepper of a text with other definitions, which is signed anew."""
-    text = redefined(text, changes)
-    banner = SIGNED.search(text)
-    assert banner is not None
-    text = text.replace(banner[1], digest(text[banner.end() :]), 1)
     program = new_program(
-        text,
+        signed_anew(redefined(text, changes)),
         f"{stepper.system}, changed",
         reference_state=stepper.reference_state,
         tools=stepper.program.tools,

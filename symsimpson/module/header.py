@@ -20,7 +20,7 @@ from symsimpson.module.definitions import definitions, outline, redefined
 from symsimpson.module.interface import INTERFACE, PIVOTED
 from symsimpson.module.workspace_layout import ADJACENT, BLOCKS, DRIVER_LAYOUT
 
-__all__ = ["SIGNED", "Header", "digest", "read_header", "with_facts"]
+__all__ = ["SIGNED", "Header", "digest", "read_header", "signed_anew", "with_facts"]
 
 #: Constants without which nothing is a module.
 _SIZES = {"DIMENSION", "DEGREE", "UNKNOWNS", "NEWTON_UNKNOWNS", "NODES", "ROWS"}
@@ -213,6 +213,13 @@ def read_header(text: str, where: str) -> Header:
     _check_layout(layout, where)
     tables = _of_type(constants, tuple)
     return Header(**facts, layout=layout, tables=tables, functions=tuple(functions))
+
+
+def signed_anew(text: str) -> str:
+    """Return the text of a module with the digest of what it says now."""
+    banner = SIGNED.search(text)
+    assert banner is not None
+    return text.replace(banner[1], digest(text[banner.end() :]), 1)
 
 
 def with_facts(text: str, facts: Mapping[str, object]) -> str:

@@ -4,17 +4,13 @@ import hashlib
 import json
 from dataclasses import replace
 
-import mpmath
-import numpy as np
 import pytest
 import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.analysis.certify import DIGITS
 from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.solver_checks import starts
-from symsimpson.analysis.symmetries import _refined, block_size, linear_symmetries
 from symsimpson.analysis.variants import rewritten
 from symsimpson.api.compiling import TOOLS
 from symsimpson.api.stepper import Stepper
@@ -25,7 +21,7 @@ from symsimpson.codegen.pipeline import source
 from symsimpson.codegen.weighted import WeightedRows
 from symsimpson.discrete.equations import DiscreteEquations, discretise
 from symsimpson.module.definitions import definitions, redefined
-from symsimpson.module.header import SIGNED, digest
+from symsimpson.module.header import signed_anew
 from symsimpson.program.program import new_program
 from symsimpson.schemes.named import read_scheme
 
@@ -80,8 +76,7 @@ def test_a_time_by_the_ends_of_steps_fails_on_its_row():
     first, end = definitions(stepper.source)["pass_time"]
     wrong = "".join(lines[first:end]).replace("WEIGHTS[node]", "(0.0 if node == 1 else 0.5)")
     text = redefined(stepper.source, {"pass_time": wrong})
-    banner = SIGNED.search(text)
-    text = text.replace(banner[1], digest(text[banner.end() :]), 1)
+    text = signed_anew(text)
     certificate = stepper_of(text, stepper.reference_state).certify()
     assert [check.name for check in certificate.checks if not check.passed] == ["time"]
     assert certificate["time"].measured == pytest.approx(2, abs=0.1)
@@ -101,8 +96,7 @@ def test_wrong_momenta_of_velocities_are_told(monkeypatch):
     right = "P_x_0_given = v_x + cos_x*v_y/4"
     assert stepper.source.count(right) == 1
     text = stepper.source.replace(right, right.replace("+", "-"))
-    banner = SIGNED.search(text)
-    text = text.replace(banner[1], digest(text[banner.end() :]), 1)
+    text = signed_anew(text)
     (row,) = stepper_of(text, stepper.reference_state).certify(**state, h=0.01).checks
     assert row.name == "starts"
     assert row.measured > 0.1
@@ -321,117 +315,6 @@ def test_it_is_written_and_read(tmp_path):
         certificate.save(tmp_path / "no" / "folder")
 
 
-@pytest.mark.parametrize(
-    ("name", "momenta"),
-    sweep(
-        [
-            ("lagrange_top", ["p_phi", "p_psi"]),
-            ("double_pendulum", []),
-            ("spherical_pendulum", ["p_phi"]),
-            ("cart_pole", ["p_x"]),
-        ]
-    ),
-)
-def test_linear_symmetries(name, momenta):
-    system = ss.systems.CATALOGUE[name]()
-    stepper = ss.compile(system)
-    run = stepper.integrate(**system.reference_state, h=0.01, steps=1)
-    precise = Precise(stepper, run.parameters, DIGITS)
-    found = linear_symmetries(precise, np.concatenate([run.q[0], run.p[0]]))
-    assert [symmetry.name for symmetry in found] == momenta
-
-
-def test_a_symmetry_that_is_not_determined_is_a_row_that_has_not_passed(monkeypatch):
-    """mpmath's QR of a singular matrix raised a ValueError of its own, out of the certificate."""
-
-    def undetermined(precise, z):
-        return _refined(np.array([0.123456789, 0.23456789]), np.zeros((5, 2)), precise.context)
-
-    monkeypatch.setattr("symsimpson.analysis.subject.linear_symmetries", undetermined)
-    found = ss.compile(ss.systems.pendulum(), "midpoint").certify()
-    (row,) = [check for check in found.checks if check.name == "momenta"]
-    assert "a linear symmetry is not determined" in row.failure
-    assert not found.passed
-
-
-def test_rotations_of_many_coordinates_are_found():
-    """A free particle in space: three translations, and with equal masses three rotations."""
-    x, y, z = ss.coordinates("x y z")
-    m = sp.Symbol("m", positive=True)
-    system = ss.MechanicalSystem(
-        "free",
-        coordinates=(x, y, z),
-        parameters={m: 1.5},
-        potential=sp.S.Zero,
-        kinetic=m * (x.diff() ** 2 + y.diff() ** 2 + z.diff() ** 2) / 2,
-    )
-    stepper = ss.compile(system)
-    found = linear_symmetries(
-        Precise(stepper, {"m": 1.5}, DIGITS), np.array([0.3, 0.4, 0.5, 1.0, -1.0, 0.2])
-    )
-    assert {symmetry.name for symmetry in found} == {
-        "p_x",
-        "p_y",
-        "p_z",
-        "p_x*y - p_y*x",
-        "p_x*z - p_z*x",
-        "p_y*z - p_z*y",
-    }
-
-
-def test_momenta_of_masses_that_differ_by_eight_orders_are_exact():
-    """Pluto has so little of the Sun's mass; displacements and rotations of all bodies alike."""
-    system = ss.systems.outer_solar_system()
-    stepper = ss.compile(system, "midpoint")
-    run = stepper.integrate(**system.reference_state, h=10.0, steps=1)
-    precise = Precise(stepper, run.parameters, DIGITS)
-    symmetries = linear_symmetries(precise, np.concatenate([run.q[0], run.p[0]]))
-    assert [x.name for x in symmetries[:2]] == [
-        " + ".join(f"p_{axis}{k}" for k in range(6)) for axis in "xy"
-    ]
-    assert symmetries[3].name.startswith("p_x0*y0 - p_y0*x0 + p_x1*y1 - p_y1*x1 + p_x2*y2")
-    assert len(symmetries) == 6
-    truth = np.kron(np.eye(6), [[0, 1, 0], [-1, 0, 0], [0, 0, 0]])
-    assert (truth == symmetries[3].A).all()
-    assert abs(symmetries[3].exact[:, :-1] - truth).max() < 1e-25
-
-
-def test_of_many_coordinates_blocks_alike_are_looked_for():
-    assert [block_size(n) for n in (2, 12, 13, 14, 15, 18)] == [2, 12, 0, 2, 3, 3]
-
-
-def test_a_planet_in_metres_and_seconds_has_the_symmetry_of_one_in_years():
-    """At y = 0 points within a metre were looked at, where H does not depend on y to 12 digits."""
-    x, y = ss.coordinates("x y")
-    system = ss.MechanicalSystem(
-        "planet",
-        coordinates=(x, y),
-        kinetic=5e24 * (x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=-6.67e44 / sp.sqrt(x**2 + y**2),
-    )
-    certificate = ss.compile(system).certify([1.5e11, 0.0], v0=[0.0, 2e4])
-    assert certificate.passed, certificate
-    assert "change of p_x*y - p_y*x in" in certificate["momenta"].what
-
-
-@pytest.mark.slow
-@pytest.mark.plain
-def test_a_jacobian_of_loops_is_that_of_the_unknowns():
-    """A ring of 17 bodies: control points that follow from the others are no unknowns."""
-    q = ss.coordinates("q:17")
-    ring = ss.MechanicalSystem(
-        "ring",
-        coordinates=q,
-        kinetic=sum(x.diff() ** 2 for x in q) / 2,
-        potential=sum(1 - sp.cos(q[i] - q[i - 1]) for i in range(17)),
-    )
-    stepper = ss.compile(ring, "simpson")
-    assert len(stepper.program.header.tables["SOLVE_COLUMNS"]) == 1
-    subject = Precise(stepper, {}, DIGITS)
-    z = np.array([mpmath.mpf(k % 7) / 40 for k in range(34)])
-    assert subject.jacobian_defect(z, mpmath.mpf("0.05")) < 1e-12
-
-
 def test_a_file_by_itself_does_not_tell_its_forces(tmp_path):
     stepper = ss.compile(ss.systems.damped_pendulum())
     path = tmp_path / "damped.py"
@@ -464,28 +347,11 @@ def test_newtons_method_with_other_weights_than_stages_fails():
     right, wrong = (f"WEIGHTS = array((real(5)/18, real(4)/9, real({last})/18))" for last in (5, 4))
     assert stepper.source.count(right) == 1
     text = stepper.source.replace(right, wrong)
-    banner = SIGNED.search(text)
-    text = text.replace(banner[1], digest(text[banner.end() :]), 1)
+    text = signed_anew(text)
     certificate = stepper_of(text, stepper.reference_state).certify()
     failed = [check.name for check in certificate.checks if not check.passed]
     assert "fallbacks" in failed
     assert certificate["order"].passed
-
-
-def test_kernels_are_compared_in_a_step_that_all_of_them_take():
-    """At h = 2 stages do not converge here: the state that they left was compared with others."""
-    x, y = ss.coordinates("x y")
-    vx, vy = x.diff(), y.diff()
-    system = ss.MechanicalSystem(
-        "rubbed",
-        coordinates=(x, y),
-        kinetic=(vx**2 + vy**2) / 2 + vx * vy * sp.cos(x) / 4,
-        potential=x**2 / 2 + y**4 / 4,
-        dissipation=(vx - vy) ** 2 / 4,
-    )
-    certificate = ss.compile(system, "gauss6").certify([1.0, 0.5], v0=[1.0, 0.0], h=2.0)
-    assert certificate["fallbacks"].passed, certificate
-    assert "a step of h/2 by newton" in certificate["fallbacks"].what
 
 
 @pytest.mark.parametrize("value", ["-correction_squared", "real('nan')"])
@@ -495,8 +361,7 @@ def test_sizes_of_corrections_that_are_none_have_not_passed(value):
     right = "W[CORRECTION_SQUARED, lane] = correction_squared"
     assert right in stepper.source
     text = stepper.source.replace(right, right.replace("correction_squared", value))
-    banner = SIGNED.search(text)
-    precise = Precise(stepper_of(text.replace(banner[1], digest(text[banner.end() :]), 1)), {}, 50)
+    precise = Precise(stepper_of(signed_anew(text)), {}, 50)
     with pytest.raises(ArithmeticError, match="a sum of squares is"):
         precise.corrections([0.5, 0.1], 0.1, 8)
 

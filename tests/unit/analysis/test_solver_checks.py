@@ -1,0 +1,44 @@
+"""How steps are solved, as certificates see it."""
+
+import mpmath
+import numpy as np
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+from symsimpson.analysis.certify import DIGITS
+from symsimpson.analysis.precise import Precise
+
+
+@pytest.mark.slow
+@pytest.mark.plain
+def test_a_jacobian_of_loops_is_that_of_the_unknowns():
+    """A ring of 17 bodies: control points that follow from the others are no unknowns."""
+    q = ss.coordinates("q:17")
+    ring = ss.MechanicalSystem(
+        "ring",
+        coordinates=q,
+        kinetic=sum(x.diff() ** 2 for x in q) / 2,
+        potential=sum(1 - sp.cos(q[i] - q[i - 1]) for i in range(17)),
+    )
+    stepper = ss.compile(ring, "simpson")
+    assert len(stepper.program.header.tables["SOLVE_COLUMNS"]) == 1
+    subject = Precise(stepper, {}, DIGITS)
+    z = np.array([mpmath.mpf(k % 7) / 40 for k in range(34)])
+    assert subject.jacobian_defect(z, mpmath.mpf("0.05")) < 1e-12
+
+
+def test_kernels_are_compared_in_a_step_that_all_of_them_take():
+    """At h = 2 stages do not converge here: the state that they left was compared with others."""
+    x, y = ss.coordinates("x y")
+    vx, vy = x.diff(), y.diff()
+    system = ss.MechanicalSystem(
+        "rubbed",
+        coordinates=(x, y),
+        kinetic=(vx**2 + vy**2) / 2 + vx * vy * sp.cos(x) / 4,
+        potential=x**2 / 2 + y**4 / 4,
+        dissipation=(vx - vy) ** 2 / 4,
+    )
+    certificate = ss.compile(system, "gauss6").certify([1.0, 0.5], v0=[1.0, 0.0], h=2.0)
+    assert certificate["fallbacks"].passed, certificate
+    assert "a step of h/2 by newton" in certificate["fallbacks"].what
