@@ -22,10 +22,10 @@ from symsimpson.errors import InputError
 from symsimpson.mechanics.retimed import RetimedSystem, attracts, not_retimed, retimed
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.program.numbers import FLOAT64
-from symsimpson.schemes.named import read_schemes
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.ahead import late
 from symsimpson.support.calling import explained
+from symsimpson.support.names import in_a_row
 from symsimpson.support.progress import waiting
 
 __all__ = ["Choice", "choose"]
@@ -142,7 +142,7 @@ def choose(
     'SUCCESS'
     """
     check_system(system)
-    schemes = None if schemes is None else read_schemes(schemes)
+    schemes = None if schemes is None else in_a_row(schemes)
     if schemes == ():
         raise InputError("schemes is empty.\nName some, or leave it out.")
     if on == "energy" and not system.plain.conservative:

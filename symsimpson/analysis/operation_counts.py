@@ -9,8 +9,8 @@ from symsimpson.api.compiling import check_system
 from symsimpson.codegen.counting import Cost, cost
 from symsimpson.codegen.pipeline import source
 from symsimpson.mechanics.system import MechanicalSystem
-from symsimpson.schemes.named import read_schemes
 from symsimpson.support import markup
+from symsimpson.support.names import in_a_row
 
 __all__ = ["StepCosts", "step_costs"]
 
@@ -78,7 +78,7 @@ def step_costs(
     2
     """
     check_system(system)
-    names = read_schemes(schemes)
+    names = in_a_row(schemes)
     return StepCosts(
         {name: cost(source(system, name, ())) for name in names},
         {name: cost(source(system, name)) for name in names},

@@ -15,10 +15,9 @@ from symsimpson.api.compiling import check_system
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.results.sampled import Sampled, Saved
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.schemes.named import read_schemes
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.calling import explained
-from symsimpson.support.names import read_mapping
+from symsimpson.support.names import in_a_row, read_mapping
 
 __all__ = ["integrate"]
 
@@ -85,7 +84,7 @@ def integrate(
         "error": error,
         "on": on,
         "parameters": sorted((key, repr(value)) for key, value in named.items()),
-        "schemes": None if schemes is None else [*map(repr, read_schemes(schemes))],
+        "schemes": None if schemes is None else [*map(repr, in_a_row(schemes))],
     }
     given: dict[str, Any] = {"p0": p0, "parameters": parameters}
     choice = remembered(

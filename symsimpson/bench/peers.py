@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from symsimpson.bench.programs import PROGRAMS
 from symsimpson.errors import InputError
 from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.schemes.scheme import Scheme
+from symsimpson.support.names import in_a_row
 
 __all__ = ["ours", "peers", "read_peers"]
 
@@ -55,8 +56,7 @@ def read_peers(names: Any) -> list[str]:
     """Return names of other programs, of which there are such; raises InputError."""
     if names == "installed":
         return list(PROGRAMS)
-    several = isinstance(names, Iterable) and not isinstance(names, str)
-    wanted = list(names) if several else [names]
+    wanted = list(in_a_row(names))
     for name in wanted:
         if name not in PROGRAMS:
             raise InputError(

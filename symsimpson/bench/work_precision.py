@@ -23,9 +23,9 @@ from symsimpson.errors import InputError, SymsimpsonError
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.program.input_values import read_array, read_count, read_number
 from symsimpson.program.numbers import FLOAT64
-from symsimpson.schemes.named import read_schemes
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.calling import explained
+from symsimpson.support.names import in_a_row
 from symsimpson.support.progress import waiting
 
 __all__ = ["work_precision"]
@@ -115,7 +115,7 @@ def work_precision(
     if not read_number("t_end", t_end, FLOAT64) > 0:
         raise InputError(f"t_end is {t_end!r}.\nPass a positive number.")
     read_peers(peers)  # before anything is measured
-    schemes = read_schemes(schemes)
+    schemes = in_a_row(schemes)
     problem = make_problem(system, state, t_end)
     entries, seconds, calls = [], {}, []
     with warnings.catch_warnings():

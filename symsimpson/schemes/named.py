@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from typing import Any
 
 from symsimpson.errors import SchemeError
 from symsimpson.schemes.composition import COMPOSITIONS, composition
 from symsimpson.schemes.scheme import MIDPOINT, SIMPSON, Scheme, galerkin
 from symsimpson.support.names import did_you_mean
 
-__all__ = ["named_schemes", "read_scheme", "read_schemes"]
+__all__ = ["named_schemes", "read_scheme"]
 
 #: Names that schemes have elsewhere.
 ELSEWHERE = {
@@ -59,12 +57,6 @@ def read_scheme(scheme: str | Scheme) -> Scheme:
         "'gauss4', ... (the family by its even order), an explicit one as 'kahan_li8' "
         "(symsimpson.composition), or make one with symsimpson.galerkin."
     )
-
-
-def read_schemes(schemes: Any) -> tuple[Any, ...]:
-    """Return schemes, or their names, in a row: one by itself is a row of one."""
-    several = isinstance(schemes, Iterable) and not isinstance(schemes, str)
-    return tuple(schemes) if several else (schemes,)
 
 
 def named_schemes(order: int) -> tuple[Scheme, ...]:

@@ -11,7 +11,15 @@ from typing import Any
 
 from symsimpson.errors import InputError
 
-__all__ = ["Named", "did_you_mean", "read_mapping", "shortened", "speed_of_approach", "spelled"]
+__all__ = [
+    "Named",
+    "did_you_mean",
+    "in_a_row",
+    "read_mapping",
+    "shortened",
+    "speed_of_approach",
+    "spelled",
+]
 
 #: How alike two names are that may have been mistaken for one another: as "th" and "theta".
 ALIKE = 0.55
@@ -34,6 +42,12 @@ def shortened(value: object) -> str:
     """Return how a value is written, in some sixty characters."""
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+def in_a_row(given: Any) -> tuple[Any, ...]:
+    """Return what is given, or its name, in a row: one by itself is a row of one."""
+    several = isinstance(given, Iterable) and not isinstance(given, str)
+    return tuple(given) if several else (given,)
 
 
 def read_mapping(what: str, given: Any, example: str) -> Mapping[Any, Any]:
