@@ -44,6 +44,10 @@ ON_A_LINE, WIDTH = 3, 100
 _LONG = 16
 #: Fractions with larger denominators are finite decimals.
 _LARGE = 10**6
+#: What stands over groups of functions.
+_STEP = "The step: kernels that a run calls."
+_AT_NODE = "L at a node: functions that loops call."
+_SHARED = "Loops and solvers: the same text in all modules."
 
 
 def emit(equations: DiscreteEquations, module: Module) -> str:
@@ -63,42 +67,42 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
     """
     printer = Printer()
     tables = _tables(equations, module, printer)
-    body = "\n\n\n".join(
-        [
-            *(_function(f, printer) for f in module.functions),
-            *(_kernel(k, printer) for k in module.kernels),
-        ]
-    )
+    kernels = [_kernel(kernel, printer) for kernel in module.kernels]
+    functions = [_function(function, printer) for function in module.functions]
     constants = _constants(module, printer)
     limits = thresholds(equations, module)
-    constants = "\n".join(part for part in (constants, limits) if part)
     computed_tables = _computed_tables(equations, module)
-    library = "\n".join(f"\n{part}\n" for part in _library(f"{body}\n{computed_tables}"))
+    library = [*_library("\n".join([*kernels, *functions, computed_tables]))]
     numbers = "\n".join(
         part
         for part in (
-            _imports(printer.used, arrays="array(" in f"{tables}{library}"),
+            _imports(printer.used, arrays=any("array(" in part for part in (tables, *library))),
             _header(equations, module),
             _layout(module),
         )
         if part
     )
-    text = "\n".join(
+    # what belongs to the system comes first, as that is what people look for
+    head = "\n".join(
         [
             numbers,
             tables,
-            *([constants] if constants else []),
-            "compiled = njit(**OPTIONS)\n",
-            *([library] if library else []),
-            *(["", computed_tables] if computed_tables else []),
-            "",
-            body,
-            "",
+            *(part for part in (constants, limits) if part),
+            "compiled = njit(**OPTIONS)",
         ]
     )
+    groups = [(_STEP, kernels), (_AT_NODE, functions), (_SHARED, library)]
+    parts = [head, *(_group(*group) for group in groups if group[1]), computed_tables]
+    text = "\n\n\n".join(part.rstrip("\n") for part in parts if part) + "\n"
     documented = f'"""{docstring(equations, module)}"""\n\n{text}'
     digest = hashlib.sha256(documented.encode()).hexdigest()
     return f"{banner(equations)}# sha256 of what follows: {digest}\n{documented}"
+
+
+def _group(title: str, functions: Iterable[str]) -> str:
+    """Write functions below a title."""
+    rule = "# " + "-" * (WIDTH - 2)
+    return "\n\n\n".join([f"{rule}\n# {title}\n{rule}", *(text.strip("\n") for text in functions)])
 
 
 def _imports(used: Iterable[str], *, arrays: bool) -> str:

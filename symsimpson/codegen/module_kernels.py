@@ -306,7 +306,7 @@ def _finish_module(
         stores += [Store(Row("GROWTH", i), low.growth(c)) for i, c in enumerate(places)]
     low.statements(stores, (Level.RUN,))
     stores += [Store(row, symbol) for symbol, row in low.hoisted_at(Level.RUN)]
-    doc = "What depends on the parameters and h alone."
+    doc = "Compute what depends on the parameters and h alone."
     known = low.statements(stores, (Level.RUN,), "constants")
     prepare = Kernel("prepare", doc, lanes((*known, *coefficients, *for_stages)))
     first, rows = layout(sizes(low, loops, stages, by_columns=in_order))

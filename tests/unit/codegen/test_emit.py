@@ -1,8 +1,10 @@
 """How emitted lines look."""
 
+import symsimpson as ss
 from symsimpson.codegen.emit import WIDTH, _loads
 from symsimpson.codegen.expression import Expressions
 from symsimpson.codegen.ir import Load, Row
+from symsimpson.codegen.pipeline import source
 
 NAMES = Expressions()
 
@@ -27,3 +29,9 @@ def test_long_names_stand_alone():
     lines = list(_loads(loads, 2))
     assert len(lines) == 4
     assert max(map(len, lines)) <= WIDTH
+
+
+def test_a_text_begins_with_the_step_then_come_the_system_and_what_all_modules_share():
+    text = source(ss.systems.double_pendulum(), "simpson")
+    places = [text.index(f"\ndef {name}(") for name in ("newton", "jet", "sincos", "solve_pivoted")]
+    assert places == sorted(places)
