@@ -169,6 +169,11 @@ def _trajectory(dataset: Any, program: Program) -> Trajectory:
             raise ValueError(f"variations have shape {ways.shape}")
         if "varied_by" in about:
             varied = tuple(x for x in np.atleast_1d(about["varied_by"]).tolist() if x)
+    begun = None
+    if "begun" in about:
+        begun = np.asarray(about["begun"], dtype=np.float64)
+        if every or begun.shape != (2 * program.n + 1,):
+            raise ValueError(f"the start has shape {begun.shape}")
     reduced = json.loads(str(about.get("reduced", "[]")))
     recorded = [
         (name.removeprefix(RECORDED), np.ascontiguousarray(dataset[name], dtype=np.float64))
@@ -195,6 +200,7 @@ def _trajectory(dataset: Any, program: Program) -> Trajectory:
         input_values=inputs,
         driven=driven(inputs, begin, h, steps, ended) if every or ended is None else None,
         tau_values=tau if retimed else None,
+        begun=begun,
         variations=ways,
         varied_by=varied,
         recorded_values=tuple(recorded),

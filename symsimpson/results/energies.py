@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.results.states import States
 from symsimpson.results.stored import Stored
 
 __all__ = ["Energies"]
@@ -24,11 +25,6 @@ class Energies(Stored):
         The median is taken over the stored states. H0 alone says nothing where the zero of the
         potential happens to lie near it, as for a pendulum released at 90 degrees. A system at
         rest with H0 = 0 has the scale 1.
-
-        Raises
-        ------
-        InputError
-            If only the last state is stored: H0 is not known then.
         """
         kinetic = np.sort(self._energies[:, 1])[len(self) // 2]
         scale = max(abs(self._first_energy), kinetic)
@@ -41,7 +37,7 @@ class Energies(Stored):
         Raises
         ------
         InputError
-            If forces do work, the energy depends on the time, or only the last state is stored.
+            If forces do work, or the energy depends on the time.
         """
         header = self.program.header
         if not header.conservative:
@@ -62,15 +58,35 @@ class Energies(Stored):
     @property
     def _first_energy(self) -> Any:
         """The energy at the start."""
-        if self.every is None and (self.steps or self.ended_by is not None):
-            if self.program.header.retimed:
-                return self.parameters["E0"]
+        if self.every is not None:
+            return self.energy[0]
+        if self.program.header.retimed:
+            return self.parameters["E0"]
+        return self._beginning.energy[0]
+
+    @cached_property
+    def _beginning(self) -> States:
+        """The state at the start, where the last one alone is stored.
+
+        Raises
+        ------
+        InputError
+            If a file does not hold it.
+        """
+        if self.begun is None:
             raise InputError(
-                "a run that keeps its last state alone (every=None) does not tell the energy at "
-                "its start.\nStore states on the way: every=1, or every=100; or have the energy "
-                "followed: reduce={'least': ('min', 'energy'), 'largest': ('max', 'energy')}."
+                "this file holds the last state of a run alone, and not how it began, as files did "
+                "before version 0.3.\nTake the run again, or store states on the way: every=100."
             )
-        return self.energy[0]
+        t, q, p = np.split(self.begun, (1, self.program.n + 1))
+        return States(
+            t=t,
+            q=q[None],
+            p=p[None],
+            program=self.program,
+            parameter_values=self.parameter_values,
+            driven=self.driven,
+        )
 
     @cached_property
     def _given(self) -> Any:
@@ -132,7 +148,7 @@ class Energies(Stored):
         Raises
         ------
         InputError
-            As for :attr:`work`, and if only the last state is stored: H0 is not known then.
+            As for :attr:`work`.
         """
         work, lost = self._integrals
         return self.energy - self._first_energy - self._given - work["total"] + lost

@@ -76,10 +76,12 @@ def trajectory(run: Any) -> str:
     if iterations:
         rows.append(("iterations a step", f"{iterations:.2f}"))
     constant = run.program.header.conservative
+    known = constant and (run.every is not None or run.begun is not None)
+    energy = np.asarray(run.energy_error if known else run.energy, dtype=float)
+    if known:
+        name = "largest energy error" if len(run) > 1 else "energy error at the end"
+        rows.append((name, f"{np.abs(energy).max():.2g}"))
     if len(run) > 1:
-        energy = np.asarray(run.energy_error if constant else run.energy, dtype=float)
-        if constant:
-            rows.append(("largest energy error", f"{np.abs(energy).max():.2g}"))
         rows += _drawn(run)
         rows.append(("energy error" if constant else "energy", curves(run.t, [energy])))
     return box(f"Trajectory of {run.program.system}", facts(rows))

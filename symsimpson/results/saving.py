@@ -43,6 +43,8 @@ def _dataset(run: Stored) -> Any:
     if run.input_values.size:
         about = {"long_name": "inputs of steps, at their nodes"}
         dataset["inputs"] = (("step", "node", "input"), run.input_values[0], about)
+    if run.begun is not None:
+        dataset.attrs["begun"] = run.begun.tolist()
     dataset.attrs |= {
         "every": run.every or 0,
         "parameter_values": run.parameter_values.tolist(),
@@ -82,7 +84,7 @@ def digest_of(run: Stored) -> str:
     about = (float(run.h), run.steps, run.every, *outcome, *reduced, *acted, *named)
     content = hashlib.sha256(repr(about).encode())
     tau = () if run.tau_values is None else (run.tau_values,)
-    beside = [] if run.variations is None else [run.variations]
+    beside = [x for x in (run.variations, run.begun) if x is not None]
     beside += [rows for _, rows in run.recorded_values]
     arrays = (
         run.t,

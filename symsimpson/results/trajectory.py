@@ -73,6 +73,7 @@ class Trajectory(Energies, Differentiated):
     input_values: NDArray[Any] = field(repr=False)
     variations: NDArray[Any] | None = field(default=None, repr=False)
     tau_values: NDArray[Any] | None = field(default=None, repr=False)
+    begun: NDArray[Any] | None = field(default=None, repr=False)
     varied_by: tuple[str, ...] | None = field(default=None, repr=False)
     recorded_values: tuple[tuple[str, NDArray[Any]], ...] = field(default=(), repr=False)
     reduced_values: tuple[tuple[str, float], ...] = field(default=(), repr=False)
@@ -101,34 +102,18 @@ class Trajectory(Energies, Differentiated):
 
     @property
     def tau(self) -> NDArray[Any]:
-        """The variable in which steps are fixed, from 0, shape (N + 1,): t - t0 unless retimed.
-
-        Raises
-        ------
-        InputError
-            If only the last state is stored, and an event ended the run there, within a step.
-        """
+        """The variable in which steps are fixed, from 0, shape (N + 1,): t - t0 unless retimed."""
         if self.tau_values is not None:
             return self.tau_values
         if self.every is not None:
             return self.t - self.t[0]
-        if self.ended_by is not None:
-            raise InputError(
-                "a run that keeps its last state alone (every=None) does not tell when it began, "
-                f"as {self.ended_by!r} ended it within a step.\nSubtract t0 from run.t, or store "
-                "states on the way: every=1."
-            )
+        if self.ended_by is not None:  # within a step
+            return self.t - self._beginning.t
         return self.t * 0 + self.h * self.steps
 
     @property
     def E0(self) -> Any:
-        """The initial energy, the energy level on which a retimed system is integrated.
-
-        Raises
-        ------
-        InputError
-            If only the last state is stored, of a system that is not retimed.
-        """
+        """The initial energy, the energy level on which a retimed system is integrated."""
         values = self.parameters
         return values["E0"] if self.program.header.retimed else self._first_energy
 

@@ -94,6 +94,7 @@ def trajectory_of(
         **run.beside(recorded, result),
         reduced_values=run.reduced(spec.reductions),
         tau_values=result(tau) if run.header.retimed else None,
+        begun=None if every else result(run.begun),
     )
 
 

@@ -212,6 +212,7 @@ def _of_steps(
     stride = finer_stride(every, steps) if every else sampling_stride(program, steps)
     last = steps // stride if stride else 0
     (Q, P), counts = stored = room(last, n) if every else runner.sampled
+    begun = None
     end, few = np.empty((4, n)), count_looked_at(program, last)
     count = runner.run(asked, (h, t0, steps), stride, few, stored, end)
     if count < 0 or (every == 1 and few and not _known_regular(program, asked, end)):
@@ -221,8 +222,9 @@ def _of_steps(
         Q, P, iterations = each(every // stride, Q[:, :, 0], P[:, :, 0], counts[:, 0])
     else:
         t, iterations = np.array([t0 + h * steps]), np.array([count])
+        begun = np.array([t0, *Q[0, :, 0], *P[0, :, 0]])
         Q, P = end[:1], end[1:2]
-    return _trajectory(program, asked, (t, Q, P, iterations), h, steps)
+    return _trajectory(program, asked, (t, Q, P, iterations), h, steps, begun=begun)
 
 
 def _known_regular(program: Program, asked: BriefRequest, end: Floats) -> bool:
@@ -271,6 +273,7 @@ def _trajectory(
     h: float,
     steps: int,
     tau: Floats | None = None,
+    begun: Floats | None = None,
 ) -> Trajectory:
     """Return a run that has come to its end, with these times, q, p and iterations."""
     t, q, p, iterations = states
@@ -290,4 +293,5 @@ def _trajectory(
         driven=None,
         variations=None,
         tau_values=tau,
+        begun=begun,
     )

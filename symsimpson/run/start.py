@@ -109,6 +109,8 @@ def begin_run(program: Program, run: Run, spec: RunSpec) -> None:
     if not numbers.all_finite(run.rows("ENERGY", 1)):
         position, momentum = (run.rows(name, program.n) for name in ("POSITION", "MOMENTUM"))
         check_start(program, spec.t0, position, momentum, spec.parameters)
+    state = (run.rows(name, program.n) for name in ("POSITION", "MOMENTUM"))
+    run.begun[:] = np.concatenate([[run.t0], *state])
     if spec.tangents is not None:
         begin_variations(program, run, spec.tangents, velocity=spec.velocities)
     run.look()
