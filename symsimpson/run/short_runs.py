@@ -212,19 +212,24 @@ def _of_steps(
     stride = finer_stride(every, steps) if every else sampling_stride(program, steps)
     last = steps // stride if stride else 0
     (Q, P), counts = stored = room(last, n) if every else runner.sampled
-    begun = None
     end, few = np.empty((4, n)), count_looked_at(program, last)
     count = runner.run(asked, (h, t0, steps), stride, few, stored, end)
     if count < 0 or (every == 1 and few and not _known_regular(program, asked, end)):
         return None
+    begun = None if every else _begun(t0, stored)
     if every:
         t = t0 + np.arange(0.0, steps + 1.0, every) * h
         Q, P, iterations = each(every // stride, Q[:, :, 0], P[:, :, 0], counts[:, 0])
     else:
         t, iterations = np.array([t0 + h * steps]), np.array([count])
-        begun = np.array([t0, *Q[0, :, 0], *P[0, :, 0]])
         Q, P = end[:1], end[1:2]
-    return _trajectory(program, asked, (t, Q, P, iterations), h, steps, begun=begun)
+    return _trajectory(program, asked, (t, Q, P, iterations), h, steps, None, begun)
+
+
+def _begun(t0: float, stored: Stored) -> Floats:
+    """Return the time and the first of the states that were stored."""
+    (q, p), _ = stored
+    return np.array([t0, *q[0, :, 0], *p[0, :, 0]])
 
 
 def _known_regular(program: Program, asked: BriefRequest, end: Floats) -> bool:
@@ -263,7 +268,8 @@ def _to_end(
         t = np.append(before, t[:far])
         q, p = (np.concatenate([x[:last, :, 0], y[:far]]) for x, y in ((Q, q), (P, p)))
         iterations = np.append(counts[:last, 0], np.zeros(far, dtype=np.int64))
-    return _trajectory(program, asked, (t, q, p, iterations), h, steps, tau)
+    begun = None if every else _begun(t0, stored)
+    return _trajectory(program, asked, (t, q, p, iterations), h, steps, tau, begun)
 
 
 def _trajectory(
@@ -272,8 +278,8 @@ def _trajectory(
     states: tuple[Any, ...],
     h: float,
     steps: int,
-    tau: Floats | None = None,
-    begun: Floats | None = None,
+    tau: Floats | None,
+    begun: Floats | None,
 ) -> Trajectory:
     """Return a run that has come to its end, with these times, q, p and iterations."""
     t, q, p, iterations = states

@@ -137,3 +137,7 @@ def test_a_last_state_alone_of_a_retimed_run_tells_its_error():
     assert end.E0 == run.E0
     assert (end.energy - end.E0)[0] == pytest.approx(run.energy[-1] - run.energy[0], abs=1e-15)
     assert end.energy_error[0] != 0
+    briefly = {"q0": [1.6, 0.0], "v0": [0.0, 0.5], "h": 0.1, "t0": 1.0, "t_end": 3.0}
+    for _ in range(2):  # the second one is a single call
+        again = stepper.integrate(**briefly, every=None)
+        assert (again.begun == [1.0, 1.6, 0.0, 0.0, 0.5]).all()
