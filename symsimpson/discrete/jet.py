@@ -55,7 +55,6 @@ FIRST = (
     Way(by_mass=False, reverse=True, second_reverse=False, factored=False),
     Way(by_mass=False, reverse=True, second_reverse=True, factored=False),
     Way(by_mass=False, reverse=False, second_reverse=False, factored=True),
-    Way(by_mass=True, reverse=False, second_reverse=False, factored=False),
     Way(by_mass=True, reverse=False, second_reverse=False, factored=True),
 )
 

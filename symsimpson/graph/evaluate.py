@@ -23,6 +23,7 @@ def evaluated(
     graph : Graph
     roots : iterable of int
     symbols : mapping from node to number
+        Of symbols, and of other nodes that are known.
     context : mpmath context
         ``mpmath.mp`` for the digits that it is set to, ``mpmath.fp`` for doubles.
 
@@ -32,10 +33,9 @@ def evaluated(
         NaN where there is no real value.
     """
     values = dict(symbols)
-    for n in graph.reached(roots):
-        if n not in values:
-            kind, parts, _ = graph.nodes[n]
-            values[n] = line_value(kind, parts, values, context)
+    for n in graph.reached(roots, values):
+        kind, parts, _ = graph.nodes[n]
+        values[n] = line_value(kind, parts, values, context)
     return values
 
 

@@ -7,7 +7,7 @@ any more. A float is the dyadic rational that it is, so that nothing is rounded 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from fractions import Fraction
 from math import gcd, lcm
 from typing import Any, NamedTuple, TypeAlias
@@ -233,13 +233,16 @@ class Graph:
         kind, parts, _ = self.nodes[n]
         return arguments(kind, parts)
 
-    def reached(self, roots: Iterable[int]) -> list[int]:
-        """List all nodes that some are made of, themselves among them, in ascending order."""
+    def reached(self, roots: Iterable[int], known: Container[int] = ()) -> list[int]:
+        """List all nodes that some are made of, themselves among them, in ascending order.
+
+        Those that are ``known``, and what is reached by these alone, are left out.
+        """
         seen: set[int] = set()
         work = list(roots)
         while work:
             n = work.pop()
-            if n not in seen:
+            if n not in seen and n not in known:
                 seen.add(n)
                 work += self.arguments(n)
         return sorted(seen)

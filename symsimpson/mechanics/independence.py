@@ -13,7 +13,7 @@ from symsimpson.graph.nodes import Value
 from symsimpson.graph.read import tree_size, was_float
 from symsimpson.mechanics.plain import Plain
 
-__all__ = ["Dependence", "certain", "dependence", "vanishes"]
+__all__ = ["Dependence", "Samples", "certain", "vanishes"]
 
 DIGITS = 60
 #: Where sums of terms of size one end that vanish identically.
@@ -41,33 +41,57 @@ def certain(plain: Plain, findings: Findings, value: Value) -> bool:
     return not findings.opaque(value) and not _has_floats(plain, value)
 
 
-def dependence(plain: Plain, value: Value, x: int, slope: Value) -> Dependence:
-    """Return how a value depends on a symbol that moves it in a field, where that is not certain.
+class Samples:
+    """Points at which slopes are looked at; what was computed there is kept."""
 
-    Parameters
-    ----------
-    plain : Plain
-    value : Value
-    x : int
-        The symbol.
-    slope : Value
-        The derivative by it.
-    """
-    sizes = []
-    for sample in SAMPLES:
-        size = _relative(plain, slope, sample)
-        if size is not None and size > NEARLY:
-            return Dependence.REAL  # most are: one sample shows it
-        sizes += [] if size is None else [size]
-    if not sizes or _jumps(plain, value, x):
-        return Dependence.REAL
-    if max(sizes) > NOTHING:
-        return Dependence.NEARLY
-    if not slope[0]:
-        return Dependence.NONE
-    if tree_size(plain.graph, slope) > TOO_LONG:
-        return Dependence.UNDECIDED
-    return Dependence.NONE if vanishes(plain.written(slope)) else Dependence.UNDECIDED
+    def __init__(self, plain: Plain) -> None:
+        self._plain = plain
+        with mpmath.workdps(DIGITS):
+            self._known = [_point(plain, sample) for sample in SAMPLES]
+
+    def dependence(self, value: Value, x: int, slope: Value) -> Dependence:
+        """Return how a value depends on a symbol that moves it in a field, if that is uncertain.
+
+        Parameters
+        ----------
+        value : Value
+        x : int
+            The symbol.
+        slope : Value
+            The derivative by it.
+        """
+        plain, sizes = self._plain, []
+        for k in range(len(SAMPLES)):
+            size = self._relative(slope, k)
+            if size is not None and size > NEARLY:
+                return Dependence.REAL  # most are: one sample shows it
+            sizes += [] if size is None else [size]
+        if not sizes or _jumps(plain, value, x):
+            return Dependence.REAL
+        if max(sizes) > NOTHING:
+            return Dependence.NEARLY
+        if not slope[0]:
+            return Dependence.NONE
+        if tree_size(plain.graph, slope) > TOO_LONG:
+            return Dependence.UNDECIDED
+        return Dependence.NONE if vanishes(plain.written(slope)) else Dependence.UNDECIDED
+
+    def _relative(self, slope: Value, sample: int) -> mpmath.mpf | None:
+        """Return the size of a slope in units of its largest term; None off the domain."""
+        graph = self._plain.graph
+        if not slope[0]:
+            return mpmath.mpf(0)
+        with mpmath.workdps(DIGITS):
+            values = evaluated(graph, [slope[1]], self._known[sample], mpmath.mp)
+            self._known[sample] = values
+            kind, parts, _ = graph.nodes[slope[1]]
+            terms = (
+                [abs(c.numerator * values[m] / c.denominator) for c, m in parts]
+                if kind == "sum"
+                else [1]
+            )
+            size = abs(values[slope[1]]) / (max(terms) or 1)
+            return size if mpmath.isfinite(size) else None
 
 
 def vanishes(expression: sp.Expr) -> bool:
@@ -110,20 +134,3 @@ def _has_floats(plain: Plain, value: Value) -> bool:
         if graph.nodes[n].kind == "sum"
         for c, _ in graph.nodes[n].parts
     )
-
-
-def _relative(plain: Plain, slope: Value, sample: mpmath.mpf) -> mpmath.mpf | None:
-    """Return the size of a slope in units of its largest term; None off the domain."""
-    graph = plain.graph
-    if not slope[0]:
-        return mpmath.mpf(0)
-    with mpmath.workdps(DIGITS):
-        values = evaluated(graph, [slope[1]], _point(plain, sample), mpmath.mp)
-        kind, parts, _ = graph.nodes[slope[1]]
-        terms = (
-            [abs(c.numerator * values[m] / c.denominator) for c, m in parts]
-            if kind == "sum"
-            else [1]
-        )
-        size = abs(values[slope[1]]) / (max(terms) or 1)
-        return size if mpmath.isfinite(size) else None

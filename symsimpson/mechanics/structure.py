@@ -17,7 +17,7 @@ from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.rebuild import NUMBERS, fixed, rebuilt, same
 from symsimpson.mechanics.damping import damping_rate
 from symsimpson.mechanics.declared import Declared
-from symsimpson.mechanics.independence import Dependence, certain, dependence
+from symsimpson.mechanics.independence import Dependence, Samples, certain
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.quadratic import connected, quadratic_form
 
@@ -299,7 +299,7 @@ def _freed(
     graph, q = given.graph, given.numbers(given.q)
     findings = Findings(graph, [given.T, *given.energies])
     questions: dict[Dependence, list[str]] = {kind: [] for kind in Dependence}
-    slope = Derivatives(graph)
+    slope, samples = Derivatives(graph), Samples(given)
 
     def freed(what: str, value: Value) -> Value:
         if findings.vanishes(value):
@@ -311,7 +311,7 @@ def _freed(
                 continue
             answer = Dependence.NONE
             if findings.depends(value, x):
-                answer = Dependence.REAL if sure else dependence(given, value, x, slope(value, x))
+                answer = Dependence.REAL if sure else samples.dependence(value, x, slope(value, x))
             if answer is Dependence.NONE:
                 idle.append(x)
             questions[answer].append(f"whether {what} depends on {name}")
