@@ -20,7 +20,7 @@ from symsimpson.program.recorders import tape
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import workspace
 from symsimpson.run.ended import raise_failure, trajectory_of
-from symsimpson.run.start import begin_run, new_run, warn_of_step
+from symsimpson.run.start import started
 from symsimpson.stepping.spec import RunSpec
 
 if TYPE_CHECKING:
@@ -116,11 +116,8 @@ class Way:
         whole = count * recorder.rows <= RECORDED
         self.piece = max(1, count if whole else isqrt(count))
         self._count = count
-        self._run = run = new_run(program, spec, 1, self.piece + 1, recorders=(recorder,))
-        begin_run(program, run, spec)
-        self.q0, self.p0 = (run.rows(x, program.n).copy() for x in ("POSITION", "MOMENTUM"))
-        if count:
-            warn_of_step(program, run, spec)
+        self._run = run = started(program, spec, 1, self.piece + 1, recorders=(recorder,))
+        self.q0, self.p0 = np.split(run.begun[1:], 2)
         self._places: list[tuple[list[int], Reals]] = []
         with run.watched(count, progress):
             while run.step < count and run.alive:

@@ -14,7 +14,7 @@ from symsimpson.program.recorders import growth
 from symsimpson.results.chaos import Chaos, chaos_of
 from symsimpson.run.ended import raise_failure, trajectory_of
 from symsimpson.run.integrate import integrate
-from symsimpson.run.start import begin_run, new_run, warn_of_step
+from symsimpson.run.start import started
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec, read_run
 from symsimpson.stepping.variations import refuse_retimed, varied_program
@@ -89,13 +89,11 @@ def run_lyapunov(
             f"the run has {spec.steps} steps, and variations are made orthonormal after {stride}.\n"
             "Run longer, or pass a smaller every=."
         )
-    run = new_run(
+    run = started(
         program, spec, stride, spec.steps // stride + 1, recorders=(growth(header, count, stride),)
     )
-    begin_run(program, run, spec)
     run.rows("TANGENTS", 1)[:] = count
     run.begin_growth(_tangent_to_constraints(program, spec, directions(2 * program.n, count)))
-    warn_of_step(program, run, spec)
     with run.watched(spec.steps, progress):
         run.advance(spec.steps)
     trajectory = trajectory_of(program, run, spec.steps, run.status, spec, run.stored(), stride)

@@ -19,7 +19,7 @@ from symsimpson.run.follow import follow
 from symsimpson.run.keeping import Collected, Keeper, Samples
 from symsimpson.run.resolution import finer_stride, sampling_stride
 from symsimpson.run.short_runs import make_ready
-from symsimpson.run.start import begin_run, new_run, recorders_for, warn_of_step
+from symsimpson.run.start import recorders_for, started
 from symsimpson.stepping.arrival import STRIDE
 from symsimpson.stepping.inputs import read_failure
 from symsimpson.stepping.run import Run
@@ -56,11 +56,9 @@ def integrate(
     read_failure(on_failure)
     with program.numbers.working(), silence() if progress is False else NOTHING:
         stride = _stride(program, spec, to_disk=checkpoint is not None)
-        run = new_run(program, spec, stride, _room(program, spec, stride, checkpoint is not None))
-        begin_run(program, run, spec)
+        run = started(program, spec, stride, _room(program, spec, stride, checkpoint is not None))
         if spec.steps:
             make_ready(program)
-            warn_of_step(program, run, spec)
         if checkpoint is not None:
             keeper: Keeper = _checkpoint(checkpoint, checkpoint_every, program, run, spec)
         elif spec.t_end is not None:

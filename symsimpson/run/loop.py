@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.program.numbers import NOTHING
 from symsimpson.run.ended import raise_failure, trajectory_of
-from symsimpson.run.start import begin_run, new_run, warn_of_step
+from symsimpson.run.start import started
 from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.request import of_a_step
 from symsimpson.stepping.spec import RunSpec
@@ -55,11 +55,9 @@ class ControlLoop:
         with numbers.working():
             # one step's inputs: the driver takes them for all steps, and they change in between
             self._inputs = numbers.zeros((1, 1, nodes or 1, count))
-            self._run = new_run(program, spec, 0, 1, self._inputs)
+            self._run = started(program, spec, 0, 1, self._inputs)
             #: Whether a step is that of compiled code, in which nobody hears Ctrl-C.
             self._at_once = numbers.compiled and spec.run_events is None
-            begin_run(program, self._run, spec)
-            warn_of_step(program, self._run, spec)
 
     def __reduce__(self) -> tuple[Any, ...]:
         run = self._run

@@ -14,7 +14,7 @@ from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.follow import follow
 from symsimpson.run.keeping import Samples
 from symsimpson.run.resolution import sampling_stride
-from symsimpson.run.start import begin_run, new_run, warn_of_step
+from symsimpson.run.start import started
 from symsimpson.stepping.arrival import STRIDE
 from symsimpson.stepping.driving import driven, since
 from symsimpson.stepping.run import Run
@@ -50,9 +50,7 @@ def by_pieces(
     """
     piece = min(PIECE, max(16, MOST_NUMBERS // (2 * program.n)))
     with program.numbers.working():
-        run = new_run(program, spec, 1, piece + 1)
-        begin_run(program, run, spec)
-        warn_of_step(program, run, spec)
+        run = started(program, spec, 1, piece + 1)
         stride = STRIDE if spec.t_end is not None else sampling_stride(program, spec.steps)
         pieces = Pieces(program, run, spec, take)
         last, _ = follow(

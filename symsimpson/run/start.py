@@ -20,12 +20,12 @@ from symsimpson.stepping.variations import begin_variations
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
 
-__all__ = ["begin_run", "new_run", "recorders_for", "warn_of_step"]
+__all__ = ["recorders_for", "started"]
 
 Reals = NDArray[Any]
 
 
-def new_run(
+def started(
     program: Program,
     spec: RunSpec,
     stride: int,
@@ -33,15 +33,43 @@ def new_run(
     inputs: Reals | None = None,
     recorders: Sequence[Recorder] = (),
 ) -> Run:
-    """Make a run that stores each ``stride``-th state and has room for ``stored`` of them.
+    """Make a run at its start; warn of its step.
 
-    Without ``inputs`` and ``recorders`` it has those of the request.
+    Parameters
+    ----------
+    program : Program
+    spec : RunSpec
+    stride : int
+        Steps between stored states; 0 for none.
+    stored : int
+        States that there is room for.
+    inputs : ndarray, optional
+        In place of those of the request.
+    recorders : sequence of Recorder
+        In place of those of the request, if there are any.
 
     Raises
     ------
     InputError
-        If they do not fit into memory.
+        If the states do not fit into memory, M(q0) is not positive definite, the energy has no
+        value there, or time does not advance.
     """
+    run = _new_run(program, spec, stride, stored, inputs, recorders)
+    _begin(program, run, spec)
+    if spec.steps:
+        _warn_of_step(program, run, spec)
+    return run
+
+
+def _new_run(
+    program: Program,
+    spec: RunSpec,
+    stride: int,
+    stored: int,
+    inputs: Reals | None,
+    recorders: Sequence[Recorder],
+) -> Run:
+    """Make a run that stores each ``stride``-th state and has room for ``stored`` of them."""
     given = spec.inputs if inputs is None else inputs
     asked = tuple(recorders) or recorders_for(program, spec)
     try:
@@ -78,14 +106,8 @@ def recorders_for(program: Program, spec: RunSpec) -> tuple[Recorder, ...]:
     return recorders_of(header, count, spec.record, spec.reductions)
 
 
-def begin_run(program: Program, run: Run, spec: RunSpec) -> None:
-    """Put the initial state, and the variations that are asked for, into a run.
-
-    Raises
-    ------
-    InputError
-        If M(q0) is not positive definite, the energy has no value there, or time does not advance.
-    """
+def _begin(program: Program, run: Run, spec: RunSpec) -> None:
+    """Put the initial state, and the variations that are asked for, into a run."""
     numbers, q = program.numbers, spec.q0
     run.begin(q, spec.other0, velocity=spec.velocities, t_end=spec.t_end)
     pivot, velocities = float(run.value("MASS_PIVOT")), run.rows("VELOCITY", program.n)
@@ -106,11 +128,10 @@ def begin_run(program: Program, run: Run, spec: RunSpec) -> None:
         )
     run.apply("energy")
     # no value may mean an angle that is too large for fast sines: check_start takes others
+    position, momentum = (run.rows(name, program.n) for name in ("POSITION", "MOMENTUM"))
     if not numbers.all_finite(run.rows("ENERGY", 1)):
-        position, momentum = (run.rows(name, program.n) for name in ("POSITION", "MOMENTUM"))
         check_start(program, spec.t0, position, momentum, spec.parameters)
-    state = (run.rows(name, program.n) for name in ("POSITION", "MOMENTUM"))
-    run.begun[:] = np.concatenate([[run.t0], *state])
+    run.begun[:] = np.concatenate([[run.t0], position, momentum])
     if spec.tangents is not None:
         begin_variations(program, run, spec.tangents, velocity=spec.velocities)
     run.look()
@@ -125,7 +146,7 @@ def _singular_elsewhere(run: Run, spec: RunSpec) -> bool:
     return not np.isfinite(run.rows("VELOCITY", run.header.n).astype(np.float64)).all()
 
 
-def warn_of_step(program: Program, run: Run, spec: RunSpec) -> None:
+def _warn_of_step(program: Program, run: Run, spec: RunSpec) -> None:
     """Warn once of a step beyond the limit of linear stability."""
     key = spec.h, spec.parameters.tobytes()
     plain = run.W.dtype == np.float64

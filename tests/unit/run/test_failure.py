@@ -6,7 +6,7 @@ from support.cases import sweep
 from support.places import ROOT
 
 import symsimpson as ss
-from symsimpson.run.start import begin_run, new_run
+from symsimpson.run.start import started
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import read_run
@@ -219,8 +219,7 @@ def test_injected_nan_and_infinity(scheme):
     random = np.random.default_rng(7)
     failed = 0
     for trial in range(70):
-        run = new_run(program, spec, 0, 1)
-        begin_run(program, run, spec)
+        run = started(program, spec, 0, 1)
         run.advance(20)
         block = BLOCKS[trial % len(BLOCKS)]
         if block not in stepper.program.header.layout:

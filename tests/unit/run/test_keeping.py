@@ -5,7 +5,7 @@ import pytest
 
 import symsimpson as ss
 from symsimpson.run.keeping import Samples
-from symsimpson.run.start import begin_run, new_run
+from symsimpson.run.start import started
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import read_run
@@ -66,8 +66,7 @@ def test_samples_stand_at_equal_strides_and_are_few(monkeypatch, stepper, piece)
     whole = stepper.integrate(**START, steps=200)
     program = stepper.program
     spec = read_run(program, Request(**START, steps=200, every=1))
-    run = new_run(program, spec, 1, piece + 1)
-    begin_run(program, run, spec)
+    run = started(program, spec, 1, piece + 1)
     samples = Samples(run, 3)
     while run.step < 200:
         run.advance(min(200, run.room))

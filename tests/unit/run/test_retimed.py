@@ -6,7 +6,7 @@ import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.run.start import begin_run, new_run
+from symsimpson.run.start import started
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import read_run
 
@@ -146,8 +146,7 @@ def test_a_checkpoint_of_another_end_is_another_run(stepper, tmp_path):
 def begun(stepper, t0=0.0):
     program, state = stepper.program, (START["q0"], START["v0"])
     spec = read_run(program, Request(*state, h=0.3, t_end=7.0, t0=t0))
-    run = new_run(program, spec, 0, 1)
-    begin_run(program, run, spec)
+    run = started(program, spec, 0, 1)
     return run
 
 
