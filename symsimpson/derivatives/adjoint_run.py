@@ -117,7 +117,7 @@ class Way:
         self.piece = max(1, count if whole else isqrt(count))
         self._count = count
         self._run = run = started(program, spec, 1, self.piece + 1, recorders=(recorder,))
-        self.q0, self.p0 = np.split(run.begun[1:], 2)
+        self.q0, self.p0 = run.begun[1]
         self._places: list[tuple[list[int], Reals]] = []
         with run.watched(count, progress):
             while run.step < count and run.alive:

@@ -171,9 +171,10 @@ def _trajectory(dataset: Any, program: Program) -> Trajectory:
             varied = tuple(x for x in np.atleast_1d(about["varied_by"]).tolist() if x)
     begun = None
     if "begun" in about:
-        begun = np.asarray(about["begun"], dtype=np.float64)
-        if every or begun.shape != (2 * program.n + 1,):
-            raise ValueError(f"the start has shape {begun.shape}")
+        first, *numbers = map(float, about["begun"])
+        if every or len(numbers) != 2 * program.n:
+            raise ValueError(f"the start has {len(numbers)} numbers")
+        begun = first, np.array(numbers).reshape(2, program.n)
     reduced = json.loads(str(about.get("reduced", "[]")))
     recorded = [
         (name.removeprefix(RECORDED), np.ascontiguousarray(dataset[name], dtype=np.float64))

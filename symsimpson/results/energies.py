@@ -78,9 +78,9 @@ class Energies(Stored):
                 "this file holds the last state of a run alone, and not how it began, as files did "
                 "before version 0.3.\nTake the run again, or store states on the way: every=100."
             )
-        t, q, p = np.split(self.begun, (1, self.program.n + 1))
+        t, (q, p) = self.begun
         return States(
-            t=t,
+            t=np.array([t]),
             q=q[None],
             p=p[None],
             program=self.program,

@@ -44,7 +44,7 @@ def _dataset(run: Stored) -> Any:
         about = {"long_name": "inputs of steps, at their nodes"}
         dataset["inputs"] = (("step", "node", "input"), run.input_values[0], about)
     if run.begun is not None:
-        dataset.attrs["begun"] = run.begun.tolist()
+        dataset.attrs["begun"] = [float(run.begun[0]), *run.begun[1].ravel().tolist()]
     dataset.attrs |= {
         "every": run.every or 0,
         "parameter_values": run.parameter_values.tolist(),
@@ -84,7 +84,8 @@ def digest_of(run: Stored) -> str:
     about = (float(run.h), run.steps, run.every, *outcome, *reduced, *acted, *named)
     content = hashlib.sha256(repr(about).encode())
     tau = () if run.tau_values is None else (run.tau_values,)
-    beside = [x for x in (run.variations, run.begun) if x is not None]
+    beside = [] if run.variations is None else [run.variations]
+    beside += [] if run.begun is None else [np.array(run.begun[0]), run.begun[1]]
     beside += [rows for _, rows in run.recorded_values]
     arrays = (
         run.t,

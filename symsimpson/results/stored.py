@@ -32,8 +32,8 @@ class Stored(Outcome, States):
         Names of observed quantities, and what they came to.
     tau_values : ndarray or None
         The variable in which steps are fixed, where it is not the time.
-    begun : ndarray, shape (2 n + 1,), or None
-        Time, position and momentum at the start, where the last state alone is stored.
+    begun : tuple of number and ndarray, shape (2, n), or None
+        The time at the start, and q and p there, where the last state alone is stored.
     """
 
     newton_iterations: NDArray[np.int64]
@@ -43,7 +43,7 @@ class Stored(Outcome, States):
     varied_by: tuple[str, ...] | None
     recorded_values: tuple[tuple[str, NDArray[Any]], ...]
     tau_values: NDArray[Any] | None
-    begun: NDArray[Any] | None
+    begun: tuple[Any, NDArray[Any]] | None
     records: tuple[Any, ...]
     event_names: tuple[str, ...]
     ended_by: str | None

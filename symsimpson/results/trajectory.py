@@ -73,7 +73,7 @@ class Trajectory(Energies, Differentiated):
     input_values: NDArray[Any] = field(repr=False)
     variations: NDArray[Any] | None = field(default=None, repr=False)
     tau_values: NDArray[Any] | None = field(default=None, repr=False)
-    begun: NDArray[Any] | None = field(default=None, repr=False)
+    begun: tuple[Any, NDArray[Any]] | None = field(default=None, repr=False)
     varied_by: tuple[str, ...] | None = field(default=None, repr=False)
     recorded_values: tuple[tuple[str, NDArray[Any]], ...] = field(default=(), repr=False)
     reduced_values: tuple[tuple[str, float], ...] = field(default=(), repr=False)

@@ -94,7 +94,7 @@ def trajectory_of(
         **run.beside(recorded, result),
         reduced_values=run.reduced(spec.reductions),
         tau_values=result(tau) if run.header.retimed else None,
-        begun=None if every else result(run.begun),
+        begun=None if every else (single(run.begun[0]), result(run.begun[1])),
     )
 
 

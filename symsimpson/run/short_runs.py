@@ -216,20 +216,15 @@ def _of_steps(
     count = runner.run(asked, (h, t0, steps), stride, few, stored, end)
     if count < 0 or (every == 1 and few and not _known_regular(program, asked, end)):
         return None
-    begun = None if every else _begun(t0, stored)
+    begun = None
     if every:
         t = t0 + np.arange(0.0, steps + 1.0, every) * h
         Q, P, iterations = each(every // stride, Q[:, :, 0], P[:, :, 0], counts[:, 0])
     else:
         t, iterations = np.array([t0 + h * steps]), np.array([count])
+        begun = t0, stored[0][:, 0, :, 0].copy()
         Q, P = end[:1], end[1:2]
     return _trajectory(program, asked, (t, Q, P, iterations), h, steps, None, begun)
-
-
-def _begun(t0: float, stored: Stored) -> Floats:
-    """Return the time and the first of the states that were stored."""
-    (q, p), _ = stored
-    return np.array([t0, *q[0, :, 0], *p[0, :, 0]])
 
 
 def _known_regular(program: Program, asked: BriefRequest, end: Floats) -> bool:
@@ -268,7 +263,7 @@ def _to_end(
         t = np.append(before, t[:far])
         q, p = (np.concatenate([x[:last, :, 0], y[:far]]) for x, y in ((Q, q), (P, p)))
         iterations = np.append(counts[:last, 0], np.zeros(far, dtype=np.int64))
-    begun = None if every else _begun(t0, stored)
+    begun = None if every else (t0, stored[0][:, 0, :, 0].copy())
     return _trajectory(program, asked, (t, q, p, iterations), h, steps, tau, begun)
 
 
@@ -279,7 +274,7 @@ def _trajectory(
     h: float,
     steps: int,
     tau: Floats | None,
-    begun: Floats | None,
+    begun: tuple[float, Floats] | None,
 ) -> Trajectory:
     """Return a run that has come to its end, with these times, q, p and iterations."""
     t, q, p, iterations = states

@@ -131,7 +131,7 @@ def _begin(program: Program, run: Run, spec: RunSpec) -> None:
     position, momentum = (run.rows(name, program.n) for name in ("POSITION", "MOMENTUM"))
     if not numbers.all_finite(run.rows("ENERGY", 1)):
         check_start(program, spec.t0, position, momentum, spec.parameters)
-    run.begun[:] = np.concatenate([[run.t0], position, momentum])
+    run.begun = run.t0, np.array([position, momentum])
     if spec.tangents is not None:
         begin_variations(program, run, spec.tangents, velocity=spec.velocities)
     run.look()

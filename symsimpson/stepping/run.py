@@ -92,8 +92,8 @@ class Run:
         self.ended_by: str | None = None
         self.end_within: tuple[Any, Any, Any] | None = None
         self._set, self._set_until, self._still = 0, -1, 0
-        #: Time, position and momentum at the start.
-        self.begun = numbers.zeros(2 * header.n + 1)
+        #: The time at the start, and q and p there, shape (2, n).
+        self.begun: tuple[Any, NDArray[Any]] = t0, numbers.zeros((2, header.n))
 
     def begin(
         self,
