@@ -133,7 +133,7 @@ def test_files(stepper, tmp_path):
         for kind in ("npz", "csv", "nc"):
             result.save(tmp_path / f"run.{kind}")
         assert len(np.load(tmp_path / "run.npz")["t"]) == len(result.t)
-        table = pandas.read_csv(tmp_path / "run.csv")
+        table = pandas.read_csv(tmp_path / "run.csv", float_precision="round_trip")
         assert (table["energy"].to_numpy() == result["energy"]).all()
         with xarray.open_dataset(tmp_path / "run.nc") as data:
             assert data.attrs["status"] == "SUCCESS"
