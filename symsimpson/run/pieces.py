@@ -93,7 +93,8 @@ class Pieces:
     def up_to(self, last: Trajectory) -> list[Taken]:
         """Return all that was taken, up to where the run went well."""
         run, h = self._run, self._spec.h
-        if run.arrived and last.success:
+        ends_there = last.ended_by is None and last.t[-1] == run.now  # with the last of its states
+        if run.arrived and last.success and not ends_there:
             self._taken.append(self._take(self._piece(last), run.step))
         if last.success or last.status is Status.INTERRUPTED:
             return self._taken

@@ -63,6 +63,16 @@ def test_a_retimed_run_ends_at_the_last_time():
     assert (kept["energy"] == run.energy).all()
 
 
+@pytest.mark.parametrize("every", [1, 2, None])
+def test_a_retimed_run_that_ends_where_it_begins_has_one_state(every):
+    stepper = ss.compile(ss.systems.kepler().retimed("encounters"), "midpoint")
+    asked = {**stepper.reference_state, "h": 0.05, "t0": 0.5}
+    kept = stepper.integrate(**asked, t_end=0.5, save=("t", "q"), every=every)
+    assert kept["t"].tolist() == [0.5]
+    assert kept["q"].shape == (1, 2)
+    assert stepper.integrate(**asked, t_eval=[0.5, 0.5]).t.tolist() == [0.5, 0.5]
+
+
 @pytest.mark.parametrize("every", [1, 3, 50, None])
 def test_chosen_quantities_are_those_of_the_whole_run(stepper, piece, every):
     names = ("q", "p", "v", "energy", "q1", "v_q2", "bob")
