@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.program.input_values import MOST_STEPS
 from symsimpson.program.numbers import NOTHING
 from symsimpson.run.ended import raise_failure, trajectory_of
 from symsimpson.run.start import started
@@ -55,7 +57,9 @@ class ControlLoop:
         with numbers.working():
             # one step's inputs: the driver takes them for all steps, and they change in between
             self._inputs = numbers.zeros((1, 1, nodes or 1, count))
-            self._run = started(program, spec, 0, 1, self._inputs)
+            # its end is not known: what is zero where a step ends acts in the next one
+            endless = replace(spec, steps=MOST_STEPS)
+            self._run = started(program, endless, 0, 1, self._inputs)
             #: Whether a step is that of compiled code, in which nobody hears Ctrl-C.
             self._at_once = numbers.compiled and spec.run_events is None
 

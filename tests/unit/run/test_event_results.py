@@ -165,6 +165,19 @@ def test_a_loop_bounces_as_a_run_does():
         last.step()
 
 
+@pytest.mark.parametrize("step", [1, 2])
+def test_an_event_at_a_time_of_the_grid_acts_in_a_loop_as_in_a_run(step):
+    braked = ss.Change(velocities={z: z.diff() / 2})
+    given = {"h": 0.125, "events": [ss.Event(ss.time - 0.125 * step, name="b", action=braked)]}
+    stepper = ss.compile(BALL)
+    run = stepper.integrate([1.0], v0=[0.0], steps=4, **given)
+    loop = stepper.start([1.0], v0=[0.0], **given)
+    for k in range(1, 5):
+        loop.step()
+        assert np.array_equal(loop.p, run.p[k])
+    assert loop.events("b").t.tolist() == run.events("b").t.tolist() == [0.125 * step]
+
+
 def test_files_keep_what_events_did(tmp_path):
     pytest.importorskip("netCDF4")
     end = ss.Event(z, name="down", direction=-1, terminal=2)
