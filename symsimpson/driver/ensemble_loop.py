@@ -27,6 +27,8 @@ from symsimpson.module.interface import *
 BLOCK, STEP, BEGUN = 0, 1, 2
 #: After so many steps in which it does not change at all, the time of a member stands still.
 STANDSTILL = 1024
+#: What is below so much of its size at the end is left to the rules of single runs: it costs time.
+NEARLY_ZERO = 2.0**-30
 #: What variations tell, among the kinds of reductions, and how often an event acted.
 LYAPUNOV, MEGNO, SALI, ACTED = 4, 5, 6, 7
 
@@ -121,6 +123,17 @@ def begin_watching(kernels, h, t, W, at, first, rows):
         W[at[ACTIVE], lane] = 1.0 if W[at[STATUS], lane] == 0.0 else 0.0
     for k in range(RECORDERS, RECORDERS + at[OF_EVENTS]):
         call(kernels[k], h, t, W)
+
+
+@njit(**RARE)
+def look_at_end(W, at, first, rows):
+    """Have members run by themselves at whose end an expression is zero or nearly: it may act."""
+    for k in range(rows // WATCHED):
+        row = first + WATCHED * k
+        for lane in range(LANES):
+            near = NEARLY_ZERO * W[row + SIZE_WATCHED, lane]
+            if W[at[STATUS], lane] == 0.0 and abs(W[row + VALUE_WATCHED, lane]) <= near:
+                W[at[STATUS], lane] = MET
 
 
 @njit(**RARE)
@@ -251,6 +264,7 @@ def advance_blocks(kernels, more, setting, cursor, asked, starts, buffers, outs)
             budget -= progress[0] - step
         cursor[STEP] = progress[0]
         if progress[0] >= steps or not alive:
+            look_at_end(W, at, more[5], more[6])
             tell(W, at, h, more[3], kinds, seen, block)
             outcome = q_out, p_out, codes_out, recorded_out
             finish_block(W, at, block, progress[0], every, stores, outcome, lost)

@@ -24,7 +24,7 @@ RATE_BEHIND = 6
 
 #: Rows for each expression whose sign is waited for: its side of zero, its size of late, its value
 #: and the one before. Values below a part of the size are rounding.
-WATCHED, SIZE_WATCHED, ZERO = 4, 1, 64 * 2.0**-52
+WATCHED, SIZE_WATCHED, VALUE_WATCHED, ZERO = 4, 1, 2, 64 * 2.0**-52
 
 #: A rate dt/dtau below this part of the first has nearly vanished.
 STANDING = 1e-8

@@ -270,6 +270,7 @@ def watchers(
             f"met_{k} = 1.0 if {waited} else (1.0 if now_{k} != now_{k} else 0.0)",
         ]
         kept += [f"{side}, {size} = now_{k}, size_{k}"]
+        kept += [f"{earlier}, {before} = {before}, value_{k}"]
         if gap:
             lines += [
                 f"falls = {earlier} - {before}",
@@ -280,7 +281,6 @@ def watchers(
                 f"lost = value_{k} != value_{k} or (side != side and now_{k} < 0.0)",
                 f"met_{k} = 1.0 if dips or lost else met_{k}",
             ]
-            kept += [f"{earlier} = {before}", f"{before} = value_{k}"]
     lines.append(f"met = {' + '.join(f'met_{k}' for k in range(len(watched)))}")
     lines += ["if met > 0.0:", f"    W[STATUS, lane] = {MET}.0", "else:"]
     lines += [f"    {line}" for line in kept]

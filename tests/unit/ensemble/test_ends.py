@@ -43,3 +43,18 @@ def test_members_in_which_events_act_end_behind_all_steps():
         how = {"v0": [0.0], "h": 0.05, "steps": 20, "events": [bounce], "every": every}
         found = ss.compile(GROWING).ensemble([[1.0], [90.0]], **how)
         assert found.ended_at == pytest.approx([1.0, 1.0], abs=1e-15)
+
+
+@pytest.mark.parametrize("every", [None, 3])
+@pytest.mark.parametrize("terminal", [False, True])
+def test_an_event_at_the_last_state_acts_as_it_does_in_a_run(every, terminal):
+    halved = ss.Change(velocities={z: z.diff() / 2})
+    events = [ss.Event(ss.time - 1, name="brake", action=halved, terminal=terminal)]
+    how = {"v0": [0.0], "h": 0.125, "steps": 8, "events": events, "every": every}
+    asked = {"reduce": {"times": ("count", "brake")}, **how}
+    stepper = ss.compile(GROWING)
+    run, found = stepper.integrate([1.0], **asked), stepper.ensemble([[1.0], [2.0]], **asked)
+    assert found["times"].tolist() == [run.reduced["times"]] * 2 == [1.0, 1.0]
+    assert found.ended_at.tolist() == [1.0, 1.0]
+    if every is None:
+        assert found.p[0].tolist() == run.p[0].tolist()
