@@ -136,15 +136,15 @@ def test_many_digits():
 
 
 def test_files(stepper, tmp_path):
-    pandas, xarray = pytest.importorskip("pandas"), pytest.importorskip("xarray")
+    xarray = pytest.importorskip("xarray")
     found = stepper.integrate(**GIVEN, t_eval=TIMES)
     kept = stepper.integrate(**GIVEN, steps=10, save=("q", "energy", "bob"))
     for result in (found, kept):
         for kind in ("npz", "csv", "nc"):
             result.save(tmp_path / f"run.{kind}")
         assert len(np.load(tmp_path / "run.npz")["t"]) == len(result.t)
-        table = pandas.read_csv(tmp_path / "run.csv", float_precision="round_trip")
-        assert (table["energy"].to_numpy() == result["energy"]).all()
+        table = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True)
+        assert (table["energy"] == result["energy"]).all()
         with xarray.open_dataset(tmp_path / "run.nc") as data:
             assert data.attrs["status"] == "SUCCESS"
         with pytest.raises(ss.InputError, match="no kind of file"):
