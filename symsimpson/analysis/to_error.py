@@ -17,7 +17,7 @@ from symsimpson.results.sampled import Sampled, Saved
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.calling import explained
-from symsimpson.support.names import in_a_row, read_mapping
+from symsimpson.support.names import by_name, in_a_row, read_mapping
 
 __all__ = ["integrate"]
 
@@ -101,6 +101,7 @@ def integrate(
 
 def _state_key(state: Any) -> Any:
     """Return the text of an initial state, for the key of a stored choice."""
+    state = by_name(state)
     if isinstance(state, Mapping):
         return sorted((str(name), repr(value)) for name, value in state.items())
     if state is None:

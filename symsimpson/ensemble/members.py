@@ -22,6 +22,7 @@ from symsimpson.stepping.recording import read_record
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run_events import check_variations, read_run_events
 from symsimpson.stepping.variations import read_tangents
+from symsimpson.support.names import by_name
 
 __all__ = ["read_task"]
 
@@ -118,7 +119,7 @@ def _columns(program: Program, tangents: Any) -> NDArray[np.float64]:
 
 
 def _states(name: str, value: Any, program: Program) -> NDArray[np.float64]:
-    names = program.names.coordinates
+    names, value = program.names.coordinates, by_name(value)
     if isinstance(value, Mapping):
         rows = names.in_order(name, value)
         columns = [

@@ -13,6 +13,7 @@ from symsimpson.errors import InputError
 
 __all__ = [
     "Named",
+    "by_name",
     "did_you_mean",
     "in_a_row",
     "read_mapping",
@@ -48,6 +49,19 @@ def in_a_row(given: Any) -> tuple[Any, ...]:
     """Return what is given, or its name, in a row: one by itself is a row of one."""
     several = isinstance(given, Iterable) and not isinstance(given, str)
     return tuple(given) if several else (given,)
+
+
+def by_name(given: Any) -> Any:
+    """Return rows and tables whose labels are names, as those of pandas, as a mapping.
+
+    All else stays as it is: labels that are numbers are places in an order.
+    """
+    keys = getattr(given, "keys", None)
+    if isinstance(given, (Mapping, type)) or not callable(keys):
+        return given
+    labels = list(keys())
+    names = all(isinstance(key, str) or hasattr(key, "free_symbols") for key in labels)
+    return {key: given[key] for key in labels} if names else given
 
 
 def read_mapping(what: str, given: Any, example: str) -> Mapping[Any, Any]:
@@ -139,26 +153,38 @@ class Named:
         """Return the place of the coordinate whose velocity a key names; None if it names none."""
         if getattr(key, "derivative_count", 0) == 1:
             return self.place(key.expr)
+        return self._place_behind("v_", key)
+
+    def _place_behind(self, prefix: str, key: Any) -> int | None:
+        """Return the place of the coordinate whose name stands behind a prefix, None of others."""
         name = spelled(key)
-        if name in self.places or not name.startswith("v_"):  # a coordinate's own name comes first
+        if name in self.places or not name.startswith(prefix):  # a coordinate's own name is first
             return None
-        return self.places.get(name.removeprefix("v_"))
+        return self.places.get(name.removeprefix(prefix))
+
+    def _place_by_use(self, what: str, key: Any) -> int | None:
+        """Return the place of the coordinate whose velocity or momentum a key of v0 or p0 names."""
+        if what == "v0":
+            return self.place_of_velocity(key)
+        return self._place_behind("p_", key) if what == "p0" else None
 
     def in_order(self, what: str, given: Any) -> Any:
         """Return values that are given by name as a list in order; all others as they are.
 
-        Those of "v0" may be given by the names of velocities, too.
+        Those of "v0" may be given by the names of velocities, too, those of "p0" by the names of
+        momenta. A row of a table, as of pandas, whose labels are names gives values by name.
 
         Raises
         ------
         InputError
             If a name is unknown, is given twice, or is missing.
         """
+        given = by_name(given)
         if not isinstance(given, Mapping):
             return given
         values: dict[int, Any] = {}
         for key, value in given.items():
-            place = self.place_of_velocity(key) if what == "v0" else None
+            place = self._place_by_use(what, key)
             if place is None:
                 try:
                     place = self.found(key)

@@ -4,9 +4,10 @@ import pytest
 import sympy as sp
 
 import symsimpson as ss
-from symsimpson.support.names import Named, did_you_mean, spelled
+from symsimpson.support.names import Named, by_name, did_you_mean, spelled
 
 THETA = sp.Function(r"\theta_1")(ss.time)
+Q0 = sp.Function("q0")(ss.time)
 COORDINATES = Named("coordinate", ("q0", "q0_2"), (r"\theta_1", "q0"))
 
 
@@ -40,6 +41,9 @@ def test_values_by_name():
     for given in ({THETA.diff(): 1, "q0": 2}, {r"v_\theta_1": 1, "v_q0": 2}, {THETA: 1, "v_q0": 2}):
         assert COORDINATES.in_order("v0", given) == [1, 2]
     assert Named("coordinate", ("x", "v_x")).in_order("v0", {"v_x": 2, "x": 1}) == [1, 2]
+    assert COORDINATES.in_order("p0", {r"p_\theta_1": 1, "p_q0": 2}) == [1, 2]
+    with pytest.raises(ss.InputError, match=r"q0: there is no coordinate 'p_q0'"):
+        COORDINATES.in_order("q0", {"p_q0": 1, THETA: 2})
     with pytest.raises(ss.InputError, match=r"p0: there is no coordinate 'v_"):
         COORDINATES.in_order("p0", {THETA.diff(): 1, "q0": 2})
     with pytest.raises(ss.InputError, match=r"v0: there is no coordinate 'v_y'"):
@@ -51,6 +55,21 @@ def test_values_by_name():
     ):
         with pytest.raises(ss.InputError, match=message):
             COORDINATES.in_order("q0", given)
+
+
+def test_rows_of_tables_give_values_by_their_labels():
+    pandas = pytest.importorskip("pandas")
+    row = pandas.Series({"q0": 2.0, r"\theta_1": 1.0})
+    assert COORDINATES.in_order("q0", row) == [1, 2]
+    assert COORDINATES.in_order("p0", row.add_prefix("p_")) == [1, 2]
+    assert COORDINATES.in_order("q0", pandas.Series([2.0, 1.0], [Q0, THETA])) == [1, 2]
+    columns = COORDINATES.in_order("q0", pandas.DataFrame({"q0": [2, 4], r"\theta_1": [1, 3]}))
+    assert [list(column) for column in columns] == [[1, 3], [2, 4]]
+    with pytest.raises(ss.InputError, match="there is no coordinate 'a'"):
+        COORDINATES.in_order("q0", pandas.Series({"a": 1.0, "b": 2.0}))
+    numbered = pandas.Series([1.0, 2.0], index=[7, 5])
+    assert by_name(numbered) is numbered
+    assert by_name(dict) is dict
 
 
 @pytest.mark.parametrize(

@@ -49,6 +49,13 @@ def test_members_are_single_runs(stepper):
         np.testing.assert_allclose(found.p[member], run.p[0], rtol=0, atol=1e-12)
 
 
+def test_columns_of_a_table_are_found_by_their_names(stepper):
+    pandas = pytest.importorskip("pandas")
+    table = pandas.DataFrame({"q2": [1.0, 0.9], "q1": [0.8, 0.7]})
+    found = stepper.ensemble(table, p0=[0, 0], h=0.02, steps=0)
+    assert found.q.tolist() == [[0.8, 1.0], [0.7, 0.9]]
+
+
 @pytest.mark.slow
 def test_same_bits_for_threads_blocks_and_order(monkeypatch):
     stepper = ss.compile(ss.systems.pendulum())
