@@ -35,12 +35,15 @@ def points_of(
         Of shape (..., 2) or (..., 3) for a point, (..., corners, 2 or 3) for a body; empty if no
         positions were declared.
     """
+    positions = system.positions or {}
     columns = [np.asarray(x, dtype=np.float64) for x in (t, q, values)]
     numbers = [columns[0], *(x[..., k] for x in columns[1:] for k in range(x.shape[-1]))]
     shape = columns[1].shape[:-1]
     points = {}
-    places = _function(system)(*numbers) if system.positions else []
-    for (name, given), corners in zip((system.positions or {}).items(), places, strict=True):
+    # by what is computed: systems are equal whatever points they declare
+    arguments = (time, *system.coordinates, *system.parameters)
+    places = _function(arguments, tuple(positions.values()))(*numbers) if positions else []
+    for (name, given), corners in zip(positions.items(), places, strict=True):
         rows = [
             np.stack([np.broadcast_to(axis, shape) for axis in corner], axis=-1)
             for corner in corners
@@ -51,20 +54,19 @@ def points_of(
 
 
 @lru_cache(maxsize=64)
-def _function(system: Declared) -> Callable[..., Any]:
+def _function(arguments: tuple[sp.Basic, ...], positions: tuple[Any, ...]) -> Callable[..., Any]:
     """Return a function of t, positions and parameters that gives all axes of all corners.
 
     It is one for all points, of symbols that are names in Python: others would be replaced one by
     one, in all expressions.
     """
-    arguments = (time, *system.coordinates, *system.parameters)
     plain = {x: sp.Symbol(f"x_{k}") for k, x in enumerate(arguments)}
     corners = [
         [
             [x.xreplace(plain) for x in corner]
             for corner in (given if isinstance(given[0], tuple) else [given])
         ]
-        for given in (system.positions or {}).values()
+        for given in positions
     ]
     function: Callable[..., Any] = sp.lambdify([*plain.values()], float_literals(corners), "numpy")
     return function

@@ -91,6 +91,28 @@ def test_tables_are_no_runs(tmp_path):
         assert all(kind in str(said.value) for kind in KINDS)
 
 
+def two_of_a_name(**positions):
+    x, y = ss.coordinates("bob_x bob_y")
+    kinetic, potential = (x.diff() ** 2 + y.diff() ** 2) / 2, (x**2 + y**2) / 2
+    return ss.MechanicalSystem(
+        "marble",
+        coordinates=(x, y),
+        kinetic=kinetic,
+        potential=potential,
+        positions={"bob": (x + 5, y - 5), **positions},
+    )
+
+
+def test_points_are_those_of_the_system_at_hand():
+    start = {"v0": [0.0, 0.0], "h": 0.1, "steps": 1}
+    first, other = two_of_a_name(top=(0, 0)), two_of_a_name(top=(1, 2))
+    assert first == other  # points change no equation
+    for system, top in ((first, [0, 0]), (other, [1, 2])):
+        run = ss.compile(system).integrate([1.0, 2.0], **start)
+        assert run["top"].tolist() == [top, top]
+    assert ss.compile(two_of_a_name()).integrate([1.0, 2.0], **start).points.keys() == {"bob"}
+
+
 def test_points_by_name():
     run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=5)
     assert run["bob"].shape == (6, 2)
