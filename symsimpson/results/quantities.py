@@ -12,6 +12,7 @@ from symsimpson.errors import UnknownNameError
 from symsimpson.module.matrices import slopes_of
 from symsimpson.module.quantity import QUANTITIES, SCALARS, VECTORS
 from symsimpson.program.program import Program
+from symsimpson.results.tables import apart
 from symsimpson.support.names import did_you_mean, spelled
 
 __all__ = ["Quantities"]
@@ -199,5 +200,6 @@ class Quantities:
         for name, place in self.points.items():
             if place.ndim == self.energy.ndim + 1:  # no body of several corners
                 axes = "xyz"[: place.shape[-1]]
-                columns |= {f"{name}_{axis}": place[..., k] for k, axis in enumerate(axes)}
+                of_point = {f"{name}_{axis}": place[..., k] for k, axis in enumerate(axes)}
+                columns |= apart(of_point, columns, "point_")
         return columns

@@ -17,7 +17,7 @@ from symsimpson.program.status import Status
 from symsimpson.results.outcome import Outcome
 from symsimpson.results.records import Actions, Record, actions_of
 from symsimpson.results.states import States, with_units
-from symsimpson.results.tables import dataframe, write
+from symsimpson.results.tables import apart, dataframe, write
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
 from symsimpson.support.names import did_you_mean, spelled
@@ -267,15 +267,17 @@ class Saved(WithEvents, Outcome):
         return {"t": self.t, **self.values}
 
     def _table(self) -> dict[str, NDArray[Any]]:
-        table = {"t": self.t}
+        table, names = {"t": self.t}, self.program.names
+        taken = {*self.values, *(x for vector in WITH_COORDINATES for x in vector.shown(names))}
         for name, values in self.values.items():
             if values.ndim == 1:
                 table[name] = values
             elif values.ndim == 2:
                 quantity = QUANTITIES.get(name)
                 parts = [f"{name}_{x}" for x in "xyz"[: values.shape[1]]]  # of a point
-                shown = quantity.shown(self.program.names) if quantity else parts
-                table |= {x: values[:, k] for k, x in enumerate(shown)}
+                shown = quantity.shown(names) if quantity else parts
+                columns = {x: values[:, k] for k, x in enumerate(shown)}
+                table |= columns if quantity else apart(columns, taken, "point_")
         return table
 
     def _about(self) -> dict[str, Any]:

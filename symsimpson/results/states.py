@@ -242,7 +242,8 @@ class States(Quantities):
     def to_pandas(self) -> Any:
         """Return a ``pandas.DataFrame`` of all quantities by name, with the times as index.
 
-        Positions, momenta, velocities, the energy, invariants and the coordinates of points.
+        Positions, momenta, velocities, the energy, invariants and the coordinates of points: those
+        of a point "bob" are ``bob_x`` and so on, or ``point_bob_x`` where that is a coordinate.
 
         Raises
         ------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from symsimpson.errors import InputError
 from symsimpson.support.extras import library
 from symsimpson.support.files import check_folder, read_path, written_beside
 
-__all__ = ["KINDS", "check_kind", "dataframe", "write"]
+__all__ = ["KINDS", "apart", "check_kind", "dataframe", "write"]
 
 #: Tables: what is written cannot be opened as a run again.
 TABLES = (".npz", ".csv", ".parquet")
@@ -47,6 +47,19 @@ def check_kind(place: Path) -> str:
     for name in NEEDS[place.suffix]:
         library(name, f"a {place.suffix} file", "parquet" if name == "pyarrow" else "data")
     return place.suffix
+
+
+def apart(
+    columns: Mapping[str, NDArray[Any]], taken: Container[str], prefix: str
+) -> dict[str, NDArray[Any]]:
+    """Return columns for a table that has some: a prefix stands before names that are taken."""
+    added = {}
+    for given, column in columns.items():
+        name = given
+        while name in taken:
+            name = prefix + name
+        added[name] = column
+    return added
 
 
 def dataframe(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import symsimpson as ss
-from symsimpson.results.tables import KINDS
+from symsimpson.results.tables import KINDS, apart
 
 pandas = pytest.importorskip("pandas")
 
@@ -101,6 +101,21 @@ def two_of_a_name(**positions):
         potential=potential,
         positions={"bob": (x + 5, y - 5), **positions},
     )
+
+
+def test_no_column_hides_another():
+    stepper, start = ss.compile(two_of_a_name()), {"v0": [0.0, 0.0], "h": 0.1, "steps": 3}
+    run = stepper.integrate([1.0, 2.0], **start)
+    frame = run.to_pandas()
+    assert np.array_equal(frame["bob_x"], run.q[:, 0])
+    assert np.array_equal(frame[["point_bob_x", "point_bob_y"]], run.points["bob"])
+    for names in (("bob", "q"), ("q", "bob"), ("bob_x", "bob")):
+        kept = stepper.integrate([1.0, 2.0], **start, save=names).to_pandas()
+        assert np.array_equal(kept["bob_x"], run.q[:, 0])
+        assert np.array_equal(kept["point_bob_x"], run.points["bob"][:, 0])
+    many = stepper.ensemble([[1.0, 2.0]], **start, every=1)
+    assert np.array_equal(many.to_pandas()["bob_x"], many.q[0, :, 0])
+    assert list(apart({"a": 1, "b": 2}, {"a", "p_a"}, "p_")) == ["p_p_a", "b"]
 
 
 def test_points_are_those_of_the_system_at_hand():
