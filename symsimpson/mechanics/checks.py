@@ -159,6 +159,13 @@ def read_parameters(
                 "Give the parameter another name. The time needs no value: symsimpson.time may "
                 "stand in energies and forces as it is.",
             )
+        if symbol in coordinates:
+            raise fail(
+                system,
+                f"the parameter {spell(symbol)!r} is a coordinate, whose value changes in a run.",
+                "Leave it out of the parameters. Its start is given to each run: integrate(q0, "
+                "v0, ...).",
+            )
         if not isinstance(symbol, sp.Symbol):
             raise fail(
                 system,

@@ -20,7 +20,7 @@ from symsimpson.graph.read import Reader
 from symsimpson.mechanics.checks import fail, spell
 from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.plain import Symbols
-from symsimpson.support.names import did_you_mean
+from symsimpson.support.names import did_you_mean, shortened
 
 __all__ = ["read_expression"]
 
@@ -96,6 +96,7 @@ def read_expression(
         )
 
     def check(node: sp.Basic) -> None:
+        _check_coordinate(system, what, node, known)
         check_content(system, what, node)
         if isinstance(node, sp.Symbol):
             check_declared(system, what, node, known)
@@ -153,8 +154,8 @@ def _check_place(
                 f"{spell(symbol)}.",
                 "A potential depends on positions alone. Move terms that are linear in the "
                 "velocities to a Lagrangian: MechanicalSystem.from_lagrangian(name, L, ...)."
-                if velocity
-                else f"Leave {spell(symbol)} out of it.",
+                if velocity and what == "potential"
+                else f"It follows from the positions alone: leave {spell(symbol)} out of it.",
             )
 
 
@@ -167,6 +168,29 @@ def _check_form(system: str, what: str, node: sp.Expr) -> None:
             "Its values and derivatives must be known. Put in its expression: "
             f".subs({spell(node)}, ...).doit().",
         )
+
+
+def _check_coordinate(
+    system: str, what: str, node: sp.Basic, known: Mapping[sp.Basic, Value]
+) -> None:
+    """Refuse a coordinate, or its velocity, that is a function of another time."""
+    user = node.expr if isinstance(node, sp.Derivative) else node
+    if user in known or not isinstance(user, AppliedUndef) or len(user.args) != 1:
+        return
+    for x in known:
+        if isinstance(x, AppliedUndef) and x.func.__name__ == user.func.__name__:
+            same = str(user) == str(x)
+            raise fail(
+                system,
+                f"the {what} contains {shortened(user)}, which is not the coordinate {x}: "
+                + (
+                    "its time is a symbol with other assumptions."
+                    if same
+                    else "its argument is not the time."
+                ),
+                "Write the coordinate in its place, as symsimpson.coordinates made it; the time is "
+                "symsimpson.time.",
+            )
 
 
 def check_content(system: str, what: str, node: sp.Basic) -> None:
@@ -333,6 +357,16 @@ def check_declared(
             "assumptions.",
             "SymPy holds them apart. The time is symsimpson.time.",
         )
+    functions = {x.func.__name__: x for x in known if isinstance(x, AppliedUndef)}
+    momentum_of = {f"p_{name}": x for name, x in functions.items()}.get(symbol.name)
+    if symbol.name in declared and momentum_of is not None:
+        raise fail(
+            system,
+            f"the {what} contains a symbol {symbol.name}, which is not the momentum of that name: "
+            "it has other assumptions.",
+            f"SymPy holds them apart. Write (p,) = symsimpson.momenta({momentum_of.func.__name__})"
+            " and p in its place.",
+        )
     if symbol.name in declared:
         raise fail(
             system,
@@ -341,7 +375,6 @@ def check_declared(
             "SymPy holds them apart, so the value would not arrive. "
             "Make the symbol once and use it everywhere.",
         )
-    functions = {x.func.__name__: x for x in known if isinstance(x, AppliedUndef)}
     if symbol.name in functions:
         raise fail(
             system,

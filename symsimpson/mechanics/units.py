@@ -48,7 +48,7 @@ def read_units(
         quantity = spelled(key)
         if quantity not in known:
             raise ModelError(
-                f"system '{name}': units has {quantity!r}, which it does not have."
+                f"system '{name}': units names {quantity!r}, which the system does not have."
                 f"{did_you_mean(quantity, known)}\n"
                 "Name coordinates, momenta and velocities (p_ and v_ before a coordinate), "
                 f"parameters, invariants, points, 't', {', '.join(x.name for x in SCALARS)}."

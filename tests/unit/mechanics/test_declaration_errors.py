@@ -10,7 +10,7 @@ import symsimpson as ss
 
 x, y = ss.coordinates("x y")
 m, k, g = sp.symbols("m k g", positive=True)
-t = sp.Symbol("t")
+t, OWN_T = sp.Symbol("t"), sp.Symbol("t", real=True)
 T = m * x.diff() ** 2 / 2
 V = k * x**2 / 2
 
@@ -81,7 +81,27 @@ WRONG = {
     "boolean value": ({"parameters": {m: 1.0, k: True}}, "not a finite real number"),
     "sign": ({"parameters": {m: -1.0, k: 2.0}}, "m is declared positive and has the value -1"),
     "parameters as list": ({"parameters": [m, k]}, "not a mapping"),
-    "parameter no symbol": ({"parameters": {m: 1.0, k: 2.0, x: 1.0}}, "not a SymPy symbol"),
+    "parameter no symbol": ({"parameters": {m: 1.0, k: 2.0, "c": 1.0}}, "not a SymPy symbol"),
+    "coordinate as a parameter": (
+        {"parameters": {m: 1.0, k: 2.0, x: 1.0}},
+        "'x' is a coordinate.*Leave it out.*each run",
+    ),
+    "coordinate of another t": (
+        {"potential": k * sp.Function("x")(OWN_T) ** 2},
+        r"x\(t\), which is not the coordinate x\(t\): its time .* other assumptions.*in its place",
+    ),
+    "velocity in another t": (
+        {"kinetic": m * sp.Function("x")(OWN_T).diff(OWN_T) ** 2},
+        r"x\(t\), which is not the coordinate x\(t\): its time .* other assumptions.*in its place",
+    ),
+    "delayed coordinate": (
+        {"potential": k * x * sp.Function("x")(t - 1)},
+        r"x\(t - 1\), which is not the coordinate x\(t\): its argument is not the time",
+    ),
+    "symbol as a momentum": (
+        {"invariants": {"J": x * sp.Symbol("p_x")}},
+        r"symbol p_x, which is not the momentum .*\(p,\) = symsimpson.momenta\(x\)",
+    ),
     "two symbols": ({"potential": sp.Symbol("k") * x**2}, "two symbols of one name, 'k'"),
     "two parameters": (
         {"parameters": {m: 1.0, k: 2.0, sp.Symbol("k"): 1.0}},
@@ -114,7 +134,7 @@ WRONG = {
     "name": ({"name": "../spring"}, "cannot be the name of a file"),
     "empty name": ({"name": ""}, "cannot be the name of a file"),
     "name no text": ({"name": 3}, "cannot be the name of a file"),
-    "position": ({"positions": {"bob": (x.diff(),)}}, "position 'bob' depends on the velocity x'"),
+    "position": ({"positions": {"bob": (x.diff(),)}}, "velocity x'.\nIt follows .*leave x'"),
     "invariant": ({"invariants": {"J": g * x}}, "invariant 'J' contains the unknown symbol g"),
     "gyroscopic": ({"gyroscopic": x.diff() ** 2}, "not linear in the velocities"),
 }
