@@ -127,10 +127,17 @@ def read_energies(
     forces = read_forces(name, coordinates, given.forces, given.dissipation, s, read_moving)
     check_used(name, given.inputs, s, forces)
     positions = _read_positions(name, given, s, read)
-    watch = s.known | {
+    of_momenta = {
         user: s.graph.symbol(symbol.name)
         for user, symbol in zip(momenta(*coordinates), s.p, strict=True)
     }
+    for both in s.known.keys() & of_momenta.keys() if given.invariants else ():
+        raise fail(
+            name,
+            f"the parameter {both} is the symbol of a momentum, too.",
+            "An invariant could mean either. Give the parameter another name.",
+        )
+    watch = s.known | of_momenta
     invariants: dict[str, sp.Expr] = {}
     values: dict[str, Value] = {}
     for key, quantity in _by_name(name, "invariants", given.invariants, "{'J': x**2}").items():

@@ -11,6 +11,7 @@ import symsimpson as ss
 x, y = ss.coordinates("x y")
 m, k, g = sp.symbols("m k g", positive=True)
 t, OWN_T = sp.Symbol("t"), sp.Symbol("t", real=True)
+(P_X,) = ss.momenta(x)
 T = m * x.diff() ** 2 / 2
 V = k * x**2 / 2
 
@@ -97,6 +98,10 @@ WRONG = {
     "delayed coordinate": (
         {"potential": k * x * sp.Function("x")(t - 1)},
         r"x\(t - 1\), which is not the coordinate x\(t\): its argument is not the time",
+    ),
+    "parameter that is a momentum": (
+        {"parameters": {m: 1.0, k: 2.0, P_X: 3.0}, "invariants": {"J": x * P_X}},
+        "the parameter p_x is the symbol of a momentum.*could mean either",
     ),
     "symbol as a momentum": (
         {"invariants": {"J": x * sp.Symbol("p_x")}},
