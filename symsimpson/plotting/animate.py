@@ -6,6 +6,7 @@ import html
 import os
 from collections.abc import Callable
 from functools import cached_property, partial
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +96,8 @@ class Animation:
 
 def animate(run: Any, *, seconds: float | None = None, fps: int = 20) -> Animation:
     """Film the points and bodies of a system."""
-    if not (1 <= fps <= 100) or (seconds is not None and not 0 < seconds <= 600):
+    numbers = all(isinstance(x, Real) for x in (fps, 1 if seconds is None else seconds))
+    if not numbers or not 1 <= fps <= 100 or not (seconds is None or 0 < seconds <= 600):
         raise InputError(
             f"seconds={seconds!r}, fps={fps!r} make no film.\n"
             "Pass up to 600 seconds, and from 1 to 100 frames in each."

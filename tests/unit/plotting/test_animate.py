@@ -74,7 +74,10 @@ def test_length_of_a_film():
     assert run_of("double_pendulum", h=0.05, steps=600, every=20).animate(fps=10).frames == 100
 
 
-@pytest.mark.parametrize("options", [{"fps": 0}, {"fps": 1000}, {"seconds": -1}, {"seconds": 1e9}])
+@pytest.mark.parametrize(
+    "options",
+    [{"fps": 0}, {"fps": 1000}, {"fps": None}, {"seconds": -1}, {"seconds": 1e9}, {"seconds": "2"}],
+)
 def test_films_that_are_none(options):
     with pytest.raises(ss.InputError, match="make no film"):
         run_of("double_pendulum").animate(**options)
