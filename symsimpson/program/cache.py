@@ -18,7 +18,6 @@ import shutil
 import stat
 import sys
 import tempfile
-import warnings
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -32,6 +31,7 @@ import numpy as np
 from filelock import FileLock, Timeout
 
 from symsimpson.errors import GenerationError
+from symsimpson.support.calling import warn
 from symsimpson.support.garbage import rarely_collected
 from symsimpson.support.progress import waiting
 
@@ -58,21 +58,30 @@ def cache_folder() -> Path:
     GenerationError
         If others may write there: its files are executed.
     """
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     folder = Path(os.environ.get(_VARIABLE) or Path(base) / "symsimpson")
     try:
+        folder = folder.expanduser()
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         info = folder.lstat()
         writable = os.access(folder, os.W_OK)
-    except OSError as error:
-        return _temporary_folder(folder, str(error.strerror or error))
+    except (OSError, RuntimeError) as error:  # the latter where no home is known
+        reason = str(getattr(error, "strerror", None) or error).rstrip(".")
+        return _temporary_folder(folder, reason)
     foreign = hasattr(os, "getuid") and info.st_uid != os.getuid()
     shared = os.name == "posix" and info.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-    if not stat.S_ISDIR(info.st_mode) or foreign or shared:
+    why = ""
+    if shared:
+        why = f"others may write there (mode {info.st_mode & 0o777:04o}; chmod 700 changes it)"
+    if foreign:
+        why = "it belongs to another user"
+    if not stat.S_ISDIR(info.st_mode):
+        why = "it is a link"
+    if why:
         raise GenerationError(
-            f"the cache folder {folder} is not private to you (mode {info.st_mode & 0o777:04o}).\n"
-            "Files in it are executed, so nobody else may write there. "
-            f"Run chmod 700 on it, or name another folder in ${_VARIABLE}."
+            f"the cache folder {folder} is not private to you: {why}.\n"
+            "Files in it are executed, so nobody else may write there. Name another folder in "
+            f"${_VARIABLE}."
         )
     return folder if writable else _temporary_folder(folder, "it cannot be written to")
 
@@ -80,11 +89,10 @@ def cache_folder() -> Path:
 @cache
 def _temporary_folder(folder: Path, why: str) -> Path:
     """Return a private folder for this process alone, where no other can be had; say so once."""
-    warnings.warn(
+    warn(
         f"the cache folder {folder} cannot be used ({why}): each process compiles anew.\n"
         f"Name a folder of your own in ${_VARIABLE}.",
         RuntimeWarning,
-        stacklevel=2,
     )
     holder = tempfile.TemporaryDirectory(prefix="symsimpson-")
     _results["temporary folder"] = holder  # removed when the process ends
@@ -94,12 +102,11 @@ def _temporary_folder(folder: Path, why: str) -> Path:
 @cache
 def _without_cache(folder: Path, why: str) -> None:
     """Say once that what is compiled is not kept."""
-    warnings.warn(
+    warn(
         f"nothing can be written to the cache folder {folder} ({why}): what is compiled now is not "
         f"kept, and each process compiles anew.\nMake room, or name another folder in "
         f"${_VARIABLE}.",
         RuntimeWarning,
-        stacklevel=2,
     )
 
 
@@ -170,6 +177,12 @@ def _content(text: str, label: str) -> str:
 
 
 def _load_or_build(text: str, key: str, use: Callable[[ModuleType, bool], Result]) -> Result:
+    if getattr(numba.config, "DISABLE_JIT", False):
+        raise GenerationError(
+            "numba compiles nothing here, as NUMBA_DISABLE_JIT says, and steps are compiled code."
+            "\nUnset that variable and begin Python anew; symsimpson.compile(..., precision=20) "
+            "needs no compiler."
+        )
     folder = cache_folder()
     result = _loaded(folder, key, use)
     if result is not None:

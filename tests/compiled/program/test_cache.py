@@ -147,8 +147,39 @@ def test_a_folder_open_to_others_is_refused(tmp_path, monkeypatch):
     link = tmp_path / "link"
     link.symlink_to(folder)
     monkeypatch.setenv("SYMSIMPSON_CACHE_DIR", str(link))
-    with pytest.raises(GenerationError, match="not private"):
+    with pytest.raises(GenerationError, match="not private to you: it is a link"):
         cache_folder()
+    monkeypatch.setenv("SYMSIMPSON_CACHE_DIR", str(folder))
+    owner = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: owner + 1)
+    with pytest.raises(GenerationError, match="not private to you: it belongs to another user"):
+        cache_folder()
+
+
+def test_a_home_that_is_not_known(tmp_path, monkeypatch):
+    def unknown(path):
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setenv("SYMSIMPSON_CACHE_DIR", str(tmp_path / "own"))
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    with monkeypatch.context() as without:
+        without.delenv("HOME")
+        without.setattr("pwd.getpwuid", unknown)  # as of a user without an entry, in a container
+        without.setattr("os.path.expanduser", lambda path: path)
+        assert cache_folder() == tmp_path / "own"
+        without.delenv("SYMSIMPSON_CACHE_DIR")
+        with pytest.warns(RuntimeWarning, match=r"home directory\): each process") as said:
+            assert cache_folder().is_dir()
+        assert said[0].filename == __file__
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("SYMSIMPSON_CACHE_DIR", "~/mine")
+    assert cache_folder() == tmp_path / "mine"
+
+
+def test_numba_that_compiles_nothing(monkeypatch):
+    monkeypatch.setattr("numba.config.DISABLE_JIT", True)
+    with pytest.raises(GenerationError, match=r"NUMBA_DISABLE_JIT[\s\S]*precision=20"):
+        cache.compiled("", "nothing", lambda module, keep: None)
 
 
 @pytest.mark.slow
