@@ -34,6 +34,7 @@ from symsimpson.errors import GenerationError
 from symsimpson.support.calling import warn
 from symsimpson.support.garbage import rarely_collected
 from symsimpson.support.progress import waiting
+from symsimpson.support.signals import undisturbed
 
 __all__ = ["cache_folder", "compiled", "location"]
 
@@ -200,6 +201,7 @@ def _load_or_build(text: str, key: str, use: Callable[[ModuleType, bool], Result
             return _in_memory(name, text, use)
 
 
+@undisturbed(most=1)  # from within LLVM, numba's callbacks lose an exception
 def _loaded(folder: Path, key: str, use: Callable[[ModuleType, bool], Result]) -> Result | None:
     """Load an entry, if there is a whole one; what is left of another is taken away."""
     entry, name = folder / key, f"symsimpson_compiled_{key}"
@@ -229,6 +231,7 @@ def _alone(folder: Path, key: str) -> Iterator[None]:
         lock.release()
 
 
+@undisturbed(most=1)  # from within LLVM, numba's callbacks lose an exception
 def _build(folder: Path, key: str, text: str, use: Callable[[ModuleType, bool], Result]) -> Result:
     """Compile in a folder of its own, and rename it into place."""
     entry, name = folder / key, f"symsimpson_compiled_{key}"
@@ -275,6 +278,7 @@ def _import(path: Path, name: str, use: Callable[[ModuleType, bool], Result]) ->
         return use(module, True)
 
 
+@undisturbed(most=1)  # from within LLVM, numba's callbacks lose an exception
 def _in_memory(name: str, text: str, use: Callable[[ModuleType, bool], Result]) -> Result:
     """Make a module of its text alone."""
     module = ModuleType(name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import threading
 from collections.abc import Iterator
@@ -35,13 +36,26 @@ def listening() -> Iterator[list[int]]:
 
 
 @contextmanager
-def undisturbed() -> Iterator[None]:
-    """Put off Ctrl-C to the end of what must not be left half done."""
+def undisturbed(most: float = math.inf) -> Iterator[None]:
+    """Put off Ctrl-C to the end of what must not be left half done.
+
+    Parameters
+    ----------
+    most : number
+        How many are put off; the next one comes at once.
+    """
     if not _disturbed():
         yield
         return
     heard: list[tuple[int, FrameType | None]] = []
-    before = signal.signal(signal.SIGINT, lambda number, frame: heard.append((number, frame)))
+    before = signal.getsignal(signal.SIGINT)
+
+    def hear(number: int, frame: FrameType | None) -> None:
+        if len(heard) >= most and callable(before):
+            before(number, frame)
+        heard.append((number, frame))
+
+    signal.signal(signal.SIGINT, hear)
     try:
         yield
     finally:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 
@@ -174,6 +175,25 @@ def test_a_home_that_is_not_known(tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("SYMSIMPSON_CACHE_DIR", "~/mine")
     assert cache_folder() == tmp_path / "mine"
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_an_interrupt_waits_for_what_is_compiled_unless_it_is_given_again(
+    times, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("SYMSIMPSON_CACHE_DIR", str(tmp_path / "own"))
+    done = []
+
+    def use(module, keep):
+        for _ in range(times):
+            signal.raise_signal(signal.SIGINT)
+        done.append(keep)
+
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        cache.compiled("value = 1\n", f"interrupted_{times}", use)
+    assert done == [True][: 2 - times]
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_numba_that_compiles_nothing(monkeypatch):
