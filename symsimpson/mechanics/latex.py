@@ -6,6 +6,7 @@ import re
 from typing import Any
 
 import sympy as sp
+from sympy.printing.latex import greek_letters_set, other_symbols
 
 from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.equations_of_motion import terms
@@ -13,8 +14,11 @@ from symsimpson.support.markup import aligned, in_text
 
 __all__ = ["system"]
 
-#: Names that SymPy may typeset as they are.
-PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+#: Names that SymPy may typeset as they are: letters of any alphabet, or a Greek one by its LaTeX
+#: name, with a subscript and primes behind it.
+PLAIN = re.compile(r"([^\W\d_]\w*|\\(?P<macro>[A-Za-z]+)(_\w+)?)(_\{\w+\})?'*")
+#: Commands of LaTeX that are letters.
+LETTERS = greek_letters_set | other_symbols
 #: Equations of motion are shown for so many coordinates, with so many operations.
 SHOWN, MOST_OPERATIONS = 4, 300
 
@@ -63,12 +67,17 @@ def _safe(declared: Any) -> dict[Any, Any]:
     """Map what is named oddly to plain symbols."""
     t = time
     replace: dict[Any, Any] = {
-        a: sp.Symbol(f"a_{i}")
-        for i, a in enumerate(declared.parameters)
-        if not PLAIN.fullmatch(a.name)
+        a: sp.Symbol(f"a_{i}") for i, a in enumerate(declared.parameters) if not _is_plain(a.name)
     }
     for i, q in enumerate(declared.coordinates):
-        if not PLAIN.fullmatch(q.func.__name__):
+        if not _is_plain(q.func.__name__):
             plain = sp.Function(f"q_{i}")(t)
             replace |= {q: plain, q.diff(t): plain.diff(t)}
     return replace
+
+
+def _is_plain(name: str) -> bool:
+    """Return whether a name is typeset as it is: of LaTeX's commands, letters alone."""
+    found = PLAIN.fullmatch(name)
+    macro = found and found["macro"]
+    return found is not None and (macro is None or macro.removeprefix("var").lower() in LETTERS)

@@ -150,6 +150,26 @@ def test_failed_runs_say_so():
     assert "was not taken" in text
 
 
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        (r"\theta_1", r"\dot{\theta}_{1}"),
+        (r"\varphi", r"\dot{\varphi}"),
+        ("θ", r"\dot{θ}"),
+        ("q_{12}", r"\dot{q}_{12}"),
+        ("x'", r"\dot{x'}"),
+        (r"\href", r"\dot{q}_{0}"),
+        (r"\theta}", r"\dot{q}_{0}"),
+        ("x$", r"\dot{q}_{0}"),
+        ("_", r"\dot{q}_{0}"),
+    ],
+)
+def test_names_in_latex(name, shown):
+    q = sp.Function(name)(ss.time)
+    system = ss.MechanicalSystem("s", coordinates=(q,), kinetic=q.diff() ** 2, potential=q**2)
+    assert f"T &= {shown}^{{2}}" in system._repr_latex_()
+
+
 def test_systems_and_schemes_in_latex():
     text = ss.systems.double_pendulum()._repr_latex_()
     for part in ("T &=", "V &=", "M &=", r"p_{q_{1}} &=", r"\dot{p}_{q_{2}} &="):
