@@ -16,7 +16,7 @@ from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.outcome import Outcome
 from symsimpson.results.records import Actions, Record, actions_of
-from symsimpson.results.states import States, with_units
+from symsimpson.results.states import States, attribute_name, with_units
 from symsimpson.results.tables import apart, dataframe, write
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
@@ -236,11 +236,13 @@ class Saved(WithEvents, Outcome):
         """
         xarray = library("xarray", "to_xarray", "data")
         variables = {}
-        for name, values in self.values.items():
-            axes = ("coord",) if name in VECTORS else (f"corner_{name}", f"axis_{name}")
-            variables[name] = ("time", *axes[len(axes) + 1 - values.ndim :]), values
-        places = {"time": self.t, "coord": list(self.program.coordinates)}
-        return with_units(xarray.Dataset(variables, places, self._about()), self.program.units)
+        for k, (name, values) in enumerate(self.values.items()):
+            key = attribute_name(name, f"quantity_{k}")
+            axes = ("coord",) if name in VECTORS else (f"corner_{key}", f"axis_{key}")
+            places = axes[len(axes) + 1 - values.ndim :]
+            variables[key] = ("time", *places), values, {"long_name": name}
+        named = {"time": self.t, "coord": list(self.program.coordinates)}
+        return with_units(xarray.Dataset(variables, named, self._about()), self.program.units)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Keep the quantities in a file, of the kind that its ending says.

@@ -33,7 +33,11 @@ def with_units(data: Any, units: Mapping[str, str]) -> Any:
     if "t" in units and "time" in data.variables:  # members may have one state each, or own times
         data["time"].attrs["units"] = units["t"]
     for name, column in data.variables.items():
-        key = column.attrs.get("long_name", name) if name.startswith("invariant_") else name
+        key = (
+            column.attrs.get("long_name", name)
+            if name.startswith(("invariant_", "quantity_"))
+            else name
+        )
         key = key.removeprefix("point_")
         if key in units and name != "coord":
             data[name].attrs["units"] = units[key]
@@ -289,10 +293,10 @@ class States(Quantities):
         }
         for k, (name, values) in enumerate(self.invariants.items()):
             variables[f"invariant_{k}"] = (("time",), values, {"long_name": name})
-        for name, place in self.points.items():
-            corner = ("corner_" + name,) * (place.ndim - 2)
-            about = {"long_name": f"place of {name}"}
-            variables[f"point_{name}"] = (("time", *corner, f"axis_{name}"), place, about)
+        for k, (name, place) in enumerate(self.points.items()):
+            about, key = {"long_name": f"place of {name}"}, attribute_name(name, str(k))
+            corner = (f"corner_{key}",) * (place.ndim - 2)
+            variables[f"point_{key}"] = (("time", *corner, f"axis_{key}"), place, about)
         variables |= self._further()
         names = {"time": self.t, "coord": list(self.program.coordinates)}
         return with_units(xarray.Dataset(variables, names, self._about()), self.program.units)

@@ -118,6 +118,23 @@ def test_no_column_hides_another():
     assert list(apart({"a": 1, "b": 2}, {"a", "p_a"}, "p_")) == ["p_p_a", "b"]
 
 
+@pytest.mark.parametrize("kind", [".nc", pytest.param(".zarr", marks=pytest.mark.slow)])
+def test_names_with_a_slash_are_saved(tmp_path, kind):
+    xarray = pytest.importorskip("xarray")
+    name, path = "left/foot", tmp_path / f"run{kind}"
+    stepper = ss.compile(two_of_a_name(**{name: (3, 4)}))
+    start = {"v0": [0.0, 0.0], "h": 0.1, "steps": 3}
+    stepper.integrate([1.0, 2.0], **start).save(path)
+    assert (ss.open_trajectory(path).q[0] == [1, 2]).all()
+    how = {} if kind == ".nc" else {"engine": "zarr", "consolidated": False}
+    with xarray.open_dataset(path, **how) as data:
+        assert data["point_1"].attrs["long_name"] == "place of left/foot"
+    stepper.integrate([1.0, 2.0], **start, save=("q", name)).save(path)
+    with xarray.open_dataset(path, **how) as data:
+        assert data["quantity_1"].attrs["long_name"] == name
+        assert (data["quantity_1"][2] == [3, 4]).all()
+
+
 def test_points_are_those_of_the_system_at_hand():
     start = {"v0": [0.0, 0.0], "h": 0.1, "steps": 1}
     first, other = two_of_a_name(top=(0, 0)), two_of_a_name(top=(1, 2))
