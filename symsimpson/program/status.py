@@ -39,17 +39,21 @@ class Status(IntEnum):
         return _MESSAGES[self]
 
 
+#: What else may end a run, whatever h: no smaller step helps there.
+_TO_INFINITY = (
+    "Where smaller steps end at the same time, the motion runs to infinity: look at the sign of "
+    "the potential."
+)
 _MESSAGES = {
     Status.SUCCESS: "The run reached its end.",
     Status.INTERRUPTED: "The run was interrupted; what was computed is kept.",
     Status.NOT_CONVERGED: (
         "Newton's method did not converge. The step is too large for this motion, or the mass "
-        "matrix is nearly singular there: try a smaller h."
+        f"matrix is nearly singular there: try a smaller h. {_TO_INFINITY}"
     ),
     Status.DIVERGED: (
         "Newton's method diverged: the increments grew to many times what was expected. The step "
-        "is far too large for this motion: try a smaller h. Where smaller steps end at the same "
-        "time, the motion runs to infinity: look at the sign of the potential."
+        f"is far too large for this motion: try a smaller h. {_TO_INFINITY}"
     ),
     Status.SINGULAR_JACOBIAN: (
         "The equations of the step do not determine it: their Jacobian is singular, as for a step "
@@ -57,13 +61,13 @@ _MESSAGES = {
     ),
     Status.NOT_FINITE: (
         "A NaN or an infinity occurred. The motion left the domain of T or V or reached a singular "
-        "point, or the step is far too large: check the state before the step, or try a smaller h."
+        "point, or the step is far too large: check the state before the step, or try a smaller h. "
+        f"{_TO_INFINITY}"
     ),
     Status.STEP_TOO_LARGE: (
         "The equations of the step have a solution, but it is not continuously connected to the "
-        "state as h goes to 0. The step is too large for this motion: try a smaller h. Where "
-        "smaller steps end at the same time, the motion runs to infinity: look at the sign of the "
-        "potential."
+        "state as h goes to 0. The step is too large for this motion: try a smaller h. "
+        f"{_TO_INFINITY}"
     ),
     Status.COORDINATE_SINGULARITY: (
         "The motion passes a singular point of the coordinates (a pole of spherical angles, say) "

@@ -189,9 +189,10 @@ def _ended_before(
     message = (
         f"{program.system}, {program.scheme}: the energy is no finite number at "
         f"t={float(where):g}, after step {at} of "
-        f"{trajectory.steps} with h={float(run.h):g}: T or V has no real value there. The "
-        "motion left their domain, or a step jumped across a singular point: check the state "
-        "before, or try a smaller h."
+        f"{trajectory.steps} with h={float(run.h):g}: T or V has no real value there, or "
+        "too large a one. The motion left their domain or ran to infinity, or a step jumped across "
+        "a singular point: check the state before and the sign of the potential, or try a smaller "
+        "h."
     )
     about |= ended_after(trajectory, done)
     return Trajectory(**about | {"status": Status.NOT_FINITE, "message": message})

@@ -179,6 +179,11 @@ def test_divergence_has_its_status():
         stepper.integrate([1.0, 2.0], v0=[0.0, 3.0], h=3.0, steps=5)
 
 
+@pytest.mark.parametrize("status", ["NOT_CONVERGED", "DIVERGED", "NOT_FINITE", "STEP_TOO_LARGE"])
+def test_a_blow_up_is_told_where_one_may_end_a_run(status):
+    assert "runs to infinity: look at the sign" in ss.Status[status].message
+
+
 def test_every_status_is_told():
     page = (ROOT / "notebooks/guide/trust.md").read_text()
     for status in ss.Status:

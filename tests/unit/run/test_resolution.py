@@ -305,5 +305,5 @@ def test_motions_without_bound_are_not_warned_of_by_numpy():
         potential=x**2 + y**2,
         forces={x: -y, y: x},
     )
-    with pytest.raises(ss.ConvergenceError, match="the energy is no finite number"):
+    with pytest.raises(ss.ConvergenceError, match=r"is no finite number.*or ran to infinity"):
         ss.compile(system).integrate([1.0, 0.0], v0=[0.0, 0.6], h=0.1, steps=10_500)
