@@ -21,6 +21,7 @@ from symsimpson.api.stepper import Stepper
 from symsimpson.errors import InputError
 from symsimpson.mechanics.retimed import RetimedSystem, attracts, not_retimed, retimed
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.program.input_values import read_number
 from symsimpson.program.numbers import FLOAT64
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.ahead import late
@@ -157,8 +158,11 @@ def choose(
         )
     if on not in ("state", "energy"):
         raise InputError(f"on is {on!r}.\nChoose 'state' or 'energy'.")
+    t_end, error = (
+        read_number(name, value, FLOAT64) for name, value in (("t_end", t_end), ("error", error))
+    )
     for name, value in (("t_end", t_end), ("error", error)):
-        if not (isinstance(value, (int, float)) and 0 < value < math.inf):
+        if value <= 0:
             raise InputError(f"{name} is {value!r}.\nPass a positive number.")
     if error < FLOAT64.epsilon:
         raise InputError(

@@ -1,9 +1,11 @@
 """Schemes and steps for a wanted error: it is reached, and what is said is true."""
 
 import warnings
+from fractions import Fraction
 
 import numpy as np
 import pytest
+import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
@@ -112,6 +114,8 @@ def test_the_fastest_oscillation_bounds_the_step():
         ({"error": 2, "on": "energy"}, "error is 2, relative to the energy's scale"),
         ({"t_end": -1.0}, "t_end is -1.0"),
         ({"t_end": "long"}, "t_end is 'long'"),
+        ({"t_end": 10**400}, "t_end is 1000.*not a finite real number"),
+        ({"t_end": True}, "t_end is True, not a finite real number"),
         ({"on": "momentum"}, "on is 'momentum'"),
         ({"error": 1e-17}, "double precision rounds each number by more"),
         ({"error": 2.3e-16}, "none of simpson"),
@@ -123,6 +127,12 @@ def test_wrong_input(given, message):
     asked = {**STATE, "t_end": 2.0, "error": 1e-5, "schemes": ["simpson"]} | given
     with pytest.raises(ss.InputError, match=message):
         ss.choose(PENDULUM, **asked)
+
+
+@pytest.mark.parametrize("kind", [np.int64, np.float32, Fraction, sp.Integer])
+def test_numbers_of_other_kinds_are_numbers(kind):
+    given = {**STATE, "error": 1e-3, "schemes": ["simpson"]}
+    assert ss.choose(PENDULUM, **given, t_end=kind(1)).h == ss.choose(PENDULUM, **given, t_end=1).h
 
 
 @pytest.mark.slow
