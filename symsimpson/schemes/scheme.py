@@ -278,6 +278,11 @@ def galerkin(quadrature: str, nodes: int, degree: int) -> Scheme:
         raise SchemeError(
             f"there is no quadrature {quadrature!r}.\nChoose 'lobatto', 'gauss' or 'radau'."
         )
+    if isinstance(nodes, bool) or not isinstance(nodes, int):
+        raise SchemeError(
+            f"a {quadrature} quadrature has a whole number of nodes, not {nodes!r}.\n"
+            "Use nodes=2, say."
+        )
     rule = _QUADRATURES[quadrature](nodes)
     if isinstance(degree, bool) or not isinstance(degree, int) or degree < 1:
         raise SchemeError(f"the degree of a path is at least 1, not {degree!r}.\nUse degree=1.")

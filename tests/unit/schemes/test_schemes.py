@@ -188,6 +188,8 @@ def test_names_that_schemes_have_elsewhere():
     [
         (("gauss", 2, 3), "not determined by 2 quadrature nodes"),
         (("gauss", 0, 1), "at least 1 node"),
+        (("gauss", [2], 1), "a whole number of nodes, not"),
+        (("gauss", 2.0, 1), "a whole number of nodes, not 2.0"),
         (("lobatto", 1, 1), "at least 2 node"),
         (("simpson", 2, 2), "no quadrature"),
         (("gauss", 2, 0), "at least 1, not 0"),
