@@ -30,6 +30,7 @@ from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.calling import explained
 from symsimpson.support.derivation import Derivation
 from symsimpson.support.files import read_path, written_beside
+from symsimpson.support.names import in_a_row, spelled
 from symsimpson.support.progress import waiting
 
 if TYPE_CHECKING:
@@ -247,7 +248,8 @@ def generate(
             f"{system.name} is retimed, and derivatives of its runs take more than one module.\n"
             "Make a stepper with symsimpson.compile, whose runs carry tangents= and sensitivities=."
         )
-    content = derive(system, method, exploit, derivatives).text.encode()
+    names = None if derivatives is None else map(spelled, in_a_row(derivatives))
+    content = derive(system, method, exploit, names).text.encode()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if not path.is_file() or path.read_bytes() != content:

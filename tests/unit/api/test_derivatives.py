@@ -161,8 +161,12 @@ def test_a_module_from_a_file_differentiates_if_it_was_made_to(tmp_path):
     assert np.array_equal(
         D, ss.compile(system, "midpoint").tangent([1.0], p=[0.0], h=H, wrt=("q", "p", "l"))[2]
     )
-    with pytest.raises(ss.GenerationError, match="no parameter or input"):
-        ss.generate(system, "midpoint", tmp_path, derivatives=("x",))
+    for wrong in (("x",), "x", True, [3]):
+        with pytest.raises(ss.GenerationError, match="no parameter or input"):
+            ss.generate(system, "midpoint", tmp_path, derivatives=wrong)
+    (length,) = (x for x in system.parameters if x.name == "l")
+    one = ss.generate(system, "midpoint", tmp_path / "one", derivatives=length)
+    assert one.read_bytes() == (tmp_path / "varied" / one.name).read_bytes()
 
 
 @pytest.mark.parametrize(
