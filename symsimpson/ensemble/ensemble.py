@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.evaluating import evaluate, evaluate_members
+from symsimpson.program.input_values import read_count
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.differentiated import Differentiated
@@ -347,8 +348,8 @@ class Ensemble(Quantities, Differentiated):
         """
         from symsimpson.plotting.run_figures import plot_members
 
-        some = spread(len(self), max(1, most))
-        return plot_members(self, name or self.program.coordinates[0], some, ax=ax)
+        some = spread(len(self), read_count("most", most, 1))
+        return plot_members(self, name, some, ax=ax)
 
     def _about(self) -> dict[str, Any]:
         """Where the numbers come from."""

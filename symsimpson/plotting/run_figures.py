@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from symsimpson.errors import InputError
 from symsimpson.plotting.axes import axes
-from symsimpson.support.names import spelled
+from symsimpson.support.names import shortened, spelled
 
 __all__ = ["plot", "plot_energy", "plot_exponents", "plot_members", "plot_phase"]
 
@@ -31,10 +32,34 @@ def with_unit(name: Any, units: Mapping[str, str]) -> str:
     return label(name) + (f" [{unit}]" if unit else "")
 
 
+def read_names(given: Any, default: Sequence[Any]) -> list[Any]:
+    """Read which quantities to draw: one, or several in a row; all of a default for None.
+
+    Raises
+    ------
+    InputError
+        If numbers are given, as to matplotlib.
+    """
+    if given is None:
+        return list(default)
+    wanted = [given] if is_name(given) or not isinstance(given, Iterable) else list(given)
+    if not all(map(is_name, wanted)):
+        raise InputError(
+            f"{shortened(given)} is given to be drawn, which is no name of a quantity.\nPass names "
+            "or symbols, as plot('q1', 'energy'); matplotlib draws arrays: plt.plot(run.t, "
+            "run['q1'])."
+        )
+    return wanted or list(default)
+
+
+def is_name(given: Any) -> bool:
+    """Return whether something may name a quantity: a text, a symbol, a function of time."""
+    return isinstance(given, str) or hasattr(given, "free_symbols")
+
+
 def plot(some: Any, names: Any = None, *, connected: bool = True, ax: Any = None) -> Any:
     """Draw quantities over time: all coordinates, unless some are named."""
-    single = isinstance(names, str) or hasattr(names, "free_symbols")
-    wanted = [names] if single else list(names or some.program.coordinates)
+    wanted = read_names(names, some.program.coordinates)
     values, units = {spelled(name): some[name] for name in wanted}, some.program.units
     by_unit: dict[str | None, list[str]] = {}
     for name in values:
@@ -65,6 +90,7 @@ def plot(some: Any, names: Any = None, *, connected: bool = True, ax: Any = None
 
 def plot_members(many: Any, name: Any, some: Any, *, ax: Any = None) -> Any:
     """Draw a quantity of some members over time, or how its last values are spread."""
+    (name,) = read_names(None if name is None else [name], many.program.coordinates[:1])
     values, units = many[name], many.program.units
     ax = axes(ax, (7, 3.5))
     if values.ndim == 2:
@@ -85,8 +111,8 @@ def plot_phase(
     some: Any, x: Any = None, y: Any = None, *, connected: bool = True, ax: Any = None
 ) -> Any:
     """Draw one quantity over another: a momentum over its coordinate, unless others are named."""
-    x = some.program.coordinates[0] if x is None else x
-    y = f"p_{spelled(x)}" if y is None else y
+    (x,) = read_names(None if x is None else [x], some.program.coordinates[:1])
+    (y,) = read_names(None if y is None else [y], [f"p_{spelled(x)}"])
     curve = some[x], some[y]
     ax = axes(ax, (4.5, 4.5))
     ax.plot(*curve, **({"lw": 0.8} if connected else DOTS))

@@ -198,7 +198,7 @@ class Saved(WithEvents, Outcome):
         from symsimpson.plotting.run_figures import plot
 
         single = [name for name, values in self.values.items() if values.ndim == 1]
-        return plot(self, (names, *more) if more else names or single, ax=ax)
+        return plot(self, (names, *more) if more else single if names is None else names, ax=ax)
 
     def to_pandas(self) -> Any:
         """Return a ``pandas.DataFrame`` of the quantities, with the times as index.

@@ -39,6 +39,29 @@ def test_quantities_over_time(run):
     assert plt.get_fignums() == before  # no empty figure is left
 
 
+def test_arrays_and_numbers_are_not_drawn(run):
+    many = ss.compile(ss.systems.pendulum()).ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=9)
+    kept = ss.compile(ss.systems.pendulum()).integrate(
+        [1.0], v0=[0], h=0.1, steps=9, save=["theta"]
+    )
+    for draw, given in (
+        (run.plot, (run.t, run.q)),
+        (run.plot, (run.t,)),
+        (run.plot, (3,)),
+        (run.plot, ([0, 1],)),
+        (run.plot_phase, (0, 1)),
+        (run.plot_phase, ("q1", 1)),
+        (kept.plot, (kept["theta"],)),
+        (many.plot, (0,)),
+        (many.plot, (many.q,)),
+    ):
+        with pytest.raises(ss.InputError, match="no name of a quantity"):
+            draw(*given)
+    with pytest.raises(ss.InputError, match="most is 'all', not a whole number"):
+        many.plot(most="all")
+    assert len(run.plot([]).lines) == len(run.plot({"q1": 0, "q2": 0}).lines) == 2
+
+
 def test_phase_plane_and_sections(run):
     ax = run.plot_phase()
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("q1", "p_q1")
