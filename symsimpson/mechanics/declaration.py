@@ -131,7 +131,7 @@ def read_energies(
         user: s.graph.symbol(symbol.name)
         for user, symbol in zip(momenta(*coordinates), s.p, strict=True)
     }
-    for both in s.known.keys() & of_momenta.keys() if given.invariants else ():
+    for both in s.known.keys() & of_momenta.keys() if given.invariants is not None else ():
         raise fail(
             name,
             f"the parameter {both} is the symbol of a momentum, too.",
