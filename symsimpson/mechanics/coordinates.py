@@ -6,6 +6,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from symsimpson.errors import ModelError
+from symsimpson.support.calling import explained
 from symsimpson.support.names import speed_of_approach
 
 __all__ = ["approach", "coordinates", "momenta", "time"]
@@ -17,7 +18,8 @@ time: sp.Symbol = sp.Symbol("t")
 approach: sp.Symbol = speed_of_approach()
 
 
-def coordinates(names: str, *more: str) -> tuple[AppliedUndef, ...]:
+@explained(ModelError)
+def coordinates(names: str, *more: str, **assumed: object) -> tuple[AppliedUndef, ...]:
     """Make generalized coordinates: functions of time whose velocities are ``q.diff()``.
 
     Parameters
@@ -26,6 +28,8 @@ def coordinates(names: str, *more: str) -> tuple[AppliedUndef, ...]:
         Names separated by spaces or commas; ``"q:3"`` stands for q0, q1, q2.
     *more
         Not accepted: a second text is refused in words.
+    **assumed
+        Not accepted: coordinates have no assumptions, as ``positive=True`` of SymPy's symbols.
 
     Returns
     -------
@@ -50,6 +54,12 @@ def coordinates(names: str, *more: str) -> tuple[AppliedUndef, ...]:
             f"coordinates are named by one text with their names, not by {given}.\n"
             "Write q1, q2 = symsimpson.coordinates('q1 q2')."
         )
+    if assumed:
+        raise ModelError(
+            f"coordinates take no assumptions, as {', '.join(assumed)}.\nThey are functions of "
+            "time that are real here, whose motion need not keep to more. Leave it out; "
+            "parameters may have assumptions: sympy.symbols('m', positive=True)."
+        )
     try:
         functions = sp.symbols(names, cls=sp.Function)
     except ValueError as error:
@@ -61,6 +71,7 @@ def coordinates(names: str, *more: str) -> tuple[AppliedUndef, ...]:
     return tuple(function(time) for function in several)
 
 
+@explained(ModelError)
 def momenta(*coordinates: AppliedUndef) -> tuple[sp.Symbol, ...]:
     """Return the symbols that stand for the conjugate momenta in ``invariants``.
 

@@ -20,7 +20,8 @@ P = ParamSpec("P")
 Result = TypeVar("Result")
 Kind = TypeVar("Kind", bound=type)
 
-#: What arguments are called elsewhere, and here; those that a function does not have are left out.
+#: What arguments are called elsewhere, and here, in functions of one kind and another; those that a
+#: function does not have are left out.
 ELSEWHERE = {
     "dt": "h",
     "step": "h",
@@ -33,7 +34,7 @@ ELSEWHERE = {
     "t_final": "t_end",
     "t_max": "t_end",
     "tmax": "t_end",
-    "T": "t_end",
+    "T": "t_end kinetic",
     "duration": "t_end",
     "n_steps": "steps",
     "num_steps": "steps",
@@ -58,6 +59,7 @@ ELSEWHERE = {
     "integrator": "scheme",
     "T_kin": "kinetic",
     "V": "potential",
+    "U": "potential",
     "q0": "q",
     "v0": "v",
     "p0": "p",
@@ -139,18 +141,24 @@ def _problem(
     function: Callable[..., object], given: tuple[object, ...], named: dict[str, object]
 ) -> str | None:
     """Say what is wrong with the arguments of a call; None where Python says it well."""
-    name = function.__qualname__.removesuffix(".__init__")
     method = "." in function.__qualname__ and "<locals>" not in function.__qualname__
+    name = function.__qualname__
+    if method and given:  # of what a user has, whatever class the method was written in
+        owner = given[0] if isinstance(given[0], type) else type(given[0])
+        name = f"{owner.__name__}.{function.__name__}"
+    name = name.removesuffix(".__init__")
     known = inspect.signature(function).parameters
     arguments = [key for key in known if key not in ("self", "cls")]
     placed = [
         key for key in arguments if known[key].kind is inspect.Parameter.POSITIONAL_OR_KEYWORD
     ]
-    takes = f"It takes {', '.join(f'{key}=' for key in arguments)}."
+    named_here = [key for key in arguments if known[key].kind not in (VARIADIC, KEYWORDS)]
+    takes = f"It takes {', '.join(f'{key}=' for key in named_here) or 'none'}."
     for key in named:
         if key not in arguments:
-            here = ELSEWHERE.get(key, "")
-            hint = f" Did you mean {here}=?" if here in arguments else ""
+            known_as = ELSEWHERE.get(key, "").split()
+            here = next((other for other in known_as if other in arguments), "")
+            hint = f" Did you mean {here}=?" if here else ""
             hint = hint or did_you_mean(key, arguments).replace("?", "=?")
             times = [text for time, text in TIMES.items() if time in arguments]
             about = here in TIMES and len(times) > 1
@@ -161,11 +169,13 @@ def _problem(
             )
     count = len(given) - int(method)
     if count > len(placed):
-        others = [key for key in arguments if key not in placed]
+        others = [key for key in named_here if key not in placed]
         most = f"at most {len(placed)}: {', '.join(placed)}" if placed else "none"
+        said = f"{name} is given {count} arguments without a name, and takes {most}.\n"
+        if not arguments:
+            return f"{said}Call it without any: {name.rpartition('.')[2]}()."
         return (
-            f"{name} is given {count} arguments without a name, and takes {most}.\n"
-            f"Name the others: {name.rpartition('.')[2]}"
+            f"{said}Name the others: {name.rpartition('.')[2]}"
             f"({', '.join([*placed, *(f'{key}=...' for key in others)])})."
         )
     needed = [key for key in arguments if known[key].default is inspect.Parameter.empty]

@@ -56,6 +56,34 @@ def test_declarations_name_their_keywords():
         ss.MechanicalSystem.from_lagrangian("p", T - V, (x,), params={})
 
 
+def test_functions_without_arguments_and_methods_of_parents(stepper):
+    for call, message in (
+        (lambda: stepper.report(x=3), r"Stepper.report has no argument x=.\nIt takes none."),
+        (
+            lambda: stepper.report(3),
+            r"Stepper.report is given 1 .*takes none.\nCall .*: report\(\)",
+        ),
+        (lambda: stepper.integrate(**START, h=0.1, steps=2).plot(xs=1), "Trajectory.plot has no"),
+    ):
+        with pytest.raises(ss.InputError, match=message):
+            call()
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: ss.coordinates("q", real=True), "no assumptions, as real.*Leave it out"),
+        (lambda: ss.coordinates(), "coordinates is not given names=.\nIt takes names=."),
+        (lambda: ss.momenta(x=x), "momenta has no argument x="),
+        (lambda: ss.MechanicalSystem("p", coordinates=(x,), T=T, V=V), "T=. Did you mean kinetic="),
+        (lambda: ss.MechanicalSystem("p", coordinates=(x,), kinetic=T, U=V), "mean potential="),
+    ],
+)
+def test_declarations_know_what_was_meant(call, message):
+    with pytest.raises(ss.ModelError, match=f"(?s){message}"):
+        call()
+
+
 def test_what_python_says_well_is_left_to_it(stepper):
     with pytest.raises(TypeError, match="multiple values for argument 'q0'"):
         stepper.integrate([1.0], q0=[1.0], v0=[0.0], h=0.1, steps=3)
