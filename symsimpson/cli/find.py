@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib.util
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -83,27 +85,31 @@ def named(name: str) -> MechanicalSystem:
         )
     if not Path(path).is_file():
         raise InputError(f"there is no file {path}.\nGive path/to/file.py:attribute.")
-    try:
+    with _of_the_user(f"{path}: the file cannot be run", f"python {path} runs it by itself."):
         spec = importlib.util.spec_from_file_location("symsimpson_user_file", path)
         if spec is None or spec.loader is None:
             raise ImportError("not a Python file")
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
-    except SymsimpsonError:
-        raise
-    except Exception as error:  # the user's file may raise anything
-        raise InputError(
-            f"{path}: the file cannot be run: {type(error).__name__}: {error}"
-        ) from error
     candidate = getattr(module, attribute, None)
-    candidate = (
-        candidate()
-        if callable(candidate) and not isinstance(candidate, MechanicalSystem)
-        else candidate
-    )
+    if callable(candidate) and not isinstance(candidate, MechanicalSystem):
+        called = "The function that makes a system is called without arguments."
+        with _of_the_user(f"{path}: {attribute}() makes no system", called):
+            candidate = candidate()
     if not isinstance(candidate, MechanicalSystem):
         raise InputError(
             f"{path}: {attribute!r} is no MechanicalSystem.\n"
             "Give the name of a variable that holds one, or of a function that makes one."
         )
     return candidate
+
+
+@contextlib.contextmanager
+def _of_the_user(what: str, remedy: str) -> Iterator[None]:
+    """Tell what a user's own code raises, whatever it may be, in words."""
+    try:
+        yield
+    except SymsimpsonError:
+        raise
+    except Exception as error:
+        raise InputError(f"{what}: {type(error).__name__}: {error}.\n{remedy}") from error

@@ -18,6 +18,8 @@ spring = ss.MechanicalSystem("own_spring", coordinates=(x,), kinetic=x.diff()**2
 number = 3
 def make():
     return spring
+def needs(x):
+    return spring
 """
 
 
@@ -98,6 +100,7 @@ ERRORS = {
     "unknown system": (["run", "nothing"], "no system 'nothing'"),
     "no such file": (["run", "nothing.py:x"], "there is no file nothing.py"),
     "no system": (["run", "{own}:number"], "is no MechanicalSystem"),
+    "a function with arguments": (["run", "{own}:needs"], "needs() makes no system: TypeError"),
     "no state": (["run", "{own}:spring"], "no reference state"),
     "scheme": (["run", "pendulum", "--scheme", "euler"], "no scheme 'euler'"),
     "format": (["run", "pendulum", "--out", "run.xls"], "names no kind of file"),
