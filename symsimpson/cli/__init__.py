@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import os
 import re
@@ -20,7 +21,7 @@ __all__ = ["main"]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; give 0, 1 after an error or a finding, 2 for wrong usage, 130 at Ctrl-C."""
     os.environ.setdefault(LATE, "late")  # a command takes a run or two
-    options = parser().parse_args(_joined(sys.argv[1:] if arguments is None else arguments))
+    options = _read(_joined(sys.argv[1:] if arguments is None else arguments))
     try:
         with _warnings_in_words():
             return int(options.run(options))
@@ -32,6 +33,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
     except BrokenPipeError:
         return 1
+
+
+def _read(arguments: list[str]) -> argparse.Namespace:
+    """Read a command; names of quantities may stand behind options, too."""
+    commands = parser()
+    options, others = commands.parse_known_args(arguments)
+    if others and ("names" not in options or any(x.startswith("-") for x in others)):
+        commands.error(f"unrecognized arguments: {' '.join(others)}")
+    if others:
+        options.names += others
+    return options
 
 
 @contextlib.contextmanager

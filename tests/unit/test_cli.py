@@ -268,6 +268,19 @@ def test_an_unknown_parameter_is_named(capsys):
     assert "lenght" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("behind", [0, 1, 2])
+def test_names_may_stand_behind_options(behind, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr("symsimpson.cli.runs.plot", lambda options: drawn.append(options) or 0)
+    names, out = ["q1", "energy"], ["--out", str(tmp_path / "run.png")]
+    first = len(names) - behind
+    assert main(["plot", "double_pendulum", *names[:first], *out, *names[first:]]) == 0
+    assert drawn[0].names == names
+    for wrong in (["run", "pendulum", "q1"], ["plot", "pendulum", *out, "--nothing", "q1"]):
+        with pytest.raises(SystemExit):
+            main(wrong)
+
+
 @pytest.mark.slow
 def test_figures_and_films(tmp_path, capsys):
     pytest.importorskip("matplotlib")
