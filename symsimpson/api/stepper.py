@@ -164,7 +164,8 @@ class Stepper(Examining):
             (steps,), held over each step; (steps, s), at its nodes (:meth:`node_times`); or
             :func:`symsimpson.samples`.
         every : int or None
-            Number of steps between stored states; None stores only the last state.
+            Number of steps between stored states, of which the start is the first; the end is one
+            of them if this divides the number of steps. None stores only the last state.
         t_eval : array_like, optional
             Times in the order of the run, at which alone states are kept.
         save : str, symbol or sequence of them, optional
