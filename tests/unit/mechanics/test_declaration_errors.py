@@ -141,6 +141,7 @@ WRONG = {
     "name no text": ({"name": 3}, "cannot be the name of a file"),
     "position": ({"positions": {"bob": (x.diff(),)}}, "velocity x'.\nIt follows .*leave x'"),
     "invariant": ({"invariants": {"J": g * x}}, "invariant 'J' contains the unknown symbol g"),
+    "invariants in an array": ({"invariants": np.zeros(2)}, "a ndarray, not a mapping from names"),
     "gyroscopic": ({"gyroscopic": x.diff() ** 2}, "not linear in the velocities"),
 }
 
