@@ -128,9 +128,10 @@ def _guarded(measure: Callable[[Subject], Iterator[Check]], subject: Subject) ->
         yield from measure(subject)
     except (SymsimpsonError, ArithmeticError, np.linalg.LinAlgError) as error:
         name = (measure.__doc__ or "").split(":")[0]
-        said = textwrap.shorten(str(error).splitlines()[0], 160, placeholder=" ...")
+        first = str(error).partition("\n")[0]  # mpmath divides by zero without a word
+        said = textwrap.shorten(f"{type(error).__name__}: {first}", 160, placeholder=" ...")
         reason = "What cannot be measured is not certified."
-        yield Check.not_asked(name, "", reason, f"{type(error).__name__}: {said}")
+        yield Check.not_asked(name, "", reason, said.removesuffix(":"))
 
 
 def _symplectic(s: Subject) -> Iterator[Check]:

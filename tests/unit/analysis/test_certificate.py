@@ -4,6 +4,7 @@ import hashlib
 import json
 from dataclasses import replace
 
+import mpmath
 import pytest
 import sympy as sp
 from support.cases import sweep
@@ -100,6 +101,19 @@ def test_wrong_momenta_of_velocities_are_told(monkeypatch):
     (row,) = stepper_of(text, stepper.reference_state).certify(**state, h=0.01).checks
     assert row.name == "starts"
     assert row.measured > 0.1
+
+
+def test_an_error_without_words_is_a_row_that_has_not_passed(monkeypatch):
+    """mpmath divides by zero without a message."""
+
+    def divided(subject):
+        """starts: nothing."""
+        yield mpmath.mpf(1) / 0
+
+    monkeypatch.setattr("symsimpson.analysis.certify.CHECKS", (divided,))
+    (row,) = ss.compile(PENDULUM).certify(h=0.01).checks
+    assert not row.passed
+    assert row.failure == "ZeroDivisionError"
 
 
 @pytest.mark.parametrize("scheme", sweep(["midpoint", "simpson", "gauss4", "gauss6"]))
