@@ -15,6 +15,7 @@ from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
 from symsimpson.api.stepper import Stepper
 from symsimpson.errors import ConvergenceError
+from symsimpson.program.evaluating import evaluate
 from symsimpson.program.input_values import read_number
 from symsimpson.program.program import Findings
 from symsimpson.reference.extrapolation import extrapolate
@@ -31,6 +32,9 @@ SHORT = 50
 LOCAL, MOST = mpmath.mpf("1e-30"), 100
 #: An error of the exact motion is this part of those that are measured by it.
 NEGLIGIBLE = mpmath.mpf("1e-5")
+#: Momenta that are so small a part of the largest have a size of their own, as those of a planet
+#: beside two stars: its velocities are theirs, and a displacement must be small beside them.
+LIGHT = 1e-3
 
 
 def with_inputs(stepper: Stepper, given: Mapping[Any, float] | None) -> Stepper:
@@ -79,7 +83,14 @@ class Subject:
         q, p = (np.abs(x).max(axis=0) for x in (run.q, run.p))
         # a coordinate that hardly moves has no size of its own: that of others, in small units
         least = min(1.0, q.max() or 1.0)
-        return np.concatenate([np.maximum(q, least), np.full(self.n, p.max() or 1.0)])
+        places, most = np.maximum(q, least), p.max() or 1.0
+        if "RATE" in run.program.header.layout:  # v is that of another time
+            return np.concatenate([places, np.full(self.n, most)])
+        fastest = (np.abs(run.v) / places).max()
+        with np.errstate(all="ignore"):  # the mass of what cannot move has no bound
+            own = np.maximum(p, _masses(run, most) * places * fastest)
+        light = (own > 0) & (own < LIGHT * most)
+        return np.concatenate([places, np.where(light, own, most)])
 
     @cached_property
     def sizes(self) -> NDArray[Any]:
@@ -178,3 +189,13 @@ class Subject:
     def distance(self, a: Any, b: Any) -> float:
         """Return the largest difference of two states in units of the scale."""
         return float(max(abs(x) for x in (np.asarray(a) - np.asarray(b)) / self.scale))
+
+
+def _masses(run: Trajectory, push: float) -> NDArray[np.float64]:
+    """Return the masses of the coordinates, by what velocity a push of each gives it."""
+    n = run.program.n
+    p = run.p[0] + push * np.vstack([np.zeros(n), np.eye(n)])
+    states = np.full(n + 1, run.t[0]), np.tile(run.q[0], (n + 1, 1)), p
+    v = evaluate(run.program, "energy", "VELOCITY", n, states, run.parameter_values)
+    masses: NDArray[np.float64] = push / np.diagonal(v[1:] - v[0])
+    return masses

@@ -26,6 +26,8 @@ NEARBY = 1e-4
 PIVOT = 1e-6
 #: Entries closer to a number of few digits than this are that number, in a name.
 ROUND = 1e-9
+#: What is left of the terms of a symmetry that is one, in many digits.
+EXACT = 1e-27
 #: So many times as many points are tried as are needed.
 MOST = 20
 #: With more coordinates than this, not all linear maps are looked for: their number is squared, and
@@ -92,7 +94,8 @@ def linear_symmetries(precise: Precise, z: NDArray[Any]) -> list[Symmetry]:
     unit = float(min(precise.sizes[:n]))
     # a coordinate that is zero here has the size that it has on the way
     size = 0.2 * (precise.sizes.astype(np.float64) + np.abs(middle))
-    size[n:] = 0.2 * (np.abs(middle[n:]).max() or float(max(precise.sizes[n:])))
+    light = precise.sizes[n:].astype(np.float64)
+    size[n:] = 0.2 * np.minimum(np.abs(middle[n:]).max() or light.max(), light)
     random = np.random.default_rng(1)
     rows: list[NDArray[Any]] = []
     for _ in range(MOST * count):
@@ -160,22 +163,43 @@ def _of_constraints(
 def _refined(row: NDArray[np.float64], matrix: NDArray[Any], context: Any) -> NDArray[Any]:
     """Solve for those entries of a null vector that are no round numbers, in many digits.
 
+    A ratio of parameters may be near a round number: where these solve nothing, all are solved for
+    that are not zero, but the largest.
+
     Raises
     ------
     ArithmeticError
         If they are not determined.
     """
     full = np.array([_fraction(x, context) for x in row], dtype=object)
-    open_ = np.flatnonzero([x is None for x in full])
-    if open_.size:
-        full[open_] = context.zero
-        right = -(matrix @ full)
+    full = _solved(full, np.array([x is None for x in full]), matrix, context)
+    if _off(full, matrix) > EXACT:
+        others = row != 0
+        others[np.abs(row).argmax()] = False
+        full = _solved(full, others, matrix, context)
+        if _off(full, matrix) > EXACT:
+            raise ArithmeticError("a linear symmetry is not determined: it is none in many digits")
+    return full
+
+
+def _solved(
+    row: NDArray[Any], open_: NDArray[np.bool_], matrix: NDArray[Any], context: Any
+) -> NDArray[Any]:
+    """Solve for the open entries of a null vector, with the others as they are."""
+    full = np.where(open_, context.zero, row)
+    if open_.any():
         try:
-            solution, _ = context.qr_solve(matrix[:, open_].tolist(), right.tolist())
+            solution, _ = context.qr_solve(matrix[:, open_].tolist(), (-(matrix @ full)).tolist())
         except ValueError as error:
             raise ArithmeticError(f"a linear symmetry is not determined: {error}") from None
         full[open_] = list(solution)
     return full
+
+
+def _off(row: NDArray[Any], matrix: NDArray[Any]) -> float:
+    """Return how far a row is from a null vector, relative to its terms."""
+    terms = matrix * row
+    return float(abs(terms.sum(axis=1)).max() / (abs(terms).max() or 1))
 
 
 def _fraction(value: float, context: Any) -> Any:

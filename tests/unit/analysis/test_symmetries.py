@@ -1,5 +1,6 @@
 """Linear point symmetries: which there are, in what digits, and of how many coordinates."""
 
+import mpmath
 import numpy as np
 import pytest
 import sympy as sp
@@ -102,3 +103,50 @@ def test_a_planet_in_metres_and_seconds_has_the_symmetry_of_one_in_years():
     certificate = ss.compile(system).certify([1.5e11, 0.0], v0=[0.0, 2e4])
     assert certificate.passed, certificate
     assert "change of p_x*y - p_y*x in" in certificate["momenta"].what
+
+
+def test_a_ratio_of_masses_is_that_of_doubles():
+    """5e-4 / 1e-5 is 50 but for a part in 10^17, and momenta are looked at in 50 digits."""
+    x, y = ss.coordinates("x y")
+    masses = sp.symbols("m1 m2", positive=True)
+    system = ss.MechanicalSystem(
+        "two_masses",
+        coordinates=(x, y),
+        kinetic=sum(m * q.diff() ** 2 for m, q in zip(masses, (x, y), strict=True)) / 2,
+        potential=sp.S.Zero,
+        parameters=dict(zip(masses, (5e-4, 1e-5), strict=True)),
+    )
+    precise = Precise(ss.compile(system), {"m1": 5e-4, "m2": 1e-5}, DIGITS)
+    turning = linear_symmetries(precise, np.array([0.3, 0.4, 1.0, -1.0]))[-1]
+    assert turning.name == "p_x*y - 50*p_y*x"
+    with precise.context.workdps(DIGITS):
+        ratio = precise.context.mpf(5e-4) / precise.context.mpf(1e-5)
+        assert abs(ratio / 50 - 1) > 1e-18
+        assert abs(turning.exact[1, 0] / turning.exact[0, 1] / ratio + 1) < 1e-27
+
+
+def test_what_many_digits_do_not_confirm_is_no_symmetry():
+    matrix = np.array([[1, -1], [1, -1 + 1e-13]], dtype=object) * mpmath.mpf(1)
+    with pytest.raises(ArithmeticError, match="it is none in many digits"):
+        _refined(np.array([1.0, 1.0]), matrix, mpmath.mp)
+
+
+def test_momenta_of_a_light_body_have_their_own_size():
+    """Displaced by a part of a star's momentum, a planet would fly off."""
+    q = ss.coordinates("x1 y1 x2 y2 x3 y3")
+    m = sp.symbols("m1:4", positive=True)
+    bodies = [(m[k], q[2 * k], q[2 * k + 1]) for k in range(3)]
+    pairs = [(a, b) for i, a in enumerate(bodies) for b in bodies[:i]]
+    system = ss.MechanicalSystem(
+        "planet_of_two_stars",
+        coordinates=q,
+        kinetic=sum(m * (x.diff() ** 2 + y.diff() ** 2) for m, x, y in bodies) / 2,
+        potential=-sum(
+            a * b / sp.sqrt((x - u) ** 2 + (y - v) ** 2) for (a, x, y), (b, u, v) in pairs
+        ),
+        parameters=dict(zip(m, (1.0, 1e-8, 1.0), strict=True)),
+    )
+    stepper = ss.compile(system, "midpoint")
+    certificate = stepper.certify([0, 0, 1, 0, 10, 0], v0=[0, 0, 0, 1, 0, 0.4], h=0.2)
+    assert certificate["symplectic"].passed, certificate
+    assert certificate["momenta"].passed, certificate
