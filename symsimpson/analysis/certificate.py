@@ -144,7 +144,8 @@ class Certificate:
         for check in self.checks:
             sign = ">=" if check.bound == "at least" else "<="
             measured = "-" if check.measured != check.measured else f"{check.measured:.3g}"
-            limit = "" if check.exempt else f"{sign} {check.threshold:.2g}"
+            digits = 2 if check.passed else 3  # what fails is seen to
+            limit = "" if check.exempt else f"{sign} {check.threshold:.{digits}g}"
             mark = "ok  " if check.passed else "FAIL"
             lines.append(
                 f"  {mark} {check.name:<12} {measured:>9} {limit:<10} {check.failure or check.what}"

@@ -21,7 +21,7 @@ def certificate(result: Any) -> str:
                 coloured("passed" if check.passed else "FAILED", check.passed),
                 check.name,
                 "-" if nothing else f"{check.measured:.3g}",
-                "" if check.exempt else f"{sign} {check.threshold:.2g}",
+                "" if check.exempt else f"{sign} {check.threshold:.{2 if check.passed else 3}g}",
                 check.failure or check.what,
                 check.reason,
             )

@@ -3,6 +3,7 @@
 import hashlib
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mpmath
 import pytest
@@ -10,6 +11,8 @@ import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
+from symsimpson.analysis.certificate import Check
+from symsimpson.analysis.convergence import order_of_errors
 from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.solver_checks import starts
 from symsimpson.analysis.variants import rewritten
@@ -101,6 +104,31 @@ def test_wrong_momenta_of_velocities_are_told(monkeypatch):
     (row,) = stepper_of(text, stepper.reference_state).certify(**state, h=0.01).checks
     assert row.name == "starts"
     assert row.measured > 0.1
+
+
+def test_an_order_that_is_late_is_seen_with_another_half():
+    """Errors h^4 - 3.9 h^6 change their sign, and from h/4 to h/8 they show an order of 3.7."""
+    measured = SimpleNamespace(
+        stepper=SimpleNamespace(order=4, source=""),
+        precise=SimpleNamespace(context=mpmath.mp, flow=lambda z, h, steps: h**4 - 3.9 * h**6),
+        h=1.0,
+        z=0.0,
+        exact=lambda end, error: 0.0,
+        distance=lambda a, b: float(abs(a - b)),
+    )
+    (row,) = order_of_errors(measured)
+    assert row.passed
+    assert "for h to h/32" in row.what
+    measured.precise.flow = lambda z, h, steps: h**3
+    (row,) = order_of_errors(measured)
+    assert not row.passed
+    assert row.measured == pytest.approx(3)
+
+
+def test_a_limit_that_is_missed_by_little_is_shown_in_full():
+    row = Check("order", 7.83, "at least", 7.85, "errors", "The scheme has order 8.")
+    shown = repr(replace(ss.compile(PENDULUM).certify(h=0.01), checks=(row,)))
+    assert "FAIL order             7.83 >= 7.85" in shown
 
 
 def test_an_error_without_words_is_a_row_that_has_not_passed(monkeypatch):
