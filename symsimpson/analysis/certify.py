@@ -118,8 +118,10 @@ def _chosen_step(stepper: Stepper, q: Any, p: Any, values: Mapping[str, float]) 
             tools.check_step(program, system, q, v, numbers, step / 2**halvings, 0.0)
         if not warned:
             break
-    # half of a limit: at the limit itself nothing is measured well
-    return step / 2 ** (halvings + 1) if halvings else step
+    if not halvings:
+        return step
+    # half of a limit, at which nothing is measured well; other kernels may solve shorter steps
+    return choose_step(stepper, q, p, values, LONG, first=step / 2 ** (halvings + 1))
 
 
 def _guarded(measure: Callable[[Subject], Iterator[Check]], subject: Subject) -> Iterator[Check]:

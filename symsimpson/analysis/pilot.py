@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import ConvergenceError, InputError, ResolutionWarning, StabilityWarning
+from symsimpson.errors import (
+    ConstraintWarning,
+    ConvergenceError,
+    InputError,
+    ResolutionWarning,
+    StabilityWarning,
+)
 from symsimpson.program.evaluating import evaluate
 from symsimpson.program.status import Status
 from symsimpson.support.names import shortened
@@ -41,6 +47,7 @@ def without_step_warnings() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StabilityWarning)
         warnings.simplefilter("ignore", ResolutionWarning)
+        warnings.simplefilter("ignore", ConstraintWarning)
         yield
 
 
@@ -97,17 +104,19 @@ def choose_step(
     parameters: Mapping[str, float],
     steps: int,
     longest: float = 0.0,
+    first: float | None = None,
 ) -> float:
     """Choose a step size with small errors of energy and path, of which so many steps succeed.
 
-    The first that will do is taken; longer ones are looked at up to ``longest`` alone.
+    The first that will do is taken, of ``first`` and its halves, if that is given; longer ones are
+    looked at up to ``longest`` alone.
 
     Raises
     ------
     InputError
         If there is none.
     """
-    first = _first_step(stepper, q, p, parameters, longest)
+    first = first or _first_step(stepper, q, p, parameters, longest)
     for halvings in range(60):
         h = first / 2**halvings
         if not _follows(stepper, q, p, parameters, steps, h):

@@ -131,6 +131,18 @@ def test_a_limit_that_is_missed_by_little_is_shown_in_full():
     assert "FAIL order             7.83 >= 7.85" in shown
 
 
+@pytest.mark.slow
+def test_a_step_that_is_chosen_is_solved_in_few_iterations():
+    """Newton's method takes long steps in a strong field; nodes are iterated in shorter ones."""
+    x, y, z = q = ss.coordinates("x y z")
+    kinetic = sum(c.diff() ** 2 for c in q) / 2
+    field = (x * y.diff() - y * x.diff()) / 2
+    well = 0.00887 * (z**2 - (x**2 + y**2) / 2)
+    trap = ss.MechanicalSystem.from_lagrangian("trap", kinetic + field - well, q)
+    certificate = ss.compile(trap, "gauss8").certify([1.0, 0.0, 2.0], v0=[0.0, 0.2, 0.0])
+    assert certificate.passed, certificate
+
+
 def test_an_error_without_words_is_a_row_that_has_not_passed(monkeypatch):
     """mpmath divides by zero without a message."""
 

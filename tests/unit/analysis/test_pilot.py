@@ -41,3 +41,13 @@ def test_longer_steps_are_looked_at_where_a_run_is_long():
     stepper = ss.compile(ss.systems.pendulum())
     values = stepper.program.named_values(None)
     assert choose_step(stepper, np.zeros(1), np.zeros(1), values, 64, longest=40.0) == 32.0
+
+
+@pytest.mark.filterwarnings("error")
+def test_steps_that_are_tried_warn_of_nothing():
+    """Long ones meet folds of linkages in which shorter ones do not stand."""
+    system = ss.systems.slider_crank()
+    stepper, state = ss.compile(system, "midpoint"), system.reference_state
+    run = stepper.integrate(state["q0"], v0=3 * np.array(state["v0"]), h=1e-4, steps=0)
+    values = stepper.program.named_values(None)
+    assert choose_step(stepper, run.q[0], run.p[0], values, 64) < 0.01
