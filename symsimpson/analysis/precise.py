@@ -151,7 +151,7 @@ class Precise:
             W[rows, 0] = here
             slopes = numbers.zeros(2 * n)
             moved = rows
-            if "RATE" not in at:
+            if "PASSED" not in at:  # not retimed
                 self._call("energy", W)
                 slopes[n:] = W[at["VELOCITY"] : at["VELOCITY"] + n, 0]
                 moved = rows[:n]

@@ -84,7 +84,7 @@ class Subject:
         # a coordinate that hardly moves has no size of its own: that of others, in small units
         least = min(1.0, q.max() or 1.0)
         places, most = np.maximum(q, least), p.max() or 1.0
-        if "RATE" in run.program.header.layout:  # v is that of another time
+        if "PASSED" in run.program.header.layout:  # retimed: v is that of another time
             return np.concatenate([places, np.full(self.n, most)])
         fastest = (np.abs(run.v) / places).max()
         with np.errstate(all="ignore"):  # the mass of what cannot move has no bound

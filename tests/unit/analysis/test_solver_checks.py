@@ -42,3 +42,20 @@ def test_kernels_are_compared_in_a_step_that_all_of_them_take():
     certificate = ss.compile(system, "gauss6").certify([1.0, 0.5], v0=[1.0, 0.0], h=2.0)
     assert certificate["fallbacks"].passed, certificate
     assert "a step of h/2 by newton" in certificate["fallbacks"].what
+
+
+def test_velocities_at_a_momentum_are_those_that_constraints_move():
+    """A string is pulled in: H is no function whose slope by p is v, and was differentiated."""
+    x, y = ss.coordinates("x y")
+    length = 1 + sp.sin(2 * ss.time) / 5
+    system = ss.MechanicalSystem(
+        "string",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=9.81 * y,
+        velocity_constraints={"string": (x**2 + y**2 - length**2).diff(ss.time) / 2},
+    )
+    precise = Precise(ss.compile(system, "midpoint"), {}, DIGITS)
+    with mpmath.workdps(DIGITS):
+        z = np.array([mpmath.mpf(k) / 25 for k in (15, -20, 6, -8)])
+    assert abs(precise.gradient(z)[2:] - z[2:]).max() < 1e-45
