@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import mpmath
 
@@ -10,12 +11,22 @@ from symsimpson.analysis.certificate import Check
 from symsimpson.analysis.convergence import DIGITS
 from symsimpson.analysis.subject import Subject
 
-__all__ = ["EXACT", "fallbacks", "iterations", "jacobian", "newton", "starts"]
+__all__ = [
+    "EXACT",
+    "fallbacks",
+    "iterations",
+    "jacobian",
+    "newton",
+    "order_of_corrections",
+    "starts",
+]
 
 #: What is exact comes out as zero to so many digits; differences have two thirds of DIGITS.
 EXACT = 1e-25
 #: So many steps, each half as long as the one before, are tried by kernels that are compared.
 HALVINGS = 8
+#: The first Newton correction makes at most so much of its square, as a logarithm.
+FIRST = 7.0
 
 
 def starts(s: Subject) -> Iterator[Check]:
@@ -77,11 +88,22 @@ def newton(s: Subject) -> Iterator[Check]:
     usable = [x for x in sizes if x > 10.0 ** (5 - DIGITS)]
     reason = "With the exact Jacobian each correction is about the square of the one before."
     shown = ", ".join(f"{float(x):.0e}" for x in sizes[:5])
-    order = 2.0  # solved at once
-    if len(usable) > 2:
-        a, b, c = (float(mpmath.log(x)) for x in usable[-3:])
-        order = (c - b) / (b - a) if b < a else 0.0
+    order = order_of_corrections(usable) if len(usable) > 2 else 2.0  # solved at once
     yield Check.at_least("Newton", order, 1.7, f"corrections {shown}", reason)
+
+
+def order_of_corrections(sizes: Sequence[Any]) -> float:
+    """Return the power of the one before that the last of three or more corrections is.
+
+    The last ratios tell, or the last size in units of what the first one makes of its square: a
+    correction that is better than quadratic by chance spoils the ratios.
+    """
+    logs = [float(mpmath.log(x)) for x in sizes]
+    a, b, c = logs[-3:]
+    if not c < b < a:
+        return 0.0
+    first = min(max(logs[1] - 2 * logs[0], 0.0), FIRST)
+    return max((c - b) / (b - a), (c - first) / b if b < 0 else 0.0)
 
 
 def iterations(s: Subject) -> Iterator[Check]:

@@ -8,6 +8,7 @@ import sympy as sp
 import symsimpson as ss
 from symsimpson.analysis.certify import DIGITS
 from symsimpson.analysis.precise import Precise
+from symsimpson.analysis.solver_checks import order_of_corrections
 
 
 @pytest.mark.slow
@@ -59,3 +60,18 @@ def test_velocities_at_a_momentum_are_those_that_constraints_move():
     with mpmath.workdps(DIGITS):
         z = np.array([mpmath.mpf(k) / 25 for k in (15, -20, 6, -8)])
     assert abs(precise.gradient(z)[2:] - z[2:]).max() < 1e-45
+
+
+def test_a_correction_that_is_better_than_quadratic_hides_no_order():
+    """From 1e-6 to 2e-15 one gained more than its square, and the next ones looked slow."""
+    assert order_of_corrections([1e-3, 1e-6, 2e-15, 8e-30]) > 1.9
+    assert order_of_corrections([1e-1, 3e-1, 9e-2]) == 0.0
+
+
+@pytest.mark.parametrize("ratio", [1e-1, 1e-4, 1e-8])
+@pytest.mark.parametrize("start", [0.5, 1e-3, 1e-9])
+def test_corrections_by_a_jacobian_that_is_off_by_little_are_linear(ratio, start):
+    sizes = [start]
+    while len(sizes) < 8 and sizes[-1] > 1e-37:
+        sizes.append(max(sizes[-1] ** 2, ratio * sizes[-1]))
+    assert order_of_corrections(sizes) < 1.5
