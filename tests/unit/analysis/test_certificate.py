@@ -143,6 +143,23 @@ def test_a_step_that_is_chosen_is_solved_in_few_iterations():
     assert certificate.passed, certificate
 
 
+def test_what_is_watched_and_no_invariant_is_not_asked_of():
+    (x,) = ss.coordinates("x")
+    energy = x.diff() ** 2 / 2 - sp.cos(x)
+    system = ss.MechanicalSystem(
+        "swing",
+        coordinates=(x,),
+        kinetic=x.diff() ** 2 / 2,
+        potential=-sp.cos(x),
+        invariants={"speed": x.diff() ** 2, "energy_again": energy},
+    )
+    certificate = ss.compile(system).certify([0.5], v0=[0.3])
+    assert certificate.passed, certificate
+    watched, kept = (check for check in certificate.checks if check.name == "invariant")
+    assert "speed: not asked" in watched.what
+    assert kept.measured > 3.5
+
+
 def test_an_error_without_words_is_a_row_that_has_not_passed(monkeypatch):
     """mpmath divides by zero without a message."""
 
