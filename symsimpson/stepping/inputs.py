@@ -59,12 +59,13 @@ def read_steps(
         )
     refuse_too_many(exact)
     number = round(exact)
-    if abs(exact - number) > STEP_FRACTION:
+    # far from 0 times are rounded by more of a step: an end that the steps give is theirs
+    if abs(exact - number) > STEP_FRACTION and t0 + h * number != end:
         some = max(number, 1)
         raise InputError(
-            f"t_end={float(end):g} is not a whole number of steps of h={float(h):g} from "
-            f"t0={float(t0):g}: it is {exact:.6g}.\nA fixed step keeps the method symplectic. Use "
-            f"h={float(end - t0) / some!r}, or steps={some}."
+            f"t_end={float(end):.12g} is not a whole number of steps of h={float(h):g} from "
+            f"t0={float(t0):.12g}: it is {exact:.12g}.\nA fixed step keeps the method symplectic. "
+            f"Use h={float(end - t0) / some!r}, or steps={some}."
         )
     _check_times(h, t0, number, numbers)
     return h, number, t0

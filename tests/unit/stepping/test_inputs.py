@@ -62,6 +62,14 @@ def test_message(stepper, changes, message):
     assert "\n" in str(caught.value)
 
 
+def test_an_end_far_from_zero_is_rounded_as_times_are(stepper):
+    far = GOOD | {"steps": None, "t0": 1e9, "h": 1e-3}
+    run = stepper.integrate(**far, t_end=1e9 + 400 * 1e-3)
+    assert (len(run.t) - 1, run.t[-1]) == (400, 1e9 + 0.4)
+    with pytest.raises(ss.InputError, match=r"t_end=1000000000\.35 .* t0=1000000000: it is 3\.5"):
+        stepper.integrate(**(far | {"h": 0.1, "t_end": 1e9 + 0.35}))
+
+
 def test_step_and_equations_check_too(stepper):
     with pytest.raises(ss.InputError, match="q0 has shape"):
         stepper.step([1.0], [0.0, 0.0], h=0.1)
