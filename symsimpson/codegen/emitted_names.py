@@ -145,6 +145,7 @@ NODE_FUNCTIONS = frozenset(
         "forces",
         "gradient",
         "mass",
+        "linear",
         "potential",
         "constraint_slopes",
         "constrain",

@@ -67,11 +67,15 @@ class LoopedStages:
         """One iteration: positions, forces; momenta, velocities."""
         time = self.loops.time_at_node()
         nodes = "range(NODES)" if time else NODES_AS_VECTOR
+        # M v = p - a: a has one place for all nodes, and all forces are asked for before
+        gyroscopic = self.low.equations.system.structure.gyroscopic
+        again = (_ENTER, *time, Call("linear")) if gyroscopic else ()
+        solved = nodes if again else NODES_AS_VECTOR
         body = (
             Call("sum_stages", ("W", "STAGE_Q", "STAGE_MU", "STAGE_V", "lane")),
             Loop("node", nodes, (_ENTER, *time, Call("gradient"), Call("leave_force", _HERE))),
             Call("sum_stages", ("W", "STAGE_P", "STAGE_NU", "STAGE_F", "lane")),
-            Loop("node", NODES_AS_VECTOR, (Call("leave_velocity", _HERE),)),
+            Loop("node", solved, (*again, Call("leave_velocity", _HERE))),
             Call("check_stage_convergence"),
         )
         doc = "One iteration for the velocities and forces at all nodes."

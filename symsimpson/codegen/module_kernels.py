@@ -170,10 +170,12 @@ def _looped_module(equations: DiscreteEquations) -> Module:
         # an explicit step solves with M alone
         both = [family for family in terms if family.plain.M or not isinstance(part, Composed)]
         storage, held = smaller(storage, held, both, met, degree, plain.bound)
-    names = ("gradient", "mass", "potential")
+    names: tuple[str, ...] = ("gradient", "mass", "potential")
     kicked = drifting(equations)
     if held or not kicked:
         names = ("jet", *(("forces",) if constant and not kicked else ()), *names)
+    if structure.constant_mass and structure.gyroscopic and equations.scheme.by_stages:
+        names = (*names, "linear")
     tables: dict[str, object] = {}
     places = sorted(range(low.n), key=storage.order.__getitem__)
     low.stand(places)
@@ -290,6 +292,8 @@ def _finish_module(
     for_stages: tuple[Statement, ...] = ()
     by_loops = any(function.name == "gradient" for function in functions)
     stages = _stage_kernels(low, loops, by_loops=by_loops) if unknowns else None
+    if not isinstance(stages, LoopedStages):  # nothing else takes a by itself
+        functions = [f for f in functions if f.name.split("_")[0] != "linear"]
     if stages is not None:
         kernels = [*kernels, *stages.kernels]
         tables = {**tables, "STRIDE": stages.stride}

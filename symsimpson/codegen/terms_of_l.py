@@ -39,6 +39,7 @@ FUNCTIONS = {
     "forces": ("F and F_q at a node.", ("F", "F_q")),
     "gradient": ("F at a node.", ("F",)),
     "mass": ("M and a at a node.", ("a", "M")),
+    "linear": ("a at a node.", ("a",)),
     "potential": ("Add V to the energy.", ("V",)),
 }
 #: Terms of more nodes are not shown.
@@ -55,6 +56,7 @@ _BLOCKS = {
 }
 _CLEARED = {
     "F": "clear_gradient",
+    "a": "clear_linear",
     "F_q": "clear_hessian",
     "F_v": "clear_mixed",
     "M": "clear_mass",
@@ -85,11 +87,15 @@ def unrolled_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
                 number = sum(i * low.n**k for k, i in enumerate(reversed(index)))
                 if value != 0 or not sparse:
                     stores.append(Store(Row(_BLOCKS[what], number), value, add=what == "V"))
-        cleared = [x for x in asked if x in _CLEARED] if sparse else []
-        body = [Call(_CLEARED[x]) for x in cleared]
+        body = _clearing(asked) if sparse else []
         lines = low.statements(stores, (Level.ITERATION,))
         functions.append(Function(name, doc, (*body, *lines)))
     return functions
+
+
+def _clearing(parts: Sequence[str]) -> list[Call]:
+    """Return what begins the sums that make some parts; that of M begins those of P and a, too."""
+    return [Call(_CLEARED[x]) for x in parts if x in _CLEARED and (x != "a" or "M" not in parts)]
 
 
 def power_stores(low: Lowering, point: Point) -> list[Store]:
@@ -136,7 +142,7 @@ def family_functions(
     functions: list[Function] = []
     for name in names:
         doc, parts = FUNCTIONS[name]
-        calls: list[Statement] = [Call(_CLEARED[p]) for p in parts if p in _CLEARED]
+        calls: list[Statement] = [*_clearing(parts)]
         for number, writer in writers:
             stores = _family_stores(writer, parts)
             if stores:

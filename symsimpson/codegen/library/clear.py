@@ -25,6 +25,13 @@ def clear_mass(W, lane):
 
 
 @compiled
+def clear_linear(W, lane):
+    """Begin the sum over the terms of L that makes a."""
+    for s in range(DIMENSION):
+        W[NODE_L_V + s, lane] = real(0)
+
+
+@compiled
 def clear_mixed(W, lane):
     """Begin the sum over the terms of L that makes L_qv."""
     for entry in range(NODE_L_VV - NODE_L_QV):

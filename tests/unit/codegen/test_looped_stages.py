@@ -1,5 +1,7 @@
 """Stages by loops come to what Newton's method comes to, for all that a constant M may go with."""
 
+import re
+
 import numpy as np
 import pytest
 import sympy as sp
@@ -35,7 +37,10 @@ def variants():
     x, y, _ = ss.coordinates("x y z")
     push = sp.Symbol("push")
     yield "conservative", {}, {}
+    yield "in a field", {"gyroscopic": x**2 * y.diff() - y * x.diff() / 3}, {}
     yield "dragged", {"forces": {x: -x.diff() * y / 4, y: sp.cos(2 * ss.time)}}, {}
+    field = sp.sin(x + 2 * ss.time) * y.diff()
+    yield "in a field that changes", {"gyroscopic": field, "forces": {x: -x.diff() / 4}}, {}
     yield "driven", {"forces": {y: push}, "inputs": (push,)}, {"inputs": {"push": [0.5, -0.25, 1]}}
 
 
@@ -53,7 +58,7 @@ def runs(stepper, monkeypatch, **given):
         yield stepper.integrate([0.3, -0.5, 0.2], v0=[0.7, 0.1, -0.4], h=H, steps=3, **given)
 
 
-@pytest.mark.parametrize(("about", "more", "given"), sweep(variants()))
+@pytest.mark.parametrize(("about", "more", "given"), sweep(variants(), 2))
 def test_stages_and_newtons_method_agree(about, more, given, by_loops, monkeypatch):
     stepper = ss.compile(model(**more), "gauss10", precision=40)
     assert "enter_node(" in stepper.source
@@ -61,6 +66,18 @@ def test_stages_and_newtons_method_agree(about, more, given, by_loops, monkeypat
     assert stages.newton_iterations[1:].min() > newton.newton_iterations[1:].max()
     assert abs(stages.q - newton.q).max() < 1e-33
     assert abs(stages.p - newton.p).max() < 1e-33
+
+
+def test_families_of_terms_in_a_field(monkeypatch):
+    """Sums over the members of a family begin anew at each node."""
+    limited(monkeypatch, UNROLLED_UNKNOWNS=0, STAGE_COORDINATES=0, FAMILY_MEMBERS=0)
+    x, y, z = ss.coordinates("x y z")
+    around = x * y.diff() - y * x.diff() + y * z.diff() - z * y.diff()
+    stepper = ss.compile(model(gyroscopic=around), "gauss10", precision=40)
+    stages, newton = runs(stepper, monkeypatch)
+    assert abs(stages.q - newton.q).max() < 1e-33
+    assert abs(stages.p - newton.p).max() < 1e-33
+    assert re.search(r"def linear_\d", stepper.source)
 
 
 def test_they_take_as_many_iterations_as_straight_lines(monkeypatch):
