@@ -145,7 +145,7 @@ NODE_FUNCTIONS = frozenset(
         "forces",
         "gradient",
         "mass",
-        "linear",
+        "gyroscopic",
         "potential",
         "constraint_slopes",
         "constrain",

@@ -69,7 +69,7 @@ class LoopedStages:
         nodes = "range(NODES)" if time else NODES_AS_VECTOR
         # M v = p - a: a has one place for all nodes, and all forces are asked for before
         gyroscopic = self.low.equations.system.structure.gyroscopic
-        again = (_ENTER, *time, Call("linear")) if gyroscopic else ()
+        again = (_ENTER, *time, Call("gyroscopic")) if gyroscopic else ()
         solved = nodes if again else NODES_AS_VECTOR
         body = (
             Call("sum_stages", ("W", "STAGE_Q", "STAGE_MU", "STAGE_V", "lane")),

@@ -175,7 +175,7 @@ def _looped_module(equations: DiscreteEquations) -> Module:
     if held or not kicked:
         names = ("jet", *(("forces",) if constant and not kicked else ()), *names)
     if structure.constant_mass and structure.gyroscopic and equations.scheme.by_stages:
-        names = (*names, "linear")
+        names = (*names, "gyroscopic")
     tables: dict[str, object] = {}
     places = sorted(range(low.n), key=storage.order.__getitem__)
     low.stand(places)
@@ -293,7 +293,7 @@ def _finish_module(
     by_loops = any(function.name == "gradient" for function in functions)
     stages = _stage_kernels(low, loops, by_loops=by_loops) if unknowns else None
     if not isinstance(stages, LoopedStages):  # nothing else takes a by itself
-        functions = [f for f in functions if f.name.split("_")[0] != "linear"]
+        functions = [f for f in functions if f.name.split("_")[0] != "gyroscopic"]
     if stages is not None:
         kernels = [*kernels, *stages.kernels]
         tables = {**tables, "STRIDE": stages.stride}

@@ -39,7 +39,7 @@ FUNCTIONS = {
     "forces": ("F and F_q at a node.", ("F", "F_q")),
     "gradient": ("F at a node.", ("F",)),
     "mass": ("M and a at a node.", ("a", "M")),
-    "linear": ("a at a node.", ("a",)),
+    "gyroscopic": ("a at a node.", ("a",)),
     "potential": ("Add V to the energy.", ("V",)),
 }
 #: Terms of more nodes are not shown.
@@ -56,7 +56,7 @@ _BLOCKS = {
 }
 _CLEARED = {
     "F": "clear_gradient",
-    "a": "clear_linear",
+    "a": "clear_gyroscopic",
     "F_q": "clear_hessian",
     "F_v": "clear_mixed",
     "M": "clear_mass",

@@ -25,7 +25,7 @@ def clear_mass(W, lane):
 
 
 @compiled
-def clear_linear(W, lane):
+def clear_gyroscopic(W, lane):
     """Begin the sum over the terms of L that makes a."""
     for s in range(DIMENSION):
         W[NODE_L_V + s, lane] = real(0)

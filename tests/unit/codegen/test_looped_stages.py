@@ -77,7 +77,7 @@ def test_families_of_terms_in_a_field(monkeypatch):
     stages, newton = runs(stepper, monkeypatch)
     assert abs(stages.q - newton.q).max() < 1e-33
     assert abs(stages.p - newton.p).max() < 1e-33
-    assert re.search(r"def linear_\d", stepper.source)
+    assert re.search(r"def gyroscopic_\d", stepper.source)
 
 
 def test_they_take_as_many_iterations_as_straight_lines(monkeypatch):

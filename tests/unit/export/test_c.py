@@ -1,5 +1,6 @@
 """Steps in C: the states of a run, without a warning, without anything but mathematics."""
 
+import ast
 import shutil
 import subprocess
 from itertools import pairwise
@@ -12,6 +13,9 @@ from support.in_c import COMPILER, STRICT, InC, build
 from support.plain import plain
 
 import symsimpson as ss
+from symsimpson.codegen.emitted_names import NODE_FUNCTIONS
+from symsimpson.codegen.library import library_sources
+from symsimpson.program.driver import driver_text
 from symsimpson.systems import EVERY
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no compiler of C")
@@ -34,6 +38,12 @@ PAIRS = [
     ("outer_solar_system", "simpson"),
     ("rolling_disc", "simpson"),
 ]
+
+
+def test_functions_of_modules_and_of_the_driver_have_different_names():
+    """They stand in one file of C."""
+    driver = {x.name for x in ast.parse(driver_text()).body if isinstance(x, ast.FunctionDef)}
+    assert not driver & (NODE_FUNCTIONS | library_sources().keys())
 
 
 def begun(stepper, system, tmp_path, h):
