@@ -105,7 +105,8 @@ class Precise:
             W[at["POSITION"] : at["POSITION"] + self.n, 0] = numbers.read(list(q))
             W[at["MOMENTUM"] : at["MOMENTUM"] + self.n, 0] = numbers.read(list(p))
             self._call(kernel, W, t)
-            return numbers.result(W[at[block] : at[block] + count, 0])
+            # a copy: the next kernel writes into the same rows
+            return numbers.result(W[at[block] : at[block] + count, 0].copy())
 
     def _call(self, kernel: str, W: Vector, t: Any = 0) -> None:
         """Call a kernel of a state."""
