@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from symsimpson.codegen.storage import Storage
-from symsimpson.discrete.families import Family, band_of, neighbours, ordering
+from symsimpson.discrete.bandwidth import band_of, neighbours, ordering
+from symsimpson.discrete.families import Family
 
 __all__ = ["Held", "dense", "smaller"]
 

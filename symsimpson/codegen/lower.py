@@ -172,7 +172,7 @@ class Lowering:
 
     @cached_property
     def watched(self) -> JetTemplate:
-        """The invariants alone, without the jet of L."""
+        """The invariants and the powers of forces alone, without the jet of L."""
         return self._template(watched(self.equations.plain))
 
     def _template(self, jet: Jet) -> JetTemplate:

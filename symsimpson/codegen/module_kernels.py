@@ -123,7 +123,7 @@ def _unrolled_module(equations: DiscreteEquations) -> Module:
     kernels = [*unrolled_kernels(low), _energy(low)]
     if equations.plain.invariants:
         kernels.append(_invariants(low))
-    kernels += [_power(low, _state(low))] if equations.plain.powers else []
+    kernels += [_power(low, low.template, _state(low))] if equations.plain.powers else []
     unknowns = sum(part_unknowns(part) for part in equations.parts) + equations.unknowns.behind
     functions: list[Function] = []
     tables: dict[str, object] = {}
@@ -149,7 +149,7 @@ def _unrolled_module(equations: DiscreteEquations) -> Module:
     if unknowns:
         kernels.append(loops.pivoted(following=follow))
     if works:
-        functions.append(power_function(low))
+        functions.append(power_function(low, low.template))
         kernels.append(loops.work(following=follow))
     return _finish_module(low, loops, functions, kernels, tables, unknowns)
 
@@ -159,14 +159,11 @@ def _looped_module(equations: DiscreteEquations) -> Module:
     part, degree = equations.joined(), equations.scheme.degree
     constant = isinstance(part, (Separable, Composed))
     structure = equations.system.structure
-    # terms are told apart by coordinates alone, and those of a force have no L
     plain = equations.plain
-    alike = plain.conservative
-    terms = families(plain) if alike else ()
-    met = constraint_families(plain) if alike else ()
+    terms, met = families(plain), constraint_families(plain)
     storage, held = dense(low.n, len(low.multipliers), len(plain.velocity_constraints))
     rolling = plain.velocity_constraints
-    if "sparse" in equations.exploit and alike:
+    if "sparse" in equations.exploit:
         # an explicit step solves with M alone
         both = [family for family in terms if family.plain.M or not isinstance(part, Composed)]
         storage, held = smaller(storage, held, both, met, degree, plain.bound)
@@ -179,12 +176,12 @@ def _looped_module(equations: DiscreteEquations) -> Module:
     tables: dict[str, object] = {}
     places = sorted(range(low.n), key=storage.order.__getitem__)
     low.stand(places)
-    if alike and (storage.banded or _many(terms)):
+    if storage.banded or _many(terms):
         functions, family_tables = family_functions(low, terms, places, names)
         tables |= family_tables
     else:
         functions = unrolled_functions(low, names)
-    if held and alike and not rolling and (storage.banded or _many(met)):
+    if held and not rolling and (storage.banded or _many(met)):
         more, family_tables = constraint_family_functions(low, met, places, drifting=kicked)
         functions += more
         tables |= family_tables
@@ -203,16 +200,17 @@ def _looped_module(equations: DiscreteEquations) -> Module:
             behind = low.statements(
                 pull_stores(low, replace(state, multipliers=low.multipliers)), STATE
             )
-            kernels.append(_power(low, state, loops.before_pushes(), (*loops.pushed(), *behind)))
+            around = loops.before_pushes(), (*loops.pushed(), *behind)
+            kernels.append(_power(low, low.watched, state, *around))
         else:
-            kernels.append(_power(low, state, loops.before_state()))
+            kernels.append(_power(low, low.watched, state, loops.before_state()))
     blocks = 0
     own_tables = {**storage.node_constants(), "MASS_BAND": storage.band_of(plain.M)}
     if not isinstance(part, Composed):
         kernels.append(loops.equations())
         kernels += [loops.pivoted(following=False)] if loops.in_order else []
         if part.columns and equations.plain.powers:
-            functions.append(power_function(low))
+            functions.append(power_function(low, low.watched))
             kernels.append(loops.work(following=False))
         blocks = len(part.columns)
         own_tables |= {
@@ -363,12 +361,13 @@ def _state(low: Lowering) -> Point:
 
 def _power(
     low: Lowering,
+    template: JetTemplate,
     point: Point,
     before: tuple[Statement, ...] = (),
     behind: tuple[Statement, ...] = (),
 ) -> Kernel:
     """Return the kernel of the powers of forces, then dL/dt where L depends on t."""
-    stores = power_stores(low, point)
+    stores = power_stores(low, template, point)
     doc = "Power of each force, then dL/dt where L depends on t, at (q, p)."
     return Kernel("power", doc, lanes((*before, *low.statements(stores, STATE), *behind)))
 

@@ -98,10 +98,10 @@ def _clearing(parts: Sequence[str]) -> list[Call]:
     return [Call(_CLEARED[x]) for x in parts if x in _CLEARED and (x != "a" or "M" not in parts)]
 
 
-def power_stores(low: Lowering, point: Point) -> list[Store]:
+def power_stores(low: Lowering, template: JetTemplate, point: Point) -> list[Store]:
     """Store the power of each force, and dL/dt; that of constraints is 0 here."""
     powers = low.equations.plain.powers
-    values = [low.template.entry(point, "powers", "power", name) for name in powers]
+    values = [template.entry(point, "powers", "power", name) for name in powers]
     return [Store(Row("POWER", k), value) for k, value in enumerate(values)]
 
 
@@ -115,9 +115,9 @@ def pull_stores(low: Lowering, point: Point) -> list[Store]:
     return [Store(row, low.graph.total(pulls))]
 
 
-def power_function(low: Lowering) -> Function:
+def power_function(low: Lowering, template: JetTemplate) -> Function:
     """Write the powers of all forces at a node."""
-    stores = power_stores(low, Point("i", low.node_q, low.node_v, low.node_t, low.node_u))
+    stores = power_stores(low, template, Point("i", low.node_q, low.node_v, low.node_t, low.node_u))
     doc = "Power of each force at a node, then the partial dL/dt where L depends on t."
     return Function("node_power", doc, low.statements(stores, (Level.ITERATION,)))
 
@@ -142,6 +142,8 @@ def family_functions(
     functions: list[Function] = []
     for name in names:
         doc, parts = FUNCTIONS[name]
+        if low.equations.plain.dragged and "F_v" in parts:
+            parts = (*parts, "f_v")
         calls: list[Statement] = [*_clearing(parts)]
         for number, writer in writers:
             stores = _family_stores(writer, parts)
@@ -187,7 +189,7 @@ class FamilyWriter:
             *coefficients,
             *(low.parameters[a.name] for a in plain.parameters[family.slots :]),
         ]
-        self.point = Point(table.lower(), q, v, multipliers=tuple(held))
+        self.point = Point(table.lower(), q, v, low.node_t, low.node_u, multipliers=tuple(held))
         self.template = JetTemplate(
             jet,
             low.graph,
@@ -208,6 +210,12 @@ class FamilyWriter:
             )
         self._low.coefficients = tuple(rows)
         return tuple(table)
+
+    def entries(self, parts: Iterable[str]) -> list[str]:
+        """List those of some parts that a member adds to: what a force owes v stands apart."""
+        plain = self._family.plain
+        other = "F_v" if plain.forces else "f_v"
+        return [x for x in parts if x != other and (x != "f_v" or plain.dragged)]
 
     def function(
         self, name: str, doc: str, stores: Sequence[Store], more: Sequence[Index] = ()
@@ -235,19 +243,21 @@ class FamilyWriter:
     def _term_text(self) -> str:
         """Return the form of the terms in words."""
         plain = self._family.plain
-        (term,) = plain.constraints.values() or [plain.L]
+        (term,) = plain.constraints.values() or [f for f in plain.f if f[0]] or [plain.L]
         if tree_size(plain.graph, term) > _SHOWN:
             return "of one kind"
         slots = self._family.slots
         shown = {s.name: f"c_{k}" for k, s in enumerate(plain.parameters[:slots])}
         shown |= {a.name: self._low.parameters[a.name].name for a in plain.parameters[slots:]}
+        shown |= {s.name: name for s, name in zip(plain.u, self._low.names.inputs, strict=True)}
+        shown[plain.t.name] = "t"
         return formula(plain.graph, term, shown)[:60]
 
 
 def _family_stores(writer: FamilyWriter, parts: Iterable[str]) -> list[Store]:
     """Return what a member adds to some derivatives of L."""
     stores = []
-    for what in parts:
+    for what in writer.entries(parts):
         for index in _indices(what, range(len(writer.indices))):
             value = writer.template.entry(writer.point, "jet", what, *index)
             if value != 0:

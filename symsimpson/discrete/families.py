@@ -1,11 +1,12 @@
-"""Terms of L that are equal up to coordinates and coefficients: links, springs, lattice sites.
+"""Terms that are equal up to coordinates and coefficients: links, springs, dampers, lattice sites.
 
-A family is differentiated once and evaluated in a loop over its members.
+A family is differentiated once and evaluated in a loop over its members. Its terms are those of L,
+or of one component of a force, which is written as the work of a virtual displacement, f_i d_i.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
@@ -18,7 +19,7 @@ from symsimpson.graph.read import tree_size
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.mechanics.plain import Plain
 
-__all__ = ["Family", "band_of", "constraint_families", "families", "neighbours", "ordering"]
+__all__ = ["Family", "constraint_families", "families"]
 
 #: Terms of more nodes than this, written as trees, are written with what they share.
 LARGE_TREE = 10_000
@@ -33,8 +34,9 @@ class Family:
     Attributes
     ----------
     plain : Plain
-        The term as the Lagrangian of a system with one coordinate for each slot; its parameters
-        are the slots of coefficients, and then those parameters that are the same for all members.
+        The term as the Lagrangian, or a force, of a system with one coordinate for each slot; its
+        parameters are the slots of coefficients, and then those parameters that are the same for
+        all members.
     slots : int
         Number of coefficients that differ among members.
     coordinates : tuple of tuple of int
@@ -62,9 +64,9 @@ class _Draft:
 
 
 def families(plain: Plain) -> tuple[Family, ...]:
-    """Sort the terms of L = v.M.v/2 + a.v - V into families.
+    """Sort the terms of L = v.M.v/2 + a.v - V, and of forces, into families.
 
-    What contains no coordinate is one family of its own: a coefficient alone.
+    What contains no coordinate, nor t or an input, is one family of its own: a coefficient alone.
     """
     reader = _Reader(plain)
     drafts: dict[Any, _Draft] = {}
@@ -105,7 +107,7 @@ def constraint_families(plain: Plain) -> tuple[Family, ...]:
 
 
 def _terms(plain: Plain) -> Iterator[Value]:
-    """Return the terms of L, those of the same coordinates in one entry or in V together."""
+    """Return the terms of L and of forces; those of the same coordinates in an entry together."""
     graph, v = plain.graph, plain.numbers(plain.v)
     moving = frozenset((*plain.numbers(plain.q), *v))
     for (i, j), entry in sorted(plain.M.items()):
@@ -117,6 +119,10 @@ def _terms(plain: Plain) -> Iterator[Value]:
             yield graph.multiply([term, (1, x)])
     for term in _collected(graph, plain.V, moving):
         yield scaled(-1, term)
+    for i, force in enumerate(plain.f):
+        displaced = graph.symbol(f"d_{i}")
+        for term in _collected(graph, force, moving):
+            yield graph.multiply([term, displaced])
 
 
 def _collected(graph: Graph, value: Value, moving: frozenset[int]) -> list[Value]:
@@ -170,8 +176,12 @@ class _Reader:
         self.graph = Graph()
         self._plain, self._source = plain, plain.graph
         q, v = plain.numbers(plain.q), plain.numbers(plain.v)
-        self._place = {x: i for group in (q, v) for i, x in enumerate(group)}
-        self._kind = dict.fromkeys(q, "q") | dict.fromkeys(v, "v")
+        displaced = self._source.numbers(f"d_{i}" for i in range(len(q)))
+        self._place = {x: i for group in (q, v, displaced) for i, x in enumerate(group)}
+        self._kind = {x: kind for kind, xs in (("q", q), ("v", v), ("d", displaced)) for x in xs}
+        #: The time and inputs, which are the same for all members of a family.
+        self._common = {x: s.name for s in (*plain.u, plain.t) for x in plain.numbers([s])}
+        self._moving = self._place.keys() | self._common.keys()
         self._shapes: dict[int, tuple[int, tuple[int, ...]]] = {}
         self._numbers: dict[Any, int] = {}
         self.coordinates: list[int] = []
@@ -179,8 +189,8 @@ class _Reader:
         self._written: dict[tuple[int, bool], Value] | None = None
 
     def moves(self, n: int) -> bool:
-        """Return whether a node contains a coordinate or a velocity."""
-        return not self._source.nodes[n].symbols.isdisjoint(self._place)
+        """Return whether a node contains a coordinate or a velocity, the time or an input."""
+        return not self._source.nodes[n].symbols.isdisjoint(self._moving)
 
     def read(self, term: Value) -> tuple[Any, Value]:
         """Return the shape of a term, and the term in slots q_s, v_s, c_s."""
@@ -209,7 +219,9 @@ class _Reader:
         key: Any
         if n in self._kind:
             key = self._kind[n]
-        elif not places:
+        elif n in self._common:
+            key = ("common", self._common[n])
+        elif not self.moves(n):
             key = "c"
         elif kind == "sum":
             key = (kind, *sorted((_number(c), self._shapes[m][0]) for c, m in parts))
@@ -232,6 +244,8 @@ class _Reader:
         kind, parts, _ = self._source.nodes[n]
         if n in self._place:
             return self._slot(n)
+        if n in self._common:
+            return self.graph.symbol(self._common[n])
         if not self.moves(n):
             return ONE if n == 0 else self._coefficient((1, n))
         if kind == "sum":
@@ -284,10 +298,10 @@ def _family(system: Plain, read: Graph, draft: _Draft) -> Family:
     count, size = len(draft.coefficients[0]), len(draft.coordinates[0])
     columns = [[row[k] for row in draft.coefficients] for k in range(count)]
     varying = [k for k in range(count) if len(set(columns[k])) > 1 or not size]
-    q, v = ([f"{kind}_{s}" for s in range(size)] for kind in "qv")
+    q, v, displaced = ([f"{kind}_{s}" for s in range(size)] for kind in "qvd")
     slots = [f"c_{k}" for k in varying]
     graph = Graph()
-    numbers = {name: graph.symbol(name) for name in (*q, *v, *slots)}
+    numbers = {name: graph.symbol(name) for name in (*q, *v, *displaced, *slots)}
     shared = {
         read.symbol(f"c_{k}")[1]: rebuilt(system.graph, [columns[k][0]], {}, graph)[0]
         for k in range(count)
@@ -297,6 +311,9 @@ def _family(system: Plain, read: Graph, draft: _Draft) -> Family:
     places = [numbers[name][1] for name in v]
     rest = dict.fromkeys(places, ZERO)
     derivatives = Derivatives(graph)
+    force = tuple(derivatives(term, numbers[name][1]) for name in displaced)
+    forced = any(f[0] for f in force)
+    term = ZERO if forced else term
     slopes = [derivatives(term, x) for x in places]
     M = {
         (a, b): entry
@@ -320,6 +337,9 @@ def _family(system: Plain, read: Graph, draft: _Draft) -> Family:
         a=tuple(linear),
         V=scaled(-1, potential),
         invariants={},
+        t=system.t,
+        u=system.u,
+        forces={"of a member": force} if forced else {},
     )
     coefficients = tuple(tuple(row[k] for k in varying) for row in draft.coefficients)
     return Family(plain, len(slots), tuple(draft.coordinates), coefficients)
@@ -327,73 +347,3 @@ def _family(system: Plain, read: Graph, draft: _Draft) -> Family:
 
 def _symbols(names: Sequence[str]) -> tuple[sp.Symbol, ...]:
     return tuple(sp.Symbol(name, real=True) for name in names)
-
-
-def neighbours(term_families: Iterable[Family], n: int) -> list[set[int]]:
-    """List the coordinates that meet each one in some term."""
-    near: list[set[int]] = [set() for _ in range(n)]
-    for family in term_families:
-        for member in family.coordinates:
-            for i in member:
-                near[i].update(member)
-    return [others - {i} for i, others in enumerate(near)]
-
-
-def ordering(near: list[set[int]]) -> tuple[tuple[int, ...], int]:
-    """Order coordinates so that those that meet stand close (reverse Cuthill-McKee).
-
-    They stay as they are where that is as good.
-
-    Returns
-    -------
-    order : tuple of int
-        Coordinates in their new order.
-    band : int
-        The largest distance of two that meet.
-
-    References
-    ----------
-    .. [1] E. Cuthill and J. McKee, Reducing the bandwidth of sparse symmetric matrices,
-       Proc. 24th ACM National Conference (1969), 157-172.
-    """
-    left = set(range(len(near)))
-    order: list[int] = []
-
-    def degree(i: int) -> tuple[int, int]:
-        return len(near[i]), i
-
-    while left:
-        start = _periphery(min(left, key=degree), near)
-        queue = [start]
-        left.discard(start)
-        for i in queue:
-            following = sorted(near[i] & left, key=degree)
-            left.difference_update(following)
-            queue += following
-        order += queue
-    order.reverse()
-    kept, moved = range(len(near)), tuple(order)
-    best = min((tuple(kept), moved), key=lambda order: band_of(order, near))
-    return best, band_of(best, near)
-
-
-def band_of(order: Sequence[int], near: list[set[int]]) -> int:
-    """Measure the largest distance, in an order, of two coordinates that meet."""
-    place = {i: s for s, i in enumerate(order)}
-    return max(
-        (abs(place[i] - place[j]) for i, others in enumerate(near) for j in others), default=0
-    )
-
-
-def _periphery(start: int, near: list[set[int]]) -> int:
-    """Walk to a coordinate far from all others of its group."""
-    reach = -1
-    while True:
-        level, seen, count = {start}, {start}, 0
-        while following := {j for i in level for j in near[i]} - seen:
-            level, count = following, count + 1
-            seen |= following
-        if count <= reach:
-            return start
-        reach = count
-        start = min(level, key=lambda i: (len(near[i]), i))

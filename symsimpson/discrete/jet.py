@@ -129,9 +129,10 @@ def _shortest(plain: Plain, more: Mapping[Key, Value], half_angles: Sequence[int
 
 
 def watched(plain: Plain) -> Jet:
-    """Write the invariants alone."""
+    """Write the invariants and what changes the energy, alone."""
     graph = plain.graph
     outputs: dict[Key, Value] = {("invariant", key): x for key, x in plain.invariants.items()}
+    outputs |= {("power", name): value for name, value in plain.powers.items()}
     return written_as_jet(plain, graph, outputs)
 
 

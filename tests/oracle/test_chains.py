@@ -1,5 +1,6 @@
 """Chains of rods: bands and families of terms give the steps that all entries do."""
 
+import dataclasses
 from itertools import pairwise
 
 import numpy as np
@@ -172,6 +173,17 @@ def ring():
     )
 
 
+def damped_ring():
+    """Return that ring with friction between neighbours, and drag on one of them."""
+    system, (k, m) = ring(), sp.symbols("k m", positive=True)
+    q = system.coordinates
+    rates = [k * (a.diff() - b.diff()) * (1 + a**2) / 9 for a, b in pairwise((*q, q[0]))]
+    forces = {a: rates[i - 1] - rates[i] for i, a in enumerate(q)}
+    forces[q[3]] -= m * q[3].diff() ** 3
+    fields = {f.name: getattr(system, f.name) for f in dataclasses.fields(system) if f.init}
+    return ss.MechanicalSystem(**fields | {"name": "damped_ring", "forces": forces})
+
+
 def rods():
     """Return a chain of nine bobs on rods, whose names stand in another order."""
     x, y, k, m = ss.coordinates("x:9"), ss.coordinates("y:9"), *sp.symbols("k m", positive=True)
@@ -202,7 +214,7 @@ def blades():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("make", [ring, rods, blades])
+@pytest.mark.parametrize("make", [ring, damped_ring, rods, blades])
 def test_the_order_of_coordinates_changes_nothing(make):
     """States, multipliers and all derivatives, where bands take coordinates in another order."""
     system = make()

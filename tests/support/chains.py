@@ -25,3 +25,26 @@ def swinging_chain(mass=1, stiffness=1):
         gyroscopic=sum(sp.sin(x[i]) * v[j] / 3 for i, j in pairs),
         parameters={a: 1.0 for a in (mass, stiffness) if isinstance(a, sp.Symbol)},
     )
+
+
+def damped_chain(n=6, *, driven=True):
+    """Springs with dampers beside them, drag, a drive at one end, an input at the other."""
+    x, (c, k, u) = ss.coordinates(f"x0:{n}"), sp.symbols("c k u", real=True)
+    v = [a.diff() for a in x]
+    dampers = [c * (1 + (x[i + 1] - x[i]) ** 2) * (v[i + 1] - v[i]) for i in range(n - 1)]
+    forces = dict.fromkeys(x, sp.S.Zero)
+    for i, damper in enumerate(dampers):
+        forces[x[i]] += damper
+        forces[x[i + 1]] -= damper
+    forces = {a: f - c * b**3 for (a, f), b in zip(forces.items(), v, strict=True)}
+    forces[x[0]] += sp.cos(2 * ss.time) * x[1]
+    forces[x[-1]] += u if driven else 0
+    return ss.MechanicalSystem(
+        "damped_chain",
+        coordinates=x,
+        kinetic=sum((1 + a**2 / 10) * b**2 for a, b in zip(x, v, strict=True)) / 2,
+        potential=sum(k * (x[i + 1] - x[i]) ** 4 / 4 for i in range(n - 1)) + k * x[0] ** 2 / 2,
+        parameters={c: 0.3, k: 2.0},
+        forces=forces,
+        inputs=[u] if driven else [],
+    )

@@ -6,10 +6,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import sympy as sp
+from support.chains import damped_chain
 
 import symsimpson as ss
 from symsimpson.discrete import families as made
-from symsimpson.discrete.families import families, neighbours, ordering
+from symsimpson.discrete.bandwidth import neighbours, ordering
+from symsimpson.discrete.families import families
 from symsimpson.mechanics.structure import _whole
 
 
@@ -77,6 +79,24 @@ def test_terms_of_other_signs_and_orders_are_one_family():
     )
     found = families(chain.structure.plain)
     assert sorted(len(family.coordinates) for family in found) == [5, 6]
+
+
+def test_families_add_up_to_the_forces():
+    plain = damped_chain().plain
+    found = families(plain)
+    assert len(found) <= 13
+    forces = [sp.S.Zero] * len(plain.q)
+    for family in found:
+        for places, numbers in zip(family.coordinates, family.coefficients, strict=True):
+            q = dict(zip(family.plain.q, (plain.q[i] for i in places), strict=True))
+            v = dict(zip(family.plain.v, (plain.v[i] for i in places), strict=True))
+            numbers = map(plain.written, numbers)
+            slots = dict(zip(family.plain.parameters[: family.slots], numbers, strict=True))
+            for place, f in zip(places, family.plain.f, strict=True):
+                forces[place] += family.plain.written(f).xreplace(q | v | slots)
+    for force, f in zip(forces, plain.f, strict=True):
+        assert sp.expand(force - plain.written(f)) == 0
+    assert sp.expand(total(found, plain) - lagrangian(plain)) == 0
 
 
 def ring(constant, n=5):
