@@ -56,6 +56,7 @@ TOOLS = Tools(
     certify=_certify,
     check_step=partial(_call, "frequency", "warn_of_step"),
     force_terms=partial(_call, "cancelling", "force_terms"),
+    changes_of_potential=partial(_call, "cancelling", "changes_of_potential"),
     at_pole=partial(_call, "passages", "at_pole"),
     unresolved_pole=partial(_call, "passages", "unresolved_pole"),
     kink_passed=partial(_call, "kinks", "kink_passed"),

@@ -39,6 +39,9 @@ class Tools:
     force_terms : callable
         Takes a system, q, the values of parameters and inputs, and t; returns how large the terms
         of each force are, which may cancel.
+    changes_of_potential : callable
+        Takes a system, times, positions and values of parameters; returns how far V is from where
+        it was first, as if it were not rounded, or None.
     at_pole : callable
         Takes a system and a run; returns at which singular point of the coordinates that ended.
     unresolved_pole : callable
@@ -54,6 +57,7 @@ class Tools:
     certify: Callable[..., Any]
     check_step: Callable[..., None]
     force_terms: Callable[..., Any]
+    changes_of_potential: Callable[..., Any]
     at_pole: Callable[..., str]
     unresolved_pole: Callable[..., Any]
     kink_passed: Callable[..., Any]

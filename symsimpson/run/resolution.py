@@ -269,13 +269,16 @@ def look_at_energy(
 def _explained(
     seen: Sampled, program: Program, run: Run, trajectory: Trajectory, kept: KeptStates
 ) -> Sampled:
-    """Take the work that was done out of energies that change, first roughly, then exactly.
+    """Take out of energies that change what is rounding of V, and the work that was done.
 
-    Powers at states are enough for most motions; where they leave something, all steps between
-    stored states are taken again, where the scheme has nodes.
+    Of work, powers at states are enough for most motions; where they leave something, all steps
+    between stored states are taken again, where the scheme has nodes.
     """
     header = program.header
-    if header.conservative or seen.left_at is None or not trajectory.success:
+    if seen.left_at is None or not trajectory.success:
+        return seen
+    seen = _unrounded(seen, program, run, trajectory, kept)
+    if header.conservative or seen.left_at is None:
         return seen
     q, p, *_, stride = kept
     whole = len(q) if stride * (len(q) - 1) <= trajectory.steps else len(q) - 1
@@ -300,3 +303,22 @@ def _explained(
     elif stride > 1:  # what is done between states far apart is not known
         parts = np.nan * parts
     return seen.with_work(parts).with_exchange(parts)
+
+
+def _unrounded(
+    seen: Sampled, program: Program, run: Run, trajectory: Trajectory, kept: KeptStates
+) -> Sampled:
+    """Evaluate V anew in many digits: where its terms cancel, a small motion is below rounding.
+
+    At x = 1e-8, g (1 - cos x) is zero in doubles, and the energy seems to come and go.
+    """
+    tools, system = program.tools, program.declared
+    if tools is None or system is None or run.W.dtype != np.float64 or run.header.retimed:
+        return seen
+    t = run.t0 + run.h * np.minimum(seen.places * kept.every, trajectory.steps)
+    values = trajectory.parameter_values.tolist()
+    changes = tools.changes_of_potential(system, t, kept.q[seen.places], values)
+    if changes is None:
+        return seen
+    total = seen.total[0] + (seen.kinetic - seen.kinetic[0]) + changes
+    return replace(seen, total=np.where(np.isfinite(total), total, seen.total))

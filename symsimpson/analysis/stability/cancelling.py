@@ -1,4 +1,4 @@
-"""How large the terms of forces are that cancel where a system is at rest."""
+"""What is lost where terms cancel: in forces at rest, and in V where a motion is small."""
 
 from __future__ import annotations
 
@@ -12,10 +12,12 @@ from symsimpson.graph.derive import gradient
 from symsimpson.graph.evaluate import evaluated, moduli
 from symsimpson.mechanics.system import MechanicalSystem
 
-__all__ = ["force_terms"]
+__all__ = ["changes_of_potential", "force_terms"]
 
 #: The forces of larger systems have too many terms to be looked at when a step fails.
 MOST_COORDINATES = 12
+#: V is evaluated in so many digits, unless it has more nodes than this at all states together.
+DIGITS, MOST_NODES = 50, 100_000
 
 
 def force_terms(
@@ -56,3 +58,40 @@ def force_terms(
     roots = [m for row in rows for _, m in row]
     sizes = moduli(graph, roots, evaluated(graph, roots, given, mpmath.fp))
     return np.array([sum(abs(float(c)) * sizes[m] for c, m in row if c) for row in rows])
+
+
+def changes_of_potential(
+    system: MechanicalSystem,
+    t: NDArray[np.float64],
+    q: NDArray[np.float64],
+    values: Iterable[float],
+) -> NDArray[np.float64] | None:
+    """Return V at some states less V at the first of them, as if it were not rounded.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+    t : ndarray, shape (m,)
+    q : ndarray, shape (m, n)
+    values : iterable of float
+        Values of all parameters, in the order of the system.
+
+    Returns
+    -------
+    ndarray, shape (m,), or None
+        NaN where V has no value; None where V is too large to be evaluated so often.
+    """
+    plain = system.plain
+    graph, (factor, node) = plain.graph, plain.V
+    if len(t) * len(graph.reached([node])) > MOST_NODES:
+        return None
+    names = plain.numbers([*plain.q, *plain.parameters, plain.t])
+    constants = list(values)
+    with mpmath.workdps(DIGITS):
+        scale = mpmath.mpf(factor.numerator) / factor.denominator
+        levels = []
+        for time, place in zip(t.tolist(), q.tolist(), strict=True):
+            numbers = map(mpmath.mpf, (*place, *constants, time))
+            given = dict(zip(names, numbers, strict=True))
+            levels.append(scale * evaluated(graph, [node], given, mpmath.mp)[node])
+        return np.array([float(level - levels[0]) for level in levels])
