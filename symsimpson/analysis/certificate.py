@@ -9,7 +9,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from symsimpson.errors import UnknownNameError
 from symsimpson.support.files import write_text
+from symsimpson.support.names import did_you_mean
 
 __all__ = ["Certificate", "Check"]
 
@@ -87,7 +89,11 @@ class Certificate:
     h : float
     parameters : mapping from str to float
     checks : tuple of Check
+        The rows; ``certificate["order"]`` is one of them. Each has its ``name``, what was
+        ``measured`` and ``what`` that is, the ``threshold`` and a ``reason`` for it, and whether
+        it ``passed``.
     seconds : float
+        How long measuring took.
     """
 
     system: str
@@ -107,8 +113,20 @@ class Certificate:
         return all(check.passed for check in self.checks)
 
     def __getitem__(self, name: str) -> Check:
-        """Return a check by its name."""
-        return next(check for check in self.checks if check.name == name)
+        """Return a check by its name.
+
+        Raises
+        ------
+        UnknownNameError
+            If no check has this name.
+        """
+        known = {check.name: check for check in self.checks}
+        if name not in known:
+            raise UnknownNameError(
+                f"there is no check {name!r}.{did_you_mean(name, known)} "
+                f"There are {', '.join(known)}."
+            )
+        return known[name]
 
     def to_json(self) -> str:
         """Return it as text in JSON, the same every time but for the seconds."""

@@ -51,6 +51,8 @@ def test_what_is_right_passes(name, scheme):
     assert certificate.passed, certificate
     assert certificate["order"].measured >= certificate.order - 0.15
     assert certificate.seconds > 0
+    with pytest.raises(ss.UnknownNameError, match=r"no check 'oder'\. Did you mean order\?"):
+        certificate["oder"]
 
 
 @pytest.mark.slow
