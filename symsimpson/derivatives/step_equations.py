@@ -13,6 +13,7 @@ from symsimpson.errors import InputError
 from symsimpson.module.matrices import equations_of, held_equations_of
 from symsimpson.program.input_values import read_array, read_number, read_vector
 from symsimpson.stepping.driving import read_driving
+from symsimpson.stepping.inputs import read_step
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.variations import read_varied, varied_program
 
@@ -155,7 +156,7 @@ class _Step:
         header, n, numbers = program.header, program.n, program.numbers
         d, m = header.degree, len(header.constraints)
         q = read_vector("q0", at.q0, program.names.coordinates, numbers)
-        h, t = read_number("h", at.h, numbers), read_number("t", at.t, numbers)
+        h, t = read_step(at.h, numbers), read_number("t", at.t, numbers)
         points = read_array("nodes", at.nodes, numbers)
         if points.shape != (d, n):
             raise InputError(

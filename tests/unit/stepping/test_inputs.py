@@ -75,6 +75,9 @@ def test_step_and_equations_check_too(stepper):
         stepper.step([1.0], [0.0, 0.0], h=0.1)
     with pytest.raises(ss.InputError, match="nodes has shape"):
         stepper.residual([0.5, 0.2], [0.0, 0.1], [0.5, 0.2], 0.1)
+    for h, told in ((0, "the step h is 0"), (1e-200, "leaves the range of double")):
+        with pytest.raises(ss.InputError, match=told):
+            stepper.jacobian([0.5, 0.2], [0.0, 0.1], [[0.5, 0.2], [0.5, 0.2]], h)
     with pytest.raises(ss.InputError, match=r"nodes is .* not real numbers"):
         stepper.jacobian([0.5, 0.2], [0.0, 0.1], "nodes", 0.1)
 
