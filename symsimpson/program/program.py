@@ -45,7 +45,8 @@ class Tools:
     at_pole : callable
         Takes a system and a run; returns at which singular point of the coordinates that ended.
     unresolved_pole : callable
-        Takes a program, its system and a run; returns when that passed such a point unresolved.
+        Takes a program, its system and a run; returns when and where that passed a small det M
+        unresolved, and whether such a point is there.
     kink_passed : callable
         Takes a system, times, positions and values; returns when a force jumped at which root.
     regular_box : callable

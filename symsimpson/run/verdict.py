@@ -79,6 +79,12 @@ def _unresolved(
     plain = run.W.dtype == np.float64 and not run.header.retimed
     if tools is not None and system is not None and trajectory.every == 1 and plain:
         passed = tools.unresolved_pole(program, system, trajectory)
+        if passed is not None and not passed[2]:
+            return (
+                f"about t={passed[0]:g} the motion passes {passed[1]}, where its inertia is small, "
+                f"faster than steps of h={h:g} resolve: finer steps lead elsewhere, and the states "
+                "after it are unreliable.\nTake a smaller h, or a scheme of higher order."
+            )
         if passed is not None:
             return (
                 f"about t={passed[0]:g} the motion passes a singular point of the coordinates, "

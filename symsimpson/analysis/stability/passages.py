@@ -38,6 +38,9 @@ MOST_COORDINATES = 12
 SAMPLES, LITTLE = 128, 0.3
 #: A passage is close where det M falls below this part of its median, and doubles within a step.
 CLOSE = 0.05
+#: At a singular point det M falls below this part of its median; it is sought in so many
+#: iterations, with differences of this size.
+VANISHES, ITERATIONS, DIFFERENCE = 1e-8, 40, 1e-6
 #: So many states of a box are looked at to tell that there is no pole in it: det M is larger there
 #: than where a passage is close, by so much.
 IN_BOX, LARGER = 2000, 1.5
@@ -91,13 +94,15 @@ def at_pole(system: MechanicalSystem, run: Trajectory) -> str:
     some = np.unique(np.linspace(0, len(run) - 1, SAMPLES).astype(int))
     t, q, values = _states(run)
     sizes = _sizes(system, t[some], q[some], values)
-    return _named(system, run, -1) if sizes[-1] < CLOSE * np.median(sizes) else ""
+    usual = float(np.median(sizes))
+    at = sizes[-1] < CLOSE * usual and _vanishes_near(system, t[-1], q[-1], values, usual)
+    return _named(system, run, -1) if at else ""
 
 
 def unresolved_pole(
     program: Program, system: MechanicalSystem, run: Trajectory
-) -> tuple[float, str] | None:
-    """Return when a run passed a singular point of the coordinates unresolved, and which.
+) -> tuple[float, str, bool] | None:
+    """Return when a run passed a small det M unresolved, where, and if it vanishes near there.
 
     Parameters
     ----------
@@ -108,8 +113,8 @@ def unresolved_pole(
 
     Returns
     -------
-    (float, str) or None
-        The time, and the coordinates there in words.
+    (float, str, bool) or None
+        The time, the coordinates there in words, and whether they have a singular point there.
     """
     if _mass(system)[0] is None:
         return None
@@ -128,8 +133,28 @@ def unresolved_pole(
     for place in sorted(places[np.argsort(sizes[places])[:PASSAGES]]):
         apart = _apart(program, system, run, int(place))
         if apart > APART and apart > ORDINARY * _apart(program, system, run, plain):
-            return float(t[place]), _named(system, run, int(place))
+            singular = _vanishes_near(system, t[place], q[place], values, sizes[plain])
+            return float(t[place]), _named(system, run, int(place)), singular
     return None
+
+
+def _vanishes_near(
+    system: MechanicalSystem, t: float, q: Reals, values: Sequence[float], usual: float
+) -> bool:
+    """Return whether det M has a zero near q; light bodies, sharp bends make it small alone.
+
+    Newton's method finds it, on the root of det M, which is like a distance from a pole.
+    """
+    moves = DIFFERENCE * np.vstack([np.zeros(system.n), np.eye(system.n), -np.eye(system.n)])
+    for _ in range(ITERATIONS):
+        roots = np.sqrt(_sizes(system, np.full(len(moves), t), q + moves, values))
+        if not np.isfinite(roots).all() or roots.min() ** 2 < VANISHES * usual:
+            return True
+        slope = (roots[1 : system.n + 1] - roots[system.n + 1 :]) / (2 * DIFFERENCE)
+        if not slope.any():
+            break
+        q = q - roots[0] * slope / (slope @ slope)
+    return False
 
 
 def regular_box(

@@ -88,3 +88,32 @@ def test_a_wide_passage_is_passed_in_silence():
         [0.0, 0.8, 0.1], v0=[0.0, 0.3, 2.0], h=0.005, t_end=2.0
     )
     assert run.success
+
+
+def bead_with_pendulum():
+    """A bead on a parabola, y = kappa x^2/2, which carries a pendulum: M is definite everywhere."""
+    x, theta = ss.coordinates("x theta")
+    kappa = sp.Symbol("kappa", positive=True)
+    bead = sp.Matrix([x, kappa * x**2 / 2])
+    bob = bead + sp.Rational(7, 10) * sp.Matrix([sp.sin(theta), -sp.cos(theta)])
+    slow, fast = bead.diff(ss.time), bob.diff(ss.time)
+    return ss.MechanicalSystem(
+        "bead_with_pendulum",
+        coordinates=(x, theta),
+        parameters={kappa: 0.8, m: 0.5},
+        kinetic=(slow.dot(slow) + m * fast.dot(fast)) / 2,
+        potential=9.81 * (bead[1] + m * bob[1]),
+    )
+
+
+def test_light_bodies_and_sharp_bends_are_no_singular_points():
+    """Where det M is small and never 0, other coordinates are no help, and smaller steps are."""
+    stepper = ss.compile(bead_with_pendulum())
+    failed = stepper.integrate(
+        [0.5, -1.0], v0=[0, 0], h=0.03, steps=40, parameters={m: 1000.0}, on_failure="return"
+    )
+    assert failed.status is ss.Status.STEP_TOO_LARGE
+    assert "try a smaller h" in failed.message
+    given = {"h": 0.01, "t_end": 6.0, "parameters": {"kappa": 80.0}}
+    with pytest.warns(ss.ResolutionWarning, match=r"(?s)its inertia is small.*Take a smaller h"):
+        stepper.integrate([1.0, 0.3], v0=[0, 0], **given)
