@@ -215,7 +215,15 @@ class Stepper(Examining):
         Warns
         -----
         StabilityWarning
-            If h is beyond the limit of linear stability at the start.
+            If h is beyond the limit of linear stability at the start, or does not resolve what is
+            fastest there.
+        ResolutionWarning
+            If the energy, or a passage of a singular point, shows that steps did not resolve the
+            motion; the states after it are unreliable.
+        ConstraintWarning
+            If constraints nearly follow from one another on the way, as where a linkage folds.
+        ModelWarning
+            If a parameter that is given a value has no effect.
 
         Examples
         --------
