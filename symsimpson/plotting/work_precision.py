@@ -32,7 +32,7 @@ def plot_work_precision(record: Any, *, ax: Any = None) -> Any:
             if not line or point.error < line[-1][0]:
                 line.append((point.error, point.median))
         first = points[0].what == "steps" and not name.startswith("rk")
-        style = "o-" if first else f"{'sD^v<>PX*'[k % 9]}--"
+        style = "o-" if first else f"{'sD^v<>+x*'[k % 9]}--"
         errors, times = zip(*line, strict=True)
         ax.loglog(
             errors,
