@@ -209,9 +209,9 @@ def steps_a_period(name: str, period: Any, h: Any, numbers: Numbers) -> int:
     if count < 1 or abs(exact - count) > STEP_FRACTION:
         fit = float(period) / max(1, -(-exact // 1))
         raise InputError(
-            f"input {name}: the period {float(period):g} is {exact:.6g} steps of "
-            f"h={abs(float(h)):g}, no whole number of them.\nA jump within a step would cost the "
-            f"order of the scheme. Use h={fit:.17g}."
+            f"input {name}: the period {float(period):.15g} is {exact:.12g} steps of "
+            f"h={abs(float(h)):.15g}, no whole number of them.\nA jump within a step would "
+            f"cost the order of the scheme. Use h={fit!r}."
         )
     return count
 

@@ -27,8 +27,9 @@ __all__ = [
     "refused_start",
 ]
 
-#: The end of a run may miss a whole number of steps by so much of a step.
-STEP_FRACTION = 1e-6
+#: The end of a run may miss a whole number of steps by so much of a step, and by what double
+#: precision loses of times and of their quotient; by a tenth at most.
+STEP_FRACTION, ROUNDING, MOST_MISSED = 1e-6, 2.0**-51, 0.1
 #: Squares of smaller steps are hardly numbers any more, and masses divided by them may be infinite.
 LEAST_STEP = 1e-150
 
@@ -54,17 +55,17 @@ def read_steps(
     exact = float((end - t0) / h)
     if exact < 0:
         raise InputError(
-            f"t_end={float(end):g} is not reached from t0={float(t0):g} with h={float(h):g}.\n"
-            "Use a negative h to run backwards."
+            f"t_end={float(end):.15g} is not reached from t0={float(t0):.15g} with "
+            f"h={float(h):g}.\nUse a negative h to run backwards."
         )
     refuse_too_many(exact)
     number = round(exact)
-    # far from 0 times are rounded by more of a step: an end that the steps give is theirs
-    if abs(exact - number) > STEP_FRACTION and t0 + h * number != end:
+    lost = ROUNDING * (exact + float(max(abs(t0), abs(end)) / abs(h)))
+    if abs(exact - number) > min(STEP_FRACTION + lost, MOST_MISSED):
         some = max(number, 1)
         raise InputError(
-            f"t_end={float(end):.12g} is not a whole number of steps of h={float(h):g} from "
-            f"t0={float(t0):.12g}: it is {exact:.12g}.\nA fixed step keeps the method symplectic. "
+            f"t_end={float(end):.15g} is not a whole number of steps of h={float(h):.15g} from "
+            f"t0={float(t0):.15g}: it is {exact:.12g}.\nA fixed step keeps the method symplectic. "
             f"Use h={float(end - t0) / some!r}, or steps={some}."
         )
     _check_times(h, t0, number, numbers)
@@ -106,8 +107,8 @@ def read_times(request: Request, numbers: Numbers, *, retimed: bool) -> tuple[An
     end = read_number("t_end", request.t_end, numbers)
     if (end - t0) * h < 0:
         raise InputError(
-            f"t_end={float(end):g} is not reached from t0={float(t0):g} with h={float(h):g}.\n"
-            "Use a negative h to run backwards."
+            f"t_end={float(end):.15g} is not reached from t0={float(t0):.15g} with "
+            f"h={float(h):g}.\nUse a negative h to run backwards."
         )
     return h, MOST_STEPS, t0, end
 

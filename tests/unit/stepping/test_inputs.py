@@ -33,6 +33,10 @@ WRONG = {
     ),
     "less than a step": ({"steps": None, "t_end": 0.05}, r"Use h=0\.05, or steps=1\."),
     "thirds": ({"steps": None, "t_end": 1.0, "h": 0.3}, r"h=0\.3333333333333333, or steps=3\."),
+    "late": (
+        {"steps": None, "t0": 1e7, "t_end": 10000000.25, "h": 0.1},
+        r"t_end=10000000.25 .* from t0=10000000: it is 2.5\.",
+    ),
     "no end": ({"steps": None}, "exactly one of t_end and steps, and has neither"),
     "two ends": ({"t_end": 0.3}, "exactly one of t_end and steps, and has both"),
     "backwards": ({"steps": None, "t_end": -1.0}, "is not reached"),
@@ -68,6 +72,16 @@ def test_an_end_far_from_zero_is_rounded_as_times_are(stepper):
     assert (len(run.t) - 1, run.t[-1]) == (400, 1e9 + 0.4)
     with pytest.raises(ss.InputError, match=r"t_end=1000000000\.35 .* t0=1000000000: it is 3\.5"):
         stepper.integrate(**(far | {"h": 0.1, "t_end": 1e9 + 0.35}))
+
+
+def test_rounding_of_times_is_no_part_of_a_step(stepper):
+    """Of late ones, and of quotients that are so large: advice to take the same h is none."""
+    late = stepper.integrate(
+        **(GOOD | {"steps": None, "t0": 1e7 + 0.1, "t_end": 1e7 + 0.3, "h": 1e-3})
+    )
+    assert late.steps == 200
+    with pytest.raises(ss.InputError, match="do not fit into memory"):
+        stepper.integrate(**(GOOD | {"steps": None, "t_end": 1000.0, "h": 1e-9}))
 
 
 def test_step_and_equations_check_too(stepper):
