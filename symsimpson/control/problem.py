@@ -16,6 +16,7 @@ from symsimpson.errors import InputError
 from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.support.calling import explaining
+from symsimpson.support.extras import library
 from symsimpson.support.names import spelled
 from symsimpson.support.progress import read_progress
 
@@ -161,8 +162,9 @@ class OptimalControl:
         Raises
         ------
         InputError
-            If an argument makes no sense, or casadi is not installed.
+            If an argument makes no sense, or casadi or SciPy is not installed.
         """
+        library("scipy", "optimal control", "control")
         from symsimpson.control.solution import solve  # casadi and SciPy are slow to import
 
         galerkin_scheme = read_family(scheme)
@@ -198,8 +200,10 @@ class OptimalControl:
         StorageError
             If the file is no such solution, or is damaged.
         InputError
-            If it is the solution of another problem: its cost is computed anew.
+            If it is the solution of another problem: its cost is computed anew; or SciPy is not
+            installed.
         """
+        library("scipy", "optimal control", "control")
         from symsimpson.control.solution import opened  # casadi and SciPy are slow to import
 
         return opened(self.reading, path, scheme)

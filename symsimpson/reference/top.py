@@ -20,6 +20,8 @@ import mpmath
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from symsimpson.support.extras import library
+
 __all__ = ["ExactTop"]
 
 #: Digits computed with beyond those asked for.
@@ -185,10 +187,12 @@ class ExactTop:
     def nutation(self, t: ArrayLike) -> NDArray[np.float64]:
         """Return theta at many times in double precision.
 
-        Needs SciPy (the extra ``notebook``).
+        Raises
+        ------
+        InputError
+            If SciPy is not installed (the extra ``notebooks``).
         """
-        from scipy.special import ellipj
-
+        ellipj = library("scipy.special", "the nutation at many times", "notebooks").ellipj
         u1, u2, _ = self.roots
         turns = np.asarray(t) / float(2 * self._quarter / self._rate)
         within = turns - np.round(turns)

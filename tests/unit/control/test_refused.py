@@ -1,5 +1,6 @@
 """Parts of a problem of optimal control, of a guess and of gains that are refused in words."""
 
+import sys
 import warnings
 
 import numpy as np
@@ -325,3 +326,11 @@ def test_of_weights_the_symmetric_part_counts():
 def test_what_no_problem_can_be(more, told):
     with pytest.raises(ss.InputError, match=told):
         cart(**more)
+
+
+def test_a_library_that_is_missing_is_told_with_the_extra(monkeypatch):
+    problem = cart()
+    monkeypatch.setitem(sys.modules, "scipy", None)
+    for ask in (problem.solve, lambda: problem.open("cart.npz")):
+        with pytest.raises(ss.InputError, match=r"needs scipy.*\n.*symsimpson\[control\]"):
+            ask()
