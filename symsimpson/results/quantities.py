@@ -13,7 +13,7 @@ from symsimpson.module.matrices import slopes_of
 from symsimpson.module.quantity import QUANTITIES, SCALARS, VECTORS
 from symsimpson.program.program import Program
 from symsimpson.results.tables import apart
-from symsimpson.support.names import did_you_mean, spelled
+from symsimpson.support.names import did_you_mean, shortened, spelled
 
 __all__ = ["Quantities"]
 
@@ -160,6 +160,7 @@ class Quantities:
         UnknownNameError
             With the names that there are.
         """
+        several = isinstance(key, (slice, tuple, list, np.ndarray))
         names, key = self.program.names, spelled(key)
         if key in names.coordinates.places:
             return np.asarray(self.q[..., names.coordinates.places[key]])
@@ -183,8 +184,10 @@ class Quantities:
         every += [quantity.name for quantity in SCALARS]
         whole = [quantity.name for quantity in VECTORS]
         raise UnknownNameError(
-            f"there is no {key!r}.{did_you_mean(key, every)} "
+            f"there is no {shortened(key)}.{did_you_mean(key, every)} "
             f"There are {', '.join(every)}, and all of {', '.join(whole)} together."
+            + several
+            * "\nAsk for one at a time; several are parts of arrays, as .q[3:5]."
         )
 
     def _columns(self) -> dict[str, NDArray[Any]]:

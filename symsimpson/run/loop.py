@@ -86,6 +86,11 @@ class ControlLoop:
         """
         program, run = self.program, self._run
         numbers = program.numbers
+        if u is None and program.inputs:
+            raise InputError(
+                f"{program.system} has the inputs {', '.join(program.inputs)}, and the step is "
+                "given none.\nPass them: loop.step(u), with a number for each, or a mapping."
+            )
         with numbers.working():
             self._inputs[:] = read_driving(program, of_a_step(u), run.h, 1)
             before = run.step

@@ -108,6 +108,12 @@ def test_numbers_of_no_state(run, many, number):
         many[number]
 
 
+def test_several_members_or_quantities_at_once(run, many):
+    for ask in (lambda: many[1:2], lambda: many[[0, 1]], lambda: run["q1", "energy"]):
+        with pytest.raises(ss.UnknownNameError, match=r"one at a time.*\.q\[3:5\]"):
+            ask()
+
+
 @pytest.mark.parametrize("key", ["nothing", 1.5, True, None])
 def test_names_of_nothing(run, many, key):
     for found in (run, many):

@@ -320,7 +320,7 @@ def test_other_messages():
     with pytest.raises(ss.InputError, match="what is best depends on what they do"):
         ss.choose(ss.systems.driven_cart_pole(), [0.0, 0.1], v0=[0.0, 0.0], t_end=1.0, error=1e-6)
     loop = stepper().start(**START, h=H)
-    with pytest.raises(ss.InputError, match="the input u has no values"):
+    with pytest.raises(ss.InputError, match=r"has the inputs u, .*\n.*loop\.step\(u\)"):
         loop.step()
     with pytest.raises(ss.InputError, match="not finite"):
         loop.step(np.nan)
