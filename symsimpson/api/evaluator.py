@@ -88,7 +88,7 @@ class Evaluator:
         -------
         ndarray, shape (d n,) or (d (n + m),)
             D_k L_d for k = 1..d-1, then p0 + D_0 L_d. With multipliers, these less Phi^T mu_k, and
-            behind them phi(X_k) for k = 1..d.
+            after them phi(X_k) for k = 1..d.
 
         Examples
         --------

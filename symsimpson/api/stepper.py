@@ -180,7 +180,7 @@ class Stepper(Examining):
         record : "work", optional
             Adds up ``run.work`` while the run goes on: for runs that store few states, or one.
         reduce : mapping from str to (kind, expression), optional
-            Quantities to evaluate at the start and behind each step, stored or not, as for
+            Quantities to evaluate at the start and after each step, stored or not, as for
             :meth:`ensemble`; gives ``run.reduced``.
         events : sequence of Event, optional
             Events that act on the run: impacts, changes of the state, ends; ``run.events(name)``

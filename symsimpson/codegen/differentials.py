@@ -98,7 +98,7 @@ class Differentials:
     def tables(self) -> dict[str, object]:
         """Return where the derivatives of F and P by parameters stand that are not zero.
 
-        Those of a parameter stand one behind the other; their coordinates by place.
+        Those of a parameter stand one after the other; their coordinates by place.
         """
         tables: dict[str, object] = {"VARIED": len(self.varied)}
         for block, what in _BLOCKS if self.varied else ():

@@ -19,7 +19,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Grid:
-    """Phases one behind the other, each in equal steps.
+    """Phases one after the other, each in equal steps.
 
     Attributes
     ----------

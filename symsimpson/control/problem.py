@@ -57,7 +57,7 @@ class OptimalControl:
     unknowns : mapping from parameter to (low, high)
         Parameters that are found, too.
     phases : sequence of mapping
-        Parts of the motion one behind the other, whose durations are found, each with numbers or
+        Parts of the motion one after the other, whose durations are found, each with numbers or
         pairs (low, high) that its inputs keep to: ``[{u: 1}, {u: -1}]``. Inputs may jump where one
         ends: then switches do not take a scheme's order.
     signals : mapping from symbol to function or array

@@ -287,7 +287,7 @@ class ControlResult:
         return simulated(self, refine)
 
     def arcs(self) -> list[dict[Any, float]]:
-        """Return the arcs of the motion: which inputs stay at which bound, one arc behind another.
+        """Return the arcs of the motion: which inputs stay at which bound, one arc after another.
 
         Returns
         -------
@@ -317,7 +317,7 @@ class ControlResult:
         """Return gains that hold a run near the solution: u = u_k - K_k (z - z_k), held over steps.
 
         They are those of the linear regulator of the exact linear maps of the steps, of least
-        sum of dz.Q.dz + du.R.du over the motion, and dz.Q.dz behind it.
+        sum of dz.Q.dz + du.R.du over the motion, and dz.Q.dz at its end.
 
         Parameters
         ----------

@@ -75,7 +75,7 @@ class Block:
         return values
 
     def slopes(self, at: dict[int, Any]) -> Floats:
-        """Return the slopes at the points, one behind the other."""
+        """Return the slopes at the points, one after the other."""
         return self.functions.slopes_at(at, self.count).ravel()
 
     def gradient(self, x: Floats, rows: Floats) -> Floats:
@@ -88,7 +88,7 @@ class Block:
         return gradient
 
     def curvatures(self, at: dict[int, Any], rows: Floats) -> Floats:
-        """Return second derivatives of the weighted rows, one behind the other."""
+        """Return second derivatives of the weighted rows, one after the other."""
         return self.functions.curvatures_at(at, self.weights(rows), self.count).ravel()
 
     def slope_places(self) -> tuple[Ints, Ints, Ints, Floats]:

@@ -74,7 +74,7 @@ def serial_arm(
         Acceleration in the frame of the base.
     modified : bool
         Whether the parameters follow the modified convention (Craig), in which ``a`` and ``alpha``
-        of a link come before its joint; in the standard one (Denavit and Hartenberg [1]_) behind.
+        of a link come before its joint; in the standard one (Denavit and Hartenberg [1]_) after it.
     parameters : mapping from symbol to number, optional
         Values of the symbols that links and gravity are made of.
     joints : str, optional
@@ -157,7 +157,7 @@ def arm_energies(
     if not links or len(links) != len(q):
         raise ModelError(
             f"system '{name}': {len(links)} links and {len(q)} joints.\n"
-            "An arm has a link behind each joint, one at least."
+            "An arm has a link after each joint, one at least."
         )
     zero: Vector = (sp.S.Zero,) * 3
     omega, velocity, origin, height = zero, zero, zero, sp.S.Zero

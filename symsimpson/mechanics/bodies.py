@@ -110,7 +110,7 @@ class RigidBody:
 
     @property
     def coordinates(self) -> tuple[AppliedUndef, ...]:
-        """The quaternion, and behind it the position of the centre of mass, if it moves."""
+        """The quaternion, and after it the position of the centre of mass, if it moves."""
         return (*self.quaternion, *self.position)
 
     @cached_property

@@ -39,7 +39,7 @@ class Described(Declared):
     def equations(self) -> tuple[sp.Eq, ...]:
         """The Euler-Lagrange equations d/dt dL/dv - dL/dq = f, one for each coordinate, in SymPy.
 
-        Of a system with constraints, with -Phi^T lambda on the right, and phi = 0 behind them; of
+        Of a system with constraints, with -Phi^T lambda on the right, and phi = 0 after them; of
         those of velocities, with -A^T lambda, and A v - b = 0.
 
         Raises

@@ -284,7 +284,7 @@ def _check_layout(layout: Mapping[str, int], where: str) -> None:
         first = order.index(blocks[0]) if blocks[0] in order else 0
         if tuple(order[first : first + len(blocks)]) != blocks:
             raise StaleKernelError(
-                f"{where}: the blocks {', '.join(blocks)} of the workspace do not stand behind one "
+                f"{where}: the blocks {', '.join(blocks)} of the workspace do not follow one "
                 "another.\nGenerate the module anew."
             )
 

@@ -109,7 +109,7 @@ class Energies(Stored):
 
         It is h sum_i b_i f_i.v_i over the nodes of all steps, and is accurate to the order of the
         scheme; under "constraints" it is that of velocity constraints A v = b that move. Steps are
-        taken again for it, unless the run was asked to ``record`` it; behind one that cannot be, as
+        taken again for it, unless the run was asked to ``record`` it; after one that cannot be, as
         in a passage that was not resolved, it is NaN.
 
         Raises

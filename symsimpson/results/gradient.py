@@ -23,7 +23,7 @@ class Gradient(tuple[Any, Reals]):
     value : number
         The cost.
     gradient : ndarray, shape (k,)
-        Its derivatives by all that was asked for, one behind the other.
+        Its derivatives by all that was asked for, one after the other.
     parts : dict from str to ndarray
         The same by name, each in the shape of what was given.
 
@@ -57,7 +57,7 @@ class Gradient(tuple[Any, Reals]):
 
     @property
     def gradient(self) -> Reals:
-        """Its derivatives, one behind the other."""
+        """Its derivatives, one after the other."""
         return self[1]
 
     def __repr__(self) -> str:

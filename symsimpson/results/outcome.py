@@ -25,7 +25,7 @@ class Outcome:
 
     @property
     def reduced(self) -> dict[str, float]:
-        """The quantities requested by ``reduce``; NaN where states behind the end were taken in."""
+        """The quantities requested by ``reduce``; NaN where states after the end were taken in."""
         return dict(self.reduced_values)
 
     def _outcome(self) -> dict[str, Any]:

@@ -53,7 +53,7 @@ class Actions(Events):
     Attributes
     ----------
     q_after, p_after : ndarray, shape (N, n)
-        The states behind it.
+        The states after it.
     impulse : ndarray, shape (N,)
         Of impacts, along the slope of the gap; 0 for others.
     simultaneous : ndarray of bool, shape (N,)
@@ -78,7 +78,7 @@ class Actions(Events):
 
     @property
     def after(self) -> States:
-        """The states behind the actions."""
+        """The states after the actions."""
         program, values = self.program, self.parameter_values
         return States(
             t=self.t,

@@ -335,7 +335,7 @@ class EventRun(Run):
 
     @property
     def _variations(self) -> Floats:
-        """Rows in which variations of the state stand, one behind the other."""
+        """Rows in which variations of the state stand, one after the other."""
         return self.rows("TANGENT", 2 * self.header.n * int(self.value("TANGENTS")))
 
     def _look_ahead(self, t: float, step: int, state: Any) -> None:

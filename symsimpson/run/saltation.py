@@ -81,12 +81,12 @@ class Saltation:
         self._timed: int | None = None
 
     def begin(self, rows: Floats) -> None:
-        """Begin a step with variations, one behind the other, whose time does not vary."""
+        """Begin a step with variations, one after the other, whose time does not vary."""
         self.columns = rows.reshape(-1, 2 * self._program.n).T.copy()
         self.moved, self._timed = np.zeros(self.columns.shape[1]), None
 
     def put(self, rows: Floats) -> None:
-        """Put the variations there, one behind the other."""
+        """Put the variations there, one after the other."""
         rows[:] = self.columns.T.ravel()
 
     def flow(self, state: State, t: float, size: float, step: int, event: int | None) -> None:
@@ -167,7 +167,7 @@ class Saltation:
             warn(
                 f"{self._program.system}: at t={t:g} {self._events.names[event]!r} is grazed: the "
                 "time of the event depends on the state without bound, and so do derivatives "
-                "behind it.\nThey are those of the run, and tell little of runs nearby.",
+                "after it.\nThey are those of the run, and tell little of runs nearby.",
                 ResolutionWarning,
             )
         if rate == 0:

@@ -75,7 +75,7 @@ class Run:
         self._fallbacks = kernels.fallbacks if fallbacks is None else fallbacks
         self._stretch = self._longest = numbers.stretch
         self.q, self.p = numbers.zeros((2, stored, header.n, 1))
-        #: What recorders left beside them, of one behind the other.
+        #: What recorders left beside them, of one after the other.
         width = sum(recorder.rows for recorder in self._recorders)
         self.recorded = numbers.zeros((stored, width, 1))
         self.iterations = np.zeros((stored, 1), dtype=np.int64)

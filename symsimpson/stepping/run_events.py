@@ -98,7 +98,7 @@ def read_run_events(program: Program, request: Request) -> RunEvents | None:
     if why:
         raise InputError(
             f"{program.system}: events that act do not go with {why}.\nLeave one of them out; "
-            "events without an action are found behind a run, by run.events(expression)."
+            "events without an action are found after a run, by run.events(expression)."
         )
     known, key = program.findings.events, tuple(given) if isinstance(given, list) else given
     try:

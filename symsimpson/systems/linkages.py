@@ -15,7 +15,7 @@ __all__ = ["andrews_squeezer", "four_bar", "hanging_chain", "slider_crank"]
 
 
 def hanging_chain(n: int = 8) -> CatalogueSystem:
-    """Point masses on n rods, one behind the other, in coordinates x and y of each."""
+    """Point masses on n rods, one after the other, in coordinates x and y of each."""
     if isinstance(n, bool) or not isinstance(n, int) or n < 1:
         raise ModelError(f"a chain has a whole number of links, not {n!r}.\nUse hanging_chain(8).")
     x, y = coordinates(f"x1:{n + 1}"), coordinates(f"y1:{n + 1}")

@@ -69,7 +69,7 @@ def test_blocks_that_move_as_one_must_stand_together(first, second):
     changed = redefined(
         TEXT, {first: f"{first} = {rows[second]}", second: f"{second} = {rows[first]}"}
     )
-    with pytest.raises(StaleKernelError, match="do not stand behind one another"):
+    with pytest.raises(StaleKernelError, match="do not follow one another"):
         read_header(signed(changed), "here")
 
 
