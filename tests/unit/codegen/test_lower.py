@@ -1,6 +1,7 @@
 """What is computed once, and lines in an order that no hash decides."""
 
 import re
+from itertools import count
 
 import mpmath
 import numpy as np
@@ -13,10 +14,11 @@ import symsimpson as ss
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.module_kernels import lower
-from symsimpson.codegen.pipeline import source
+from symsimpson.codegen.pipeline import derive, source
 from symsimpson.discrete.equations import DiscreteEquations, discretise
 from symsimpson.module.binding import bind_float
 from symsimpson.schemes.named import read_scheme
+from symsimpson.support import stopwatch
 
 
 def test_values_move_to_the_next_step_in_the_order_of_their_names():
@@ -197,3 +199,12 @@ def test_loops_over_terms_derive_no_jet_of_the_whole(monkeypatch):
 
     monkeypatch.setattr(DiscreteEquations, "jet", property(derived))
     assert "FAMILY_1" in lower(equations).tables
+
+
+@pytest.mark.parametrize("system", [ss.systems.pendulum(), ss.systems.puma560(3)])
+def test_each_stage_takes_its_own_time(monkeypatch, system):
+    """By a clock that ticks when it is read; the jet comes before the text, or within it."""
+    monkeypatch.setattr(stopwatch.time, "perf_counter", count().__next__)
+    stages = derive(system, "midpoint").seconds
+    assert list(stages) == ["reading", "structure", "jet", "text"]
+    assert all(seconds > 0 for seconds in stages.values())
