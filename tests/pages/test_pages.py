@@ -42,6 +42,20 @@ def test_python_on_a_page_runs(page, tmp_path, monkeypatch):
         exec(compile(block, page, "exec"), names)
 
 
+#: Pages whose output is the same on each machine.
+PRINTED = ["README.md", "notebooks/guide/digits.md", "notebooks/guide/skips.md"]
+
+
+@pytest.mark.parametrize("page", PRINTED)
+def test_what_a_page_prints_stands_there(page, capsys):
+    text, names = (ROOT / page).read_text("utf-8"), {}
+    found = re.findall(r"```python\n(.*?)```(?:\n+```\n(.*?)```)?", text, re.DOTALL)
+    assert any(printed for _, printed in found)
+    for block, printed in found:
+        exec(compile(block, page, "exec"), names)
+        assert not printed or capsys.readouterr().out == printed
+
+
 def test_c_on_a_page_is_built_and_says_what_stands_there(tmp_path, monkeypatch):
     text = (ROOT / "notebooks/guide/firmware.md").read_text("utf-8")
     monkeypatch.chdir(tmp_path)
