@@ -145,20 +145,27 @@ class Sampled:
         start, change = total[0], abs(total - total[0])
         blocks = np.array_split(np.arange(known), BLOCKS)
         # an energy that grows without bound must not hide itself in what it is compared with
-        floor = ROUNDING * max(abs(start), float(np.median(abs(total))))
-        unit = max(floor, *(float(np.median(kinetic[block])) for block in blocks))
+        floor = ROUNDING * max(abs(start), median(abs(total)))
+        unit = max(floor, *(median(kinetic[block]) for block in blocks))
         moved = self.exchanged
         for block in blocks:
-            level = abs(float(np.median(total[block])) - start)
+            level = abs(median(total[block]) - start)
             # a fall that begins with the damage makes the kinetic energy of later blocks large
             so_far = max(floor, float(kinetic[: block[-1] + 1].max()))
             off = level / (min(unit, so_far) + float(moved[block[-1]]))
             if off > LIMIT:
                 return int(self.places[block[0]]), off
         end = known - LAST
-        unit = max(unit, float(np.median(kinetic[end:]))) + float(moved[known - 1])
-        off = float(np.median(change[end:])) / unit
+        unit = max(unit, median(kinetic[end:])) + float(moved[known - 1])
+        off = median(change[end:]) / unit
         return (int(self.places[end]), off) if off > LAST_LIMIT else None
+
+
+def median(values: Floats) -> float:
+    """Return the median of a few numbers, in a tenth of the time that NumPy takes."""
+    ordered = np.sort(values)
+    half, odd = divmod(len(ordered), 2)
+    return float(ordered[half] if odd else (ordered[half - 1] + ordered[half]) / 2)
 
 
 def energies_at(
@@ -269,17 +276,22 @@ def look_at_energy(
 def _explained(
     seen: Sampled, program: Program, run: Run, trajectory: Trajectory, kept: KeptStates
 ) -> Sampled:
-    """Take out of energies that change what is rounding of V, and the work that was done.
-
-    Of work, powers at states are enough for most motions; where they leave something, all steps
-    between stored states are taken again, where the scheme has nodes.
-    """
-    header = program.header
+    """Take out of energies that change the work that was done, and what is rounding of V."""
     if seen.left_at is None or not trajectory.success:
         return seen
-    seen = _unrounded(seen, program, run, trajectory, kept)
-    if header.conservative or seen.left_at is None:
-        return seen
+    if not program.header.conservative:
+        seen = _without_work(seen, program, run, trajectory, kept)
+    return seen if seen.left_at is None else _unrounded(seen, program, run, trajectory, kept)
+
+
+def _without_work(
+    seen: Sampled, program: Program, run: Run, trajectory: Trajectory, kept: KeptStates
+) -> Sampled:
+    """Take out the work that was done, first roughly, then exactly.
+
+    Powers at states are enough for most motions; where they leave something, all steps between
+    stored states are taken again, where the scheme has nodes.
+    """
     q, p, *_, stride = kept
     whole = len(q) if stride * (len(q) - 1) <= trajectory.steps else len(q) - 1
     every = np.arange(whole) * stride
@@ -297,7 +309,7 @@ def _explained(
     )
     seen = seen.at(seen.places < whole)
     parts = rough_parts(states)
-    if "work" in header.functions and states.steps <= AGAIN:
+    if "work" in program.header.functions and states.steps <= AGAIN:
         if seen.with_work(parts).left_at is not None:
             parts = parts_of_work(states)
     elif stride > 1:  # what is done between states far apart is not known

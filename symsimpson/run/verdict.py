@@ -195,9 +195,9 @@ def _ended_before(
     message = (
         f"{program.system}, {program.scheme}: the energy is no finite number at "
         f"t={float(where):g}, after step {at} with h={float(run.h):g}: T or V has no real value "
-        "there, or too large a one. The motion left their domain or ran to infinity, or a step jumped across "
-        "a singular point: check the state before and the sign of the potential, or try a smaller "
-        "h."
+        "there, or too large a one. The motion left their domain or ran to infinity, or a step "
+        "jumped across a singular point: check the state before and the sign of the potential, or "
+        "try a smaller h."
     )
     about |= ended_after(trajectory, done)
     return Trajectory(**about | {"status": Status.NOT_FINITE, "message": message})
