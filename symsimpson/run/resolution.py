@@ -10,6 +10,8 @@ energy depends on the time, what these explain is no error.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -129,7 +131,7 @@ class Sampled:
         bad = np.flatnonzero(~np.isfinite(self.total))
         return int(self.places[bad[0]]) if bad.size else None
 
-    @property
+    @cached_property
     @np.errstate(over="ignore", invalid="ignore")  # what grows without bound has no finite work
     def left_at(self) -> tuple[int, float] | None:
         """Where a level of the energy begins that is another one, and how far it is off.
@@ -143,18 +145,19 @@ class Sampled:
             return None
         total, kinetic = total[:known], self.kinetic[:known]
         start, change = total[0], abs(total - total[0])
-        blocks = np.array_split(np.arange(known), BLOCKS)
+        size, more = divmod(known, BLOCKS)
+        ends = [k * size + min(k, more) for k in range(BLOCKS + 1)]
         # an energy that grows without bound must not hide itself in what it is compared with
         floor = ROUNDING * max(abs(start), median(abs(total)))
-        unit = max(floor, *(median(kinetic[block]) for block in blocks))
+        unit = max(floor, *(median(kinetic[a:b]) for a, b in pairwise(ends)))
         moved = self.exchanged
-        for block in blocks:
-            level = abs(median(total[block]) - start)
+        for first, behind in pairwise(ends):
+            level = abs(median(total[first:behind]) - start)
             # a fall that begins with the damage makes the kinetic energy of later blocks large
-            so_far = max(floor, float(kinetic[: block[-1] + 1].max()))
-            off = level / (min(unit, so_far) + float(moved[block[-1]]))
+            so_far = max(floor, float(kinetic[:behind].max()))
+            off = level / (min(unit, so_far) + float(moved[behind - 1]))
             if off > LIMIT:
-                return int(self.places[block[0]]), off
+                return int(self.places[first]), off
         end = known - LAST
         unit = max(unit, median(kinetic[end:])) + float(moved[known - 1])
         off = median(change[end:]) / unit
