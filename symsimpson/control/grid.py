@@ -10,11 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.program.input_values import whole_number
+from symsimpson.support.names import shortened
 
 __all__ = ["Grid", "read_grid"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+#: With more the solver, which counts entries in 32 bits, or the memory comes to its end.
+MOST_STEPS = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -71,26 +75,27 @@ class Grid:
         return times
 
 
-def read_grid(steps: Any, phases: int) -> Grid:
-    """Read a number of steps, or one for each phase.
+def read_grid(steps: Any, phases: int, most: int = MOST_STEPS) -> Grid:
+    """Read a number of steps, ``most`` in all, or one for each phase.
 
     Raises
     ------
     InputError
         If it is neither.
     """
-    given = list(steps) if isinstance(steps, (tuple, list, np.ndarray)) else [steps]
-    whole = all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) for n in given)
-    if not given or not whole or min(given) < 1:
+    several = isinstance(steps, (tuple, list)) or (isinstance(steps, np.ndarray) and steps.ndim > 0)
+    given = [whole_number(n) or 0 for n in (steps if several else [steps])]
+    if not given or min(given) < 1 or sum(given) > most:
         raise InputError(
-            f"steps is {steps!r}.\nPass a whole number of steps, at least 1; or one for each phase."
+            f"steps is {shortened(steps)}.\nPass a whole number of steps, at least 1 and at most "
+            f"{most}; or one for each phase."
         )
     if len(given) == 1:
-        size, more = divmod(int(given[0]), phases)
+        size, more = divmod(given[0], phases)
         given = [size + (k < more) for k in range(phases)]
     if len(given) != phases or min(given) < 1:
         raise InputError(
             f"steps is {steps!r}, and the number of phases is {phases}.\n"
             "Pass one number of steps for all of it, or one for each of phases=."
         )
-    return Grid(tuple(int(n) for n in given))
+    return Grid(tuple(given))

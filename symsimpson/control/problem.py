@@ -15,9 +15,10 @@ from symsimpson.control.reading import Reading, read_family
 from symsimpson.errors import InputError
 from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.program.input_values import whole_number
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
-from symsimpson.support.names import spelled
+from symsimpson.support.names import shortened, spelled
 from symsimpson.support.progress import read_progress
 
 if TYPE_CHECKING:
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
     from symsimpson.schemes.scheme import Scheme
 
 __all__ = ["OptimalControl"]
+
+#: The solver counts iterations in 32 bits.
+MOST_ITERATIONS = 2**31 - 1
 
 
 @explaining(also=("__init__",))
@@ -171,15 +175,18 @@ class OptimalControl:
         grid = read_grid(steps, len(self.reading.phases))
         for name, value in (("tolerance", tolerance), ("error", error)):
             real = isinstance(value, Real) and not isinstance(value, bool) and 0 < value < 1
-            if not real and (name, value) != ("error", None):
-                raise InputError(f"{name} is {value!r}.\nPass a number between 0 and 1.")
+            if not real and (name != "error" or value is not None):
+                raise InputError(f"{name} is {shortened(value)}.\nPass a number between 0 and 1.")
         read_progress(progress)
         if not isinstance(condensed, (bool, np.bool_)):
             raise InputError(f"condensed is {condensed!r}.\nPass True or False.")
-        whole = isinstance(most_iterations, (int, np.integer))
-        if not whole or isinstance(most_iterations, bool) or most_iterations < 0:
-            raise InputError(f"most_iterations is {most_iterations!r}.\nPass a whole number.")
-        options = {"tol": float(tolerance), "max_iter": int(most_iterations), "print_level": 0}
+        most = whole_number(most_iterations)
+        if most is None or not 0 <= most <= MOST_ITERATIONS:
+            raise InputError(
+                f"most_iterations is {shortened(most_iterations)}.\nPass a whole number from 0 to "
+                f"{MOST_ITERATIONS}."
+            )
+        options = {"tol": float(tolerance), "max_iter": most, "print_level": 0}
         return solve(
             self.reading, galerkin_scheme, grid, guess, error, options, progress, bool(condensed)
         )

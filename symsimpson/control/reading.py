@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from numbers import Real
@@ -24,7 +24,7 @@ from symsimpson.mechanics.plain import Symbols
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
-from symsimpson.support.names import did_you_mean, spelled
+from symsimpson.support.names import did_you_mean, shortened, spelled
 
 __all__ = ["Limits", "Reading", "read_family"]
 
@@ -140,8 +140,9 @@ class Reading:
         if isinstance(expression, str):
             expression = self._named(what, expression, ends)
         if isinstance(expression, Real) and not isinstance(expression, (sp.Basic, bool)):
-            if not math.isfinite(expression):
-                raise InputError(f"the {what} is {expression!r}.\nPass a finite number.")
+            size = cast(Any, abs(expression))
+            if not size <= sys.float_info.max:  # as NaN and huge integers are not, either
+                raise InputError(f"the {what} is {shortened(expression)}.\nPass a finite number.")
             expression = sp.Rational(repr(float(expression)))  # as it is written
         symbols = self.symbols
         known = expression.free_symbols & self._signals if isinstance(expression, sp.Basic) else ()

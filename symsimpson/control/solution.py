@@ -25,6 +25,7 @@ from symsimpson.control.result import FOUND, SAVED, ControlResult
 from symsimpson.control.scaling import Scaled, scaled, sizes_at
 from symsimpson.control.solution_files import read_solution
 from symsimpson.errors import InputError, ResolutionWarning
+from symsimpson.program.input_values import MOST_STEPS
 from symsimpson.support.calling import warn
 from symsimpson.support.names import did_you_mean, spelled
 from symsimpson.support.progress import Progress
@@ -208,7 +209,7 @@ def opened(read: Reading, path: str | os.PathLike[str], scheme: Any) -> ControlR
 def _as_grid(steps: Any) -> Grid:
     """Return the grid of the numbers of steps that a file holds; raises ValueError."""
     try:
-        return read_grid(steps, len(steps) if isinstance(steps, list) else 1)
+        return read_grid(steps, len(steps) if isinstance(steps, list) else 1, most=MOST_STEPS)
     except InputError as error:
         raise ValueError(str(error)) from None
 

@@ -50,6 +50,34 @@ def test_what_is_given_twice(more, name):
         cart(**more)
 
 
+@pytest.mark.parametrize("what", ["cost", "final_cost"])
+@pytest.mark.parametrize("given", [10**400, np.nan, -np.inf])
+def test_costs_that_are_no_finite_numbers(what, given):
+    with pytest.raises(ss.InputError, match=f"the {what} is .*\nPass a finite number"):
+        cart(**{what: given})
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("steps", 10**400),
+        ("steps", [10**12]),
+        ("steps", np.array("x")),
+        ("steps", np.ma.masked),
+        ("error", np.zeros(0)),
+        ("error", np.ones(2)),
+        ("error", np.array([None])),
+        ("tolerance", np.ones(2)),
+        ("most_iterations", 10**400),
+        ("most_iterations", 2**31),
+        ("most_iterations", np.ones(2)),
+    ],
+)
+def test_numbers_of_the_search_that_are_none(name, given):
+    with pytest.raises(ss.InputError, match=rf"(?s){name} is .*\nPass a (whole )?number"):
+        cart().solve(**{"steps": 2} | {name: given})
+
+
 def test_guesses_that_are_given_twice():
     with pytest.raises(ss.InputError, match="guess gives x twice"):
         cart().solve(steps=2, guess={x: 0.0, "x": 1.0})
