@@ -69,8 +69,7 @@ def gradient_of(
     names = [name for name, state in pairs if not state]
     _check(wanted, pairs, velocities=request.v0 is not None)
     running = wanted.running
-    matrix = hasattr(running, "shape") and hasattr(running, "free_symbols")
-    if matrix or isinstance(running, (list, tuple, set, dict, np.ndarray)):
+    if hasattr(running, "__iter__") and not isinstance(running, str):  # tables, too
         raise InputError(
             f"running is a {type(running).__name__}, not one expression.\nAdd up what costs."
         )
@@ -128,7 +127,8 @@ def _is_state(program: Program, variable: Any) -> bool:
 
 def _check(wanted: Wanted, pairs: Sequence[tuple[str, bool]], *, velocities: bool) -> None:
     """Refuse a cost of nothing, and derivatives by a state that was not given."""
-    if wanted.cost is None and wanted.running is None and not wanted.samples:
+    none = wanted.samples is None or (isinstance(wanted.samples, Mapping) and not wanted.samples)
+    if wanted.cost is None and wanted.running is None and none:
         raise InputError(
             "there is no cost to differentiate.\nPass cost= of the last state, running= along "
             "the path, or samples= that the run is to come near to."

@@ -328,6 +328,8 @@ def test_symbols_of_parameters_are_not_the_state():
 
 @pytest.mark.slow
 def test_what_a_gradient_cannot_be_of_is_refused(double_pendulum):
+    import pandas as pd
+
     def gradient(**changed):
         given = {"v0": [0, 0], "h": H, "steps": 10, "cost": "q1", "wrt": "l1", **changed}
         return double_pendulum.gradient([0.8, 1.0], **given)
@@ -342,6 +344,9 @@ def test_what_a_gradient_cannot_be_of_is_refused(double_pendulum):
         "unknown name|contains 'x'": {"cost": "x + 1"},
         "there are 11 states": {"samples": {"q1": [1, 2]}},
         "none is finite": {"samples": {"q1": [np.nan] * 11}},
+        "samples is a ndarray": {"samples": np.zeros(11), "cost": None},
+        "samples is a GreaterThan": {"samples": sp.Symbol("x") >= 0, "cost": None},
+        "running is a Series": {"running": pd.Series([1, 2])},
     }.items():
         with pytest.raises(ss.InputError, match=match):
             gradient(**changed)
