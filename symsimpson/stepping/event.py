@@ -8,6 +8,7 @@ from numbers import Integral, Real
 from typing import Any
 
 from symsimpson.errors import InputError
+from symsimpson.program.input_values import whole_number
 from symsimpson.support.calling import explaining
 from symsimpson.support.names import spelled
 
@@ -177,7 +178,7 @@ class Event:
             )
         if self.name is not None and not (isinstance(self.name, str) and self.name.strip()):
             raise InputError(f"the name of an event is {self.name!r}.\nIt is a text.")
-        if not isinstance(self.direction, Integral) or self.direction not in (-1, 0, 1):
+        if whole_number(self.direction) not in (-1, 0, 1):
             raise InputError(
                 f"direction is {self.direction!r}.\nPass 1 for a change of sign on the way up, -1 "
                 "for one on the way down, or 0 for both."

@@ -15,6 +15,7 @@ import symsimpson as ss
         (lambda: ss.Change(), "changes nothing"),
         (lambda: ss.Change(velocities={x: 1}, momenta={x: 1}), "velocity and a momentum of x"),
         (lambda: ss.Event(z, direction=2), "direction is 2"),
+        (lambda: ss.Event(z, direction=True), "direction is True"),
         (lambda: ss.Event(z, direction=1, action=ss.Impact()), "where the gap falls"),
         (lambda: ss.Event(z, terminal=-1), "terminal is -1"),
         (lambda: ss.Event(z, action="bounce"), "the action of an event is 'bounce'"),
