@@ -110,7 +110,10 @@ def implied(read: Reading, end: int, values: Iterable[tuple[str, Value]]) -> lis
                 f"{off:.3g} there.\nGive values that satisfy it, as system.consistent(q0, v0) "
                 "finds them."
             )
-        flags.append(known or (bool(tied) and rebuilt(graph, [value], tied) == [value]))
+        # one that has the same form in the state of the start, where it holds
+        moved = graph.nodes[value[1]].symbols & {*read.q, *read.v, read.t}
+        same = moved <= tied.keys() and rebuilt(graph, [value], tied) == [value]
+        flags.append(known or (bool(moved) and same))
     return flags
 
 

@@ -111,6 +111,39 @@ def test_what_is_tied_is_held_at_one_end():
     assert not [name for name in still.layout.names if "both" in name]
 
 
+@pytest.mark.parametrize("again", [{x: x}, {y: y}, {x: -x}, {v_y: v_y}])
+def test_where_a_part_of_the_state_is_tied_constraints_hold_all_the_same(again):
+    """Once they were left out: ends off the circle, with another rate than the one asked for."""
+    end = {v_x: 1}
+    found = lifted({x: 0.6, y: -0.8, v_x: 0.2}, end, conditions=again).solve("gauss4", steps=6)
+    assert found.status is ss.ControlStatus.SOLVED
+    q, v = found.q[-1], found.trajectory.v[-1]
+    assert q @ q == pytest.approx(1, abs=1e-12)
+    assert (v[0], q @ v) == pytest.approx((1, 0), abs=1e-9)
+    ((at_end, of_start),) = again.items()
+    state = {x: q[0], y: q[1], v_y: v[1]}, {x: 0.6, y: -0.8, v_y: 0.15}
+    assert state[0][at_end] == pytest.approx(float(of_start.subs(state[1])), abs=1e-9)
+
+
+@pytest.mark.parametrize("tied", [x, y])
+def test_where_a_place_is_tied_a_blade_holds_all_the_same(tied):
+    (th,) = ss.coordinates("th")
+    sleigh = ss.MechanicalSystem(
+        "sleigh",
+        coordinates=(x, y, th),
+        kinetic=(v_x**2 + v_y**2 + th.diff() ** 2) / 2,
+        potential=0,
+        forces={x: u * sp.cos(th), y: u * sp.sin(th), th: w},
+        inputs=(u, w),
+        velocity_constraints={"blade": sp.cos(th) * v_y - sp.sin(th) * v_x},
+    )
+    start = dict.fromkeys((x, y, th, v_x, th.diff()), 0)
+    given = {"start": start, "end": {v_x: 1, th: 0.1}, "duration": 2, "conditions": {tied: tied}}
+    found = ss.OptimalControl(sleigh, cost=u**2 + w**2, **given).solve("gauss4", steps=6)
+    assert found.status is ss.ControlStatus.SOLVED
+    assert found.trajectory.v[-1, :2] == pytest.approx([1, np.tan(0.1)], abs=1e-9)
+
+
 @pytest.mark.parametrize(
     "end",
     [
