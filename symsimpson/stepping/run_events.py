@@ -298,10 +298,10 @@ def _of_gap(program: Program, event: Event, place: Any) -> tuple[int, int]:
         )
     real = {q: Dummy(real=True) for q in coordinates.values()}  # |q| has a slope then
     flat, back = gap.xreplace(real), {x: q for q, x in real.items()}
-    if (flat.is_nonnegative or flat.is_nonpositive) and not flat.has(Abs):
+    if flat.is_nonnegative or flat.is_nonpositive:
         raise InputError(
             f"the gap {event.key!r} never changes its sign, and has no slope where it is zero.\n"
-            "Write the distance itself, as x - 1 in place of its square."
+            "Write the distance itself, as x - 1 in place of its square or its modulus."
         )
 
     def slope(x: Any) -> Any:

@@ -36,6 +36,8 @@ def test_what_no_event_can_be(make, told):
         ([ss.Event("z", name="w", action=ss.Impact())], "is differentiated"),
         ([ss.Event(sp.Min(z, 1 - z), name="w", action=ss.Impact())], "has a kink"),
         ([ss.Event((1 - z) ** 2, name="w", action=ss.Impact())], "never changes its sign"),
+        ([ss.Event(abs(1 - z), name="w", action=ss.Impact())], "never changes its sign"),
+        ([ss.Event(sp.sqrt(z**2), name="w", action=ss.Impact())], "never changes its sign"),
         ([ss.Event(g - 1, name="w", action=ss.Switch())], "'w' has no coordinate.*never changes"),
         ([ss.Event(z - x, name="w")], "'x'"),
         ([ss.Event(z, name="w", action=ss.Change(velocities={x: 1}))], "names 'x', which is no"),
