@@ -251,7 +251,7 @@ def _numbers(name: str, given: ArrayLike, shape: tuple[int, ...]) -> Vector:
     except (TypeError, ValueError, OverflowError):
         array = np.array(np.nan)
     if array.shape != shape or not np.isfinite(array).all():
-        raise InputError(f"{name} is {given!r}, not finite numbers of shape {shape}.")
+        raise InputError(f"{name} is {given!r}.\nPass finite numbers of shape {shape}.")
     return array
 
 
@@ -271,7 +271,8 @@ def _from_matrix(R: Vector) -> Vector:
     """Return the quaternion of a rotation, its largest component from the diagonal."""
     if not (np.abs(R @ R.T - np.eye(3)).max() <= ROUNDED and np.linalg.det(R) > 0):
         raise InputError(
-            "rotation is no matrix of a rotation: its rows are not orthonormal, or it mirrors."
+            "rotation is no matrix of a rotation: its rows are not orthonormal, or it mirrors.\n"
+            "Pass one with R R^T = 1 and det R = 1, or angles=(phi, theta, psi)."
         )
     K = np.array(
         [
