@@ -119,7 +119,12 @@ class WorkPrecision:
             points = tuple(Point(**point) for point in content.pop("points"))
             content |= {name: tuple(content[name]) for name in ("q0", "p0", "levels")}
             return cls(points=points, **content)
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        except OSError as error:
+            raise StorageError(
+                f"{os.fspath(path)}: the record cannot be read: {error.strerror}.\n"
+                "Write one with symsimpson bench SYSTEM --out FILE."
+            ) from error
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise StorageError(
                 f"{os.fspath(path)}: no record of run times: {type(error).__name__}: {error}.\n"
                 "Write one with symsimpson bench SYSTEM --out FILE."

@@ -67,6 +67,11 @@ def read_solution(
         if not (np.isfinite(x).all() and np.isfinite(multipliers).all()):
             raise ValueError("they are not all numbers")
         return place, {key: kind(saved[key]) for key, kind in kinds.items()}, x, multipliers
+    except (FileNotFoundError, PermissionError, IsADirectoryError) as error:
+        raise StorageError(
+            f"{place}: the solution cannot be read: {error.strerror}.\n"
+            "Save one with result.save(path), and name that file."
+        ) from None
     except DAMAGE as error:
         raise StorageError(
             f"{place}: this is no solution that symsimpson saved: {type(error).__name__}.\n"
