@@ -233,7 +233,7 @@ class _Writer:
         return (
             f"\n\nThe start must satisfy the constraints {', '.join(names)}, and velocities or "
             "momenta what follows from them; this is not checked here. In Python "
-            "stepper.consistent(...) finds such a start."
+            "system.consistent(q0, v0) finds such a start."
         )
 
     def _constants(self) -> Iterator[str]:

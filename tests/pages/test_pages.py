@@ -1,5 +1,6 @@
 """What the pages say: their Python runs, and what they point to is there."""
 
+import ast
 import re
 import subprocess
 
@@ -7,6 +8,8 @@ import pytest
 from support.cases import sweep
 from support.in_c import build
 from support.places import ROOT
+
+import symsimpson as ss
 
 GUIDE = sorted(f"notebooks/guide/{path.name}" for path in (ROOT / "notebooks/guide").glob("*.md"))
 PAGES = [
@@ -64,6 +67,28 @@ def test_c_on_a_page_is_built_and_says_what_stands_there(tmp_path, monkeypatch):
     program = build(tmp_path / "main.c", tmp_path / "cart.c", to="")
     said = subprocess.run([program], capture_output=True, text=True, check=True).stdout
     assert said == re.search(r"```text\n(.*?)```", text, re.DOTALL)[1]
+
+
+def texts():
+    """All that users read: pages, and texts of the package."""
+    for page in (ROOT / "notebooks").rglob("*.md"):
+        yield page.read_text("utf-8")
+    for path in (ROOT / "symsimpson").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                yield node.value
+
+
+def test_functions_and_methods_that_texts_name_are_there():
+    system = ss.systems.pendulum()
+    known = {"ss": ss, "symsimpson": ss, "stepper": ss.compile(system), "system": system}
+    known |= {"run": ss.Trajectory, "loop": ss.ControlLoop}
+    named = {x for text in texts() for x in re.findall(r"\b([a-z]+)\.([a-zA-Z_]\w*)\(", text)}
+    of_two = r"`(stepper|system)\.([a-zA-Z_]\w*)`"
+    named |= {x for text in texts() for x in re.findall(of_two, text)}
+    named = {(owner, name) for owner, name in named if owner in known}
+    assert len(named) > 50
+    assert [x for x in sorted(named) if not hasattr(known[x[0]], x[1])] == []
 
 
 @pytest.mark.parametrize("page", PAGES)
