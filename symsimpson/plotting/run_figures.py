@@ -92,17 +92,18 @@ def plot_members(many: Any, name: Any, some: Any, *, ax: Any = None) -> Any:
     """Draw a quantity of some members over time, or how its last values are spread."""
     (name,) = read_names(None if name is None else [name], many.program.coordinates[:1])
     values, units = many[name], many.program.units
-    ax = axes(ax, (7, 3.5))
+    ax, shown = axes(ax, (7, 3.5)), len(some)
     if values.ndim == 2:
         times = np.broadcast_to(many.t, values.shape)
         ax.plot(times[some].T, values[some].T, lw=0.8, alpha=max(0.15, min(1.0, 8 / len(some))))
         ax.set(xlabel=with_unit("t", units), ylabel=with_unit(name, units))
     else:
-        last = values[np.isfinite(values)]
+        last = values[np.isfinite(values)]  # of all, not of some
+        shown = len(last)
         ax.hist(last, bins=min(60, max(5, int(len(last) ** 0.5))))
         ax.set(xlabel=f"{with_unit(name, units)} at the end", ylabel="members")
     program = many.program
-    ax.set_title(f"{program.system}, {program.scheme}: {len(some)} of {len(many)} members")
+    ax.set_title(f"{program.system}, {program.scheme}: {shown} of {len(many)} members")
     ax.grid(lw=0.4, alpha=0.6)
     return ax
 

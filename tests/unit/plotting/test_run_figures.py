@@ -62,6 +62,16 @@ def test_arrays_and_numbers_are_not_drawn(run):
     assert len(run.plot([]).lines) == len(run.plot({"q1": 0, "q2": 0}).lines) == 2
 
 
+def test_titles_tell_how_many_members_are_drawn():
+    """Lines are of some, and a histogram of last states is of all that have one."""
+    stepper = ss.compile(ss.systems.pendulum())
+    given = {"q0": [[0.1], [0.2], [0.3], [0.4]], "v0": [0.0], "h": 0.1, "steps": 4}
+    assert "2 of 4 members" in stepper.ensemble(**given, every=1).plot(most=2).get_title()
+    bars = stepper.ensemble(**given).plot(most=2)
+    assert "4 of 4 members" in bars.get_title()
+    assert sum(bar.get_height() for bar in bars.patches) == 4
+
+
 def test_phase_plane_and_sections(run):
     ax = run.plot_phase()
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("q1", "p_q1")
