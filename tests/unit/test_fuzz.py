@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from hypothesis import HealthCheck, given, settings
+from support import fuzz
 from support.strategies import names, runs, states, systems
 from support.workspace import begin, state, take_step
 from sympy.physics.mechanics import dynamicsymbols
@@ -93,3 +94,7 @@ def test_any_name_is_text(first, second):
     check_structure(text, "named")
     header = read_header(text, "named")
     assert all(name.isidentifier() for name in (*header.parameters, *header.coordinates))
+
+
+def test_the_campaign_finds_what_it_checks():
+    assert fuzz.check(1000) == (1000, None)
