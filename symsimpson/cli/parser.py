@@ -43,7 +43,12 @@ def parser() -> argparse.ArgumentParser:
     subparser.add_argument(
         "names", nargs="*", help="quantities over time, as q1 energy; or x y: points"
     )
-    subparser.add_argument("--kind", choices=("time", "phase", "energy", "path"), default="time")
+    subparser.add_argument(
+        "--kind",
+        choices=("time", "phase", "energy", "path"),
+        default="time",
+        help="what is drawn (default: %(default)s)",
+    )
     subparser.add_argument("--out", required=True, help="write to this .png, .pdf or .svg file")
     subparser = command("film", runs.film, "film the points of a system", _state(), _length())
     subparser.add_argument("--seconds", type=float, help="length of the film")
@@ -109,7 +114,12 @@ def parser() -> argparse.ArgumentParser:
         "--schemes", type=words, default=["midpoint", "simpson"], help="as midpoint,simpson,gauss6"
     )
     subparser.add_argument("--peers", type=words, help="as scipy,heyoka (default: all installed)")
-    subparser.add_argument("--errors", type=numbers, default=[1e-3, 1e-6, 1e-9, 1e-12])
+    subparser.add_argument(
+        "--errors",
+        type=numbers,
+        default=[1e-3, 1e-6, 1e-9, 1e-12],
+        help="levels of the table (default: 1e-3,1e-6,1e-9,1e-12)",
+    )
     subparser.add_argument("--t-end", type=float, default=10.0, help="default: %(default)s")
     subparser.add_argument("--repeats", type=int, default=5, help="rounds (default: %(default)s)")
     subparser.add_argument("--out", help="write the record to this .json file")
