@@ -100,6 +100,12 @@ def test_links_lead_somewhere(page):
         assert (ROOT / path).exists(), path
 
 
+def test_every_folder_is_told_to_contributors():
+    page = (ROOT / "notebooks/contributing/index.md").read_text("utf-8")
+    for path in (ROOT / "symsimpson").glob("*/__init__.py"):
+        assert f"symsimpson/{path.parent.name} " in page
+
+
 def test_every_notebook_is_in_the_index():
     index = (ROOT / "notebooks/README.md").read_text("utf-8")
     for path in (ROOT / "notebooks").glob("*.ipynb"):
