@@ -217,10 +217,19 @@ def _violation_error(
     system = program.declared
     if system is None:
         return InputError(f"{text}\nGive a start with phi = 0, dphi/dq.v = 0 and A v = b.")
-    call = "system.consistent(q0, v0)"
+    parameters = dict(zip(program.parameters, map(float, values[member]), strict=True))
+    usual = map(float, system.parameters.values())
+    other_values = {
+        name: value
+        for (name, value), default in zip(parameters.items(), usual, strict=True)
+        if value != default
+    }
+    more = f", parameters={other_values}" if other_values else ""
+    call = f"system.consistent(q0, v0{more}" + (
+        f", t={float(t)!r})" if t and system.velocity_constraints else ")"
+    )
     try:
         velocities = other[member] if given == "v0" else 0 * other[member]
-        parameters = dict(zip(program.parameters, values[member], strict=True))
         near = system.consistent(
             q[member].astype(np.float64), velocities.astype(np.float64), (), parameters, float(t)
         )

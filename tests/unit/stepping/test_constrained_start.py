@@ -1,5 +1,8 @@
 """Starts, results and steppers of systems with constraints."""
 
+import ast
+import re
+
 import mpmath
 import numpy as np
 import pytest
@@ -334,3 +337,14 @@ def test_terms_that_are_large_against_q_and_cancel():
         assert abs(v[0] - 0.1) < 1e-8
     with pytest.raises(ss.InputError, match="q0 does not satisfy"):
         stepper.integrate([1e-3, 0.0], v0=[0.0, 0.0], h=0.01, steps=1)
+
+
+def test_the_call_that_is_advised_has_the_parameters_of_the_run():
+    bars = ss.systems.four_bar()
+    q, v = bars.consistent([1.0, 0.3, 1.4], [1.3, 0.0, 0.0])
+    stepper, given = ss.compile(bars), {"h": 0.01, "steps": 2, "parameters": {"l1": 1.05}}
+    with pytest.raises(ss.InputError, match="gives the nearest start") as told:
+        stepper.integrate(q, v0=v, **given)
+    call = re.search(r"system\.consistent\(q0, v0, parameters=(.*)\) gives", str(told.value))
+    q, v = bars.consistent(q, v, parameters=ast.literal_eval(call[1]))
+    assert stepper.integrate(q, v0=v, **given).success
