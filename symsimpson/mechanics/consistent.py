@@ -83,6 +83,7 @@ def consistent(
         if met:
             break
     if met:
+        configuration = _unwound(of_positions, configuration, q, free)
         configuration = _slid(of_positions, configuration, q[free], free, metric)
     if not met:
         raise InputError(
@@ -153,6 +154,20 @@ def _followed(
             share /= 2
         q[free] += share * step
     return q, best
+
+
+def _unwound(
+    at: Callable[[Reals], tuple[Reals, Reals]], q: Reals, goal: Reals, free: Sequence[int]
+) -> Reals:
+    """Leave whole turns out, where constraints are met without them, too: those of angles are."""
+    turns = 2 * np.pi * np.round((q - goal) / (2 * np.pi))
+    for i in [i for i in free if turns[i]]:
+        moved = q.copy()
+        moved[i] -= turns[i]
+        phi, slopes = at(moved)
+        if _relative(phi, slopes, float(np.abs(moved).max())).max(initial=0.0) <= MET:
+            q = moved
+    return q
 
 
 def _slid(
