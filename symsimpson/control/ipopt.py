@@ -167,6 +167,7 @@ def run_ipopt(
             "print_time": False,
             "show_eval_warnings": False,
             "error_on_fail": False,
+            "inputs_check": False,  # it prints a line where inputs are fixed and rows repeat
             "no_nlp_grad": True,
             "iteration_callback": watching,
             "iteration_callback_ignore_errors": False,

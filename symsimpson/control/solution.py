@@ -98,7 +98,8 @@ def _solved(
 ) -> ControlResult:
     """Solve a problem with one number of steps; begin again beside points that are no minima."""
     programme, low, high = layout.programme
-    equations, size = int((low == high).sum()), layout.size
+    fixed = sum(pair[0] == pair[1] for pair in layout.read.found_bounds)
+    equations, size = int((low == high).sum()), layout.size - fixed
     if equations > size:
         raise InputError(
             f"{layout.read.system.name}: {equations} equations for {size} unknowns: there are more "

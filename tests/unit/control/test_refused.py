@@ -362,3 +362,19 @@ def test_a_library_that_is_missing_is_told_with_the_extra(monkeypatch):
     for ask in (problem.solve, lambda: problem.open("cart.npz")):
         with pytest.raises(ss.InputError, match=r"needs scipy.*\n.*symsimpson\[control\]"):
             ask()
+
+
+def test_fixed_inputs_are_no_lines_of_the_solver(capfd):
+    """Of which the rows that they leave are too many, as one that follows from others."""
+    resting = cart(start={x: 0, v_x: 0}, end={x: 0}, bounds={u: 0})
+    assert resting.solve("gauss4", steps=2).success
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_parameter_that_is_given_as_one_to_be_found_is_no_unknown():
+    free = ss.MechanicalSystem(
+        "free", coordinates=(x,), kinetic=v_x**2 / 2, potential=k * x**2 / 2, parameters={k: 2.0}
+    )
+    problem = ss.OptimalControl(free, duration=1, **{**REST, "end": {x: 1}}, unknowns={k: 1})
+    with pytest.raises(ss.InputError, match="more conditions than inputs can satisfy"):
+        problem.solve("gauss4", steps=2)
