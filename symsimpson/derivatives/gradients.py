@@ -69,7 +69,9 @@ def gradient_of(
     names = [name for name, state in pairs if not state]
     _check(wanted, pairs, velocities=request.v0 is not None)
     running = wanted.running
-    if hasattr(running, "__iter__") and not isinstance(running, str):  # tables, too
+    # tables of others have an iterator, matrices of SymPy but a shape
+    several = hasattr(running, "__iter__") or hasattr(running, "shape")
+    if several and not isinstance(running, str):
         raise InputError(
             f"running is a {type(running).__name__}, not one expression.\nAdd up what costs."
         )
