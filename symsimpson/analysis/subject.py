@@ -88,9 +88,9 @@ class Subject:
             return np.concatenate([places, np.full(self.n, most)])
         fastest = (np.abs(run.v) / places).max()
         with np.errstate(all="ignore"):  # the mass of what cannot move has no bound
-            own = np.maximum(p, _masses(run, most) * places * fastest)
-        light = (own > 0) & (own < LIGHT * most)
-        return np.concatenate([places, np.where(light, own, most)])
+            each = np.maximum(p, _masses(run, most) * places * fastest)
+        light = (each > 0) & (each < LIGHT * most)
+        return np.concatenate([places, np.where(light, each, most)])
 
     @cached_property
     def sizes(self) -> NDArray[Any]:

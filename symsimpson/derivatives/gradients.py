@@ -70,7 +70,7 @@ def gradient_of(
     _check(wanted, pairs, velocities=request.v0 is not None)
     running = wanted.running
     # tables of others have an iterator, matrices of SymPy but a shape
-    several = hasattr(running, "__iter__") or hasattr(running, "shape")
+    several = hasattr(running, "__iter__") or bool(getattr(running, "shape", False))
     if several and not isinstance(running, str):
         raise InputError(
             f"running is a {type(running).__name__}, not one expression.\nAdd up what costs."

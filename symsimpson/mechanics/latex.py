@@ -78,6 +78,6 @@ def _safe(declared: Any) -> dict[Any, Any]:
 
 def _is_plain(name: str) -> bool:
     """Return whether a name is typeset as it is: of LaTeX's commands, letters alone."""
-    found = PLAIN.fullmatch(name)
-    macro = found and found["macro"]
-    return found is not None and (macro is None or macro.removeprefix("var").lower() in LETTERS)
+    match = PLAIN.fullmatch(name)
+    macro = match and match["macro"]
+    return match is not None and (macro is None or macro.removeprefix("var").lower() in LETTERS)
