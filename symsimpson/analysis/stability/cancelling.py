@@ -1,4 +1,4 @@
-"""What is lost where terms cancel: in forces at rest, and in V where a motion is small."""
+"""Losses where terms cancel: in forces at rest, and in V where a motion is small."""
 
 from __future__ import annotations
 
