@@ -127,6 +127,7 @@ def test_an_order_that_is_late_is_seen_with_another_half():
     assert row.measured == pytest.approx(3)
 
 
+@pytest.mark.slow
 def test_a_limit_that_is_missed_by_little_is_shown_in_full():
     row = Check("order", 7.83, "at least", 7.85, "errors", "The scheme has order 8.")
     shown = repr(replace(ss.compile(PENDULUM).certify(h=0.01), checks=(row,)))
@@ -145,6 +146,7 @@ def test_a_step_that_is_chosen_is_solved_in_few_iterations():
     assert certificate.passed, certificate
 
 
+@pytest.mark.slow
 def test_what_is_watched_and_no_invariant_is_not_asked_of():
     (x,) = ss.coordinates("x")
     energy = x.diff() ** 2 / 2 - sp.cos(x)

@@ -64,11 +64,15 @@ def test_errors_of_the_energy():
     assert "until t =" in choice.reason  # a part was run
 
 
+@pytest.mark.slow
 def test_chaos_beyond_rounding_is_told():
     """The error of a double pendulum that turns over doubles 25 times in each half of this time."""
     chaotic = ss.systems.double_pendulum()
     with pytest.raises(ss.InputError, match="too sensitive to its initial state"):
         ss.choose(chaotic, [2.5, 2.9], v0=[0, 0], t_end=10.0, error=1e-6, schemes=["gauss16"])
+
+
+def test_what_is_wanted_of_a_part_falls_with_the_growth_of_errors():
     problem = Wanted(None, None, {}, 4.0, 10.0, 1e-6, "state", 0.0, False, [])
     assert problem._wanted(2.0) == pytest.approx(5e-7 * (4 / 10) ** 2)
     # from 4 to 10 are three times 2, in each of which it doubles ten times

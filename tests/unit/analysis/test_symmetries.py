@@ -91,6 +91,7 @@ def test_of_many_coordinates_blocks_alike_are_looked_for():
     assert [block_size(n) for n in (2, 12, 13, 14, 15, 18)] == [2, 12, 0, 2, 3, 3]
 
 
+@pytest.mark.slow
 def test_a_planet_in_metres_and_seconds_has_the_symmetry_of_one_in_years():
     """At y = 0 points within a metre were looked at, where H does not depend on y to 12 digits."""
     x, y = ss.coordinates("x y")
@@ -131,6 +132,7 @@ def test_what_many_digits_do_not_confirm_is_no_symmetry():
         _refined(np.array([1.0, 1.0]), matrix, mpmath.mp)
 
 
+@pytest.mark.slow
 def test_momenta_of_a_light_body_have_their_own_size():
     """Displaced by a part of a star's momentum, a planet would fly off."""
     q = ss.coordinates("x1 y1 x2 y2 x3 y3")

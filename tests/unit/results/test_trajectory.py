@@ -94,7 +94,7 @@ def agree(last, run, *names):
 
 
 @pytest.mark.parametrize("start", [{"v0": [1.0, -2.0]}, {"p0": [0.3, 0.1]}])
-@pytest.mark.parametrize("steps", [0, 50, 50_000])
+@pytest.mark.parametrize("steps", [0, 50, pytest.param(50_000, marks=pytest.mark.slow)])
 def test_a_last_state_alone_has_its_energy_error_against_the_start(start, steps):
     stepper = ss.compile(PENDULUM)
     given = {"q0": [0.7, 1.0], **start, "h": 0.001, "t0": 1.5, "steps": steps}
