@@ -65,6 +65,13 @@ class Check:
         return cls(name, nan, "at most", 0.0, what, reason, failure, exempt=not failure)
 
     @property
+    def limit(self) -> str:
+        """The bound and the threshold in short; empty where nothing was asked."""
+        sign = ">=" if self.bound == "at least" else "<="
+        digits = 2 if self.passed else 3  # what fails is seen to
+        return "" if self.exempt else f"{sign} {self.threshold:.{digits}g}"
+
+    @property
     def passed(self) -> bool:
         """The verdict; what could not be measured has not passed."""
         if self.exempt:
@@ -160,13 +167,10 @@ class Certificate:
             f"  from q0 = {q0}, p0 = {p0}, h = {self.h:g}; {self.seconds:.1f} s",
         ]
         for check in self.checks:
-            sign = ">=" if check.bound == "at least" else "<="
             measured = "-" if check.measured != check.measured else f"{check.measured:.3g}"
-            digits = 2 if check.passed else 3  # what fails is seen to
-            limit = "" if check.exempt else f"{sign} {check.threshold:.{digits}g}"
             mark = "ok  " if check.passed else "FAIL"
             lines.append(
-                f"  {mark} {check.name:<12} {measured:>9} {limit:<10} {check.failure or check.what}"
+                f"  {mark} {check.name:<12} {measured:>9} {check.limit:<10} {check.failure or check.what}"
             )
             if not check.passed:
                 lines.append(f"       {check.reason}")

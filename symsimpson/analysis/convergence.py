@@ -39,13 +39,13 @@ def order_of_errors(s: Subject) -> Iterator[Check]:
     except ConvergenceError:
         s.exact(steps * mpmath.mpf(s.h), error=1.0)  # which says so where h is far too large
         raise
-    exact = _exact(s, ends)
+    exact = _exact(s, steps, ends)
     errors = [s.distance(state, exact) for state in ends]
     seen, _, least = _seen(s, errors, resolved)
     if seen < least:  # errors that change sign between two steps have no order yet
         levels.append(levels[-1] + 1)
         ends.append(end(levels[-1]))
-        exact = _exact(s, ends)
+        exact = _exact(s, steps, ends)
         errors = [s.distance(state, exact) for state in ends]
     # coefficients of few digits leave an error of lower order: larger steps are above it
     while digits is not None and sum(e > resolved for e in errors) < 3 and levels[0] > -3:
@@ -64,10 +64,10 @@ def order_of_errors(s: Subject) -> Iterator[Check]:
     )
 
 
-def _exact(s: Subject, ends: Sequence[Any]) -> Any:
-    """Return the end of the exact motion, by which the errors of these ends are measured."""
+def _exact(s: Subject, steps: int, ends: Sequence[Any]) -> Any:
+    """Return where the exact motion is after some steps, by which these ends are measured."""
     with mpmath.workdps(DIGITS):
-        return s.exact(8 * mpmath.mpf(s.h), error=_least(s, s.distance(ends[-2], ends[-1])))
+        return s.exact(steps * mpmath.mpf(s.h), error=_least(s, s.distance(ends[-2], ends[-1])))
 
 
 def _levels(s: Subject) -> range:

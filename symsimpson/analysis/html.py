@@ -14,14 +14,13 @@ def certificate(result: Any) -> str:
     """Show what was measured, row by row."""
     rows: list[tuple[object, ...]] = [("", "check", "measured", "wanted", "what", "why")]
     for check in result.checks:
-        sign = ">=" if check.bound == "at least" else "<="
         nothing = check.measured != check.measured
         rows.append(
             (
                 coloured("passed" if check.passed else "FAILED", check.passed),
                 check.name,
                 "-" if nothing else f"{check.measured:.3g}",
-                "" if check.exempt else f"{sign} {check.threshold:.{2 if check.passed else 3}g}",
+                check.limit,
                 check.failure or check.what,
                 check.reason,
             )
