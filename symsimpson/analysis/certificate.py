@@ -169,9 +169,8 @@ class Certificate:
         for check in self.checks:
             measured = "-" if check.measured != check.measured else f"{check.measured:.3g}"
             mark = "ok  " if check.passed else "FAIL"
-            lines.append(
-                f"  {mark} {check.name:<12} {measured:>9} {check.limit:<10} {check.failure or check.what}"
-            )
+            told = check.failure or check.what
+            lines.append(f"  {mark} {check.name:<12} {measured:>9} {check.limit:<10} {told}")
             if not check.passed:
                 lines.append(f"       {check.reason}")
         return "\n".join(lines)
