@@ -24,10 +24,8 @@ from symsimpson.codegen.ir import (
     Loop,
     Module,
     Section,
-    SinCos,
     Statement,
     Store,
-    Turn,
 )
 from symsimpson.codegen.library import library_sources
 from symsimpson.codegen.printer import NAMED_CONSTANTS, Printer
@@ -38,7 +36,7 @@ from symsimpson.module.interface import INTERFACE, OPTIONS, SIGNATURE
 
 __all__ = ["emit"]
 
-#: Loads that stand on a line of this width; the compiler takes more of them apart slowly.
+#: Moves that stand on a line of this width; the compiler takes more of them apart slowly.
 ON_A_LINE, WIDTH = 3, 100
 #: Lists of more integers than this are arrays.
 _LONG = 16
@@ -293,36 +291,48 @@ def _kernel(kernel: Kernel, printer: Printer) -> str:
 
 def _statements(statements: Iterable[Statement], printer: Printer, depth: int) -> list[str]:
     lines: list[str] = []
-    loads: list[Load] = []
-    for statement in statements:
-        if isinstance(statement, Load):
-            loads.append(statement)
-            continue
-        lines += _loads(loads, depth)
-        loads = []
-        lines += _statement(statement, printer, depth)
-    lines += _loads(loads, depth)
+    for block, group in groupby(statements, _moved):
+        if block is None:
+            lines += (line for x in group for line in _statement(x, printer, depth))
+        else:
+            lines += _moves([_move(x, printer) for x in group], depth)
     return lines or ["    " * depth + "pass"]
 
 
-def _loads(loads: Iterable[Load], depth: int) -> Iterator[str]:
-    """Write loads, a few of one block on a line."""
-    for _, group in groupby(loads, lambda load: load.row.block):
-        some: list[Load] = []
-        line = ""
-        for load in group:
-            longer = _load([*some, load], depth)
-            if some and (len(some) == ON_A_LINE or len(longer) > WIDTH):
-                yield line
-                some, longer = [], _load([load], depth)
-            some.append(load)
-            line = longer
-        yield line
+def _moved(statement: Statement) -> tuple[type, str] | None:
+    """Return from or to which block a value is moved; None where more is done than that."""
+    match statement:
+        case Load(_, row):
+            return Load, row.block
+        case Store(row, value, None, False) if value.is_symbol:
+            return Store, row.block
+    return None
 
 
-def _load(loads: Sequence[Load], depth: int) -> str:
-    targets = ", ".join(load.target.name for load in loads)
-    return f"{'    ' * depth}{targets} = {', '.join(str(load.row) for load in loads)}"
+def _move(statement: Statement, printer: Printer) -> tuple[str, str]:
+    """Return the target and the source of a value that is moved."""
+    match statement:
+        case Load(target, row):
+            return target.name, str(row)
+        case Store(row, value):
+            return str(row), printer.text(value)
+    raise AssertionError(statement)
+
+
+def _moves(moves: Iterable[tuple[str, str]], depth: int) -> Iterator[str]:
+    """Write values that are moved, a few on a line."""
+    some: list[tuple[str, str]] = []
+    for move in moves:
+        if len(some) == ON_A_LINE or (some and len(_line([*some, move], depth)) > WIDTH):
+            yield _line(some, depth)
+            some = []
+        some.append(move)
+    yield _line(some, depth)
+
+
+def _line(moves: Sequence[tuple[str, str]], depth: int) -> str:
+    targets, sources = zip(*moves, strict=True)
+    return f"{'    ' * depth}{', '.join(targets)} = {', '.join(sources)}"
 
 
 def _statement(statement: Statement, printer: Printer, depth: int) -> list[str]:
@@ -330,22 +340,18 @@ def _statement(statement: Statement, printer: Printer, depth: int) -> list[str]:
     write = printer.text
     match statement:
         case Load():
-            return list(_loads([statement], depth))
+            return list(_moves([_move(statement, printer)], depth))
         case Assign(target, value):
             return folded(f"{pad}{target.name} = ", write(value), pad + "    ", parentheses=True)
-        case SinCos(sine, cosine, angle):
-            return [f"{pad}{sine.name}, {cosine.name} = sincos({write(angle)})"]
-        case Turn(sine, cosine, old_sine, old_cosine, change):
-            named = ", ".join(x.name for x in (old_sine, old_cosine, change))
-            return [f"{pad}{sine.name}, {cosine.name} = turned({named})"]
         case Store(row, value, keep, add):
             if keep is not None:
                 return [f"{pad}{row} = {write(value)} if active != 0 else {keep.name}"]
             head = f"{pad}{row} {'+=' if add else '='} "
             return folded(head, write(value), pad + "    ", parentheses=True)
-        case Call(function, arguments, result):
-            target = f"{result.name} = " if result is not None else ""
-            return [f"{pad}{target}{function}({', '.join(arguments)})"]
+        case Call(function, arguments, results):
+            targets = f"{', '.join(x.name for x in results)} = " if results else ""
+            given = (x if isinstance(x, str) else write(x) for x in arguments)
+            return [f"{pad}{targets}{function}({', '.join(given)})"]
         case Section(title, body):
             return [f"{pad}# {title}", *_statements(body, printer, depth)]
         case Index(target, source):

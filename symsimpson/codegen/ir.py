@@ -22,7 +22,6 @@ __all__ = [
     "Module",
     "Row",
     "Section",
-    "SinCos",
     "Statement",
     "Store",
 ]
@@ -80,32 +79,12 @@ class Assign:
 
 
 @dataclass(frozen=True)
-class SinCos:
-    """``sin, cos = sincos(angle)``."""
-
-    sin: Expression
-    cos: Expression
-    angle: Expression
-
-
-@dataclass(frozen=True)
-class Turn:
-    """``sin, cos = turned(old_sin, old_cos, change)`` of an angle."""
-
-    sin: Expression
-    cos: Expression
-    old_sin: Expression
-    old_cos: Expression
-    change: Expression
-
-
-@dataclass(frozen=True)
 class Call:
-    """A call of a function on one lane of the workspace, of which ``result`` takes the value."""
+    """A call of a function, on one lane of the workspace or of values; ``results`` take values."""
 
     function: str
-    arguments: tuple[str, ...] = ("W", "lane")
-    result: Expression | None = None
+    arguments: tuple[str | Expression, ...] = ("W", "lane")
+    results: tuple[Expression, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -141,9 +120,7 @@ class IfElse:
     second: tuple[Statement, ...]
 
 
-Statement = (
-    Load | Store | Index | Assign | SinCos | Turn | Call | Section | Loop | IfActive | IfElse
-)
+Statement = Load | Store | Index | Assign | Call | Section | Loop | IfActive | IfElse
 
 
 @dataclass(frozen=True)

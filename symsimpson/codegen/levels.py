@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import mpmath
 
 from symsimpson.codegen.emitted_names import NameTable
 from symsimpson.codegen.expression import Expression, Expressions
-from symsimpson.codegen.printer import LARGE
+from symsimpson.codegen.printer import LARGE, count_operations
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import UNIT, Exact
 from symsimpson.graph.read import in_doubles, is_float
@@ -47,19 +48,29 @@ _PREFIX = {
 }
 
 
+#: Operations of functions of values; sines and cosines are counted by themselves.
+_OPERATIONS = {"exact_sum": 6}
+
+
 @dataclass(frozen=True)
 class Definition:
-    """A value, or the sine and cosine of a value, with its level and the section it is in."""
+    """A value, or what a ``function`` of some values gives, with its level and its section."""
 
     targets: tuple[Expression, ...]
-    value: Expression
+    values: tuple[Expression, ...]
     level: Level
     section: str
+    function: str = ""
 
     @property
-    def is_sincos(self) -> bool:
-        """Whether the targets are sine and cosine of the value."""
-        return len(self.targets) == 2
+    def symbols(self) -> list[Expression]:
+        """The symbols that it is made of, in the order of the lines."""
+        return [symbol for value in self.values for symbol in value.symbols]
+
+    @property
+    def operations(self) -> int:
+        """Its operations, without sines and cosines."""
+        return sum(map(count_operations, self.values)) + _OPERATIONS.get(self.function, 0)
 
 
 #: A value that is split, and when it is known.
@@ -78,7 +89,7 @@ class Definitions(Expressions):
         self.constants: dict[Expression, Expression] = {}
         self._known: dict[Expression, Expression] = {}
         self._constant_of: dict[Expression | str, Expression] = {}
-        self._angles: dict[Expression, tuple[Expression, Expression]] = {}
+        self._pairs: dict[tuple[Any, ...], tuple[Expression, Expression]] = {}
 
     def declare(self, name: str, level: Level) -> Expression:
         """Return the symbol of a value that comes from outside."""
@@ -102,13 +113,19 @@ class Definitions(Expressions):
     ) -> tuple[Expression, Expression]:
         """Define the sine and the cosine of an angle."""
         value = self.define(hint if hint.startswith("angle") else f"angle_{hint}", angle, section)
-        if value not in self._angles:
-            level = self.level(value)
-            sine, cosine = (self.fresh(f"{function}_{hint}", level) for function in ("sin", "cos"))
-            definition = Definition((sine, cosine), value, level, section)
-            self.definitions |= {sine: definition, cosine: definition}
-            self._angles[value] = sine, cosine
-        return self._angles[value]
+        return self.define_pair("sincos", (value,), (f"sin_{hint}", f"cos_{hint}"), section)
+
+    def define_pair(
+        self, function: str, values: tuple[Expression, ...], hints: tuple[str, str], section: str
+    ) -> tuple[Expression, Expression]:
+        """Define the two values that a function gives."""
+        if (function, *values) not in self._pairs:
+            level = max(map(self.level, values))
+            first, second = (self.fresh(hint, level) for hint in hints)
+            definition = Definition((first, second), values, level, section, function)
+            self.definitions |= {first: definition, second: definition}
+            self._pairs[function, *values] = first, second
+        return self._pairs[function, *values]
 
     def level(self, expression: Expression) -> Level:
         """Return when an expression is known."""
@@ -210,7 +227,7 @@ class Definitions(Expressions):
             return self._number(self.replaced(value, self.constants))
         if value not in self._known:
             symbol = self.fresh(hint, level)
-            self.definitions[symbol] = Definition((symbol,), value, level, section)
+            self.definitions[symbol] = Definition((symbol,), (value,), level, section)
             self._known[value] = symbol
         return self._known[value]
 

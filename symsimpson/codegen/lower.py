@@ -305,7 +305,7 @@ class Lowering:
             needed.add(symbol)
             definition = self.graph.definitions.get(symbol)
             if definition is not None and definition.level in levels:
-                work.extend(definition.value.symbols)
+                work.extend(definition.symbols)
         return needed
 
     def reached(self, stores: Iterable[Store]) -> list[Expression]:
@@ -342,12 +342,13 @@ class Lowering:
                 work.pop()
                 continue
             definition = self.graph.definitions[last]
-            before = definition.value.symbols  # in the order of the lines
+            before = definition.symbols
             if later := [s for s in before if s not in to and level(s) == Level.STEP]:
                 work += reversed(later)
                 continue
-            value = self.graph.replaced(definition.value, {s: to[s] for s in before if s in to})
-            if definition.is_sincos:
+            (old,) = definition.values
+            value = self.graph.replaced(old, {s: to[s] for s in before if s in to})
+            if definition.function:
                 hint = value.name if value.is_symbol else f"angle_{last.name}_next"
                 pair = self.graph.define_sincos(hint, value, section)
                 to[last] = pair[definition.targets.index(last)]
@@ -363,15 +364,9 @@ class Lowering:
         self, name: str, old: Expression, low: Expression, increment: Expression
     ) -> tuple[Expression, Expression]:
         """Add an increment to a value with its low part: exact sum of two numbers (Knuth)."""
-        section = "compensated sums"
-        define = self.graph.define
-        total = define(f"{name}_step", increment + low, section)
-        new = define(f"{name}_next", old + total, section)
-        taken = define(f"{name}_taken", new - old, section)
-        rest = define(f"{name}_rest", new - taken, section)
-        lost_old = define(f"{name}_lost", old - rest, section)
-        lost_new = define(f"{name}_lost", total - taken, section)
-        return new, define(f"{name}_low_next", lost_old + lost_new, section)
+        section, hints = "compensated sums", (f"{name}_next", f"{name}_low_next")
+        total = self.graph.define(f"{name}_step", increment + low, section)
+        return self.graph.define_pair("exact_sum", (old, total), hints, section)
 
     def _symbols(self, store: Store) -> Iterable[Expression]:
         yield from store.value.symbols

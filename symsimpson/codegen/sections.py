@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from heapq import heappop, heappush
 
-from symsimpson.codegen.ir import Assign, Section, SinCos, Statement
+from symsimpson.codegen.ir import Assign, Call, Section, Statement
 from symsimpson.codegen.levels import Definition
-from symsimpson.codegen.printer import count_operations
 
 __all__ = ["sections"]
 
@@ -18,7 +17,7 @@ def _by_section(definitions: Sequence[Definition]) -> list[Definition]:
     Each stands behind what it is made of. Sections begin in the order of their first definitions.
     """
     maker = {target: n for n, d in enumerate(definitions) for target in d.targets}
-    needs = [{maker[s] for s in d.value.symbols if s in maker} for d in definitions]
+    needs = [{maker[s] for s in d.symbols if s in maker} for d in definitions]
     users: dict[int, list[int]] = {}
     for n, made_of in enumerate(needs):
         for m in made_of:
@@ -58,13 +57,10 @@ def sections(definitions: Sequence[Definition], common: str | None) -> list[Sect
         pairs = 0
         operations = 0
         for definition in members:
-            operations += count_operations(definition.value)
-            if definition.is_sincos:
-                pairs += 1
-                sine, cosine = definition.targets
-                body.append(SinCos(sine, cosine, definition.value))
-            else:
-                body.append(Assign(definition.targets[0], definition.value))
+            function, targets, values = definition.function, definition.targets, definition.values
+            operations += definition.operations
+            pairs += function == "sincos"
+            body.append(Call(function, values, targets) if function else Assign(*targets, *values))
         count = f"{operations} operations" + (f", {pairs} sincos" if pairs else "")
         section_list.append(Section(f"{title}: {count}", tuple(body)))
     return section_list

@@ -35,7 +35,6 @@ from symsimpson.codegen.ir import (
 )
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
-from symsimpson.codegen.printer import count_operations
 from symsimpson.codegen.storage import node_stride
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.turning import Turning
@@ -215,8 +214,7 @@ class StageKernels:
             *((Call("check_turns"),) if self.angles else ()),
         )
         operations = sum(
-            count_operations(low.graph.definitions[s].value)
-            for s in low.reached([*kicks, *closing])
+            low.graph.definitions[s].operations for s in low.reached([*kicks, *closing])
         )
         doc = "One iteration for the velocities and forces at all nodes, which are the lanes."
         return Kernel("iterate", doc, lanes((IfActive(body),))), operations

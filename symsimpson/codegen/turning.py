@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from symsimpson.codegen.expression import Expression
-from symsimpson.codegen.ir import Assign, Load, Row, Section, SinCos, Statement, Store, Turn
+from symsimpson.codegen.ir import Assign, Call, Load, Row, Section, Statement, Store
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
 
@@ -49,11 +49,11 @@ class Turning:
                 yield replace(statement, body=tuple(self._keeping(statement.body)))
                 continue
             yield statement
-            if isinstance(statement, SinCos):
-                values = statement.angle, statement.sin, statement.cos
-                for block, value in zip(_BLOCKS, values, strict=True):
-                    yield Store(self._row(block, self.count), value)
-                self.count += 1
+            match statement:
+                case Call("sincos", (Expression() as angle,), pair):
+                    for block, value in zip(_BLOCKS, (angle, *pair), strict=True):
+                        yield Store(self._row(block, self.count), value)
+                    self.count += 1
 
     def turned(self, body: Iterable[Statement]) -> list[Statement]:
         """Return statements that turn those that were kept, and tell how far."""
@@ -69,13 +69,20 @@ class Turning:
             if isinstance(statement, Section):
                 yield replace(statement, body=tuple(self._turning(statement.body, changes)))
                 continue
-            if not isinstance(statement, SinCos):
-                yield statement
-                continue
-            hints = ("angle_before", "sine_before", "cosine_before", "turn")
-            angle, sine, cosine, change = (self._low.graph.fresh(x, Level.ITERATION) for x in hints)
-            for block, symbol in zip(_BLOCKS, (angle, sine, cosine), strict=True):
-                yield Load(symbol, self._row(block, len(changes)))
-            yield Assign(change, statement.angle - angle)
-            yield Turn(statement.sin, statement.cos, sine, cosine, change)
-            changes.append(change)
+            match statement:
+                case Call("sincos", (Expression() as angle,), pair):
+                    yield from self._turn(angle, pair, changes)
+                case _:
+                    yield statement
+
+    def _turn(
+        self, angle: Expression, pair: tuple[Expression, ...], changes: list[Expression]
+    ) -> Iterator[Statement]:
+        """Turn the sine and the cosine of an angle from those that it had before."""
+        hints = ("angle_before", "sine_before", "cosine_before", "turn")
+        *before, change = (self._low.graph.fresh(hint, Level.ITERATION) for hint in hints)
+        for block, symbol in zip(_BLOCKS, before, strict=True):
+            yield Load(symbol, self._row(block, len(changes)))
+        yield Assign(change, angle - before[0])
+        yield Call("turned", (*before[1:], change), pair)
+        changes.append(change)

@@ -39,13 +39,19 @@ def end_path(W, h, lane):
 
 
 @compiled
+def exact_sum(a, b):
+    """Add two numbers; the second result is what rounding takes from the first (Knuth)."""
+    total = a + b
+    taken = total - a
+    return total, (a - (total - taken)) + (b - taken)
+
+
+@compiled
 def add_exactly(W, row, low, increment, lane):
     """Add to a number; what rounding loses goes to its low part."""
-    old = W[row, lane]
-    new = old + increment
-    taken = new - old
-    W[row, lane] = new
-    W[low, lane] = (old - (new - taken)) + (increment - taken)
+    total, lost = exact_sum(W[row, lane], increment)
+    W[row, lane] = total
+    W[low, lane] = lost
 
 
 @compiled
