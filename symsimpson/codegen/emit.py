@@ -28,7 +28,7 @@ from symsimpson.codegen.ir import (
     Store,
 )
 from symsimpson.codegen.library import library_sources
-from symsimpson.codegen.printer import NAMED_CONSTANTS, Printer
+from symsimpson.codegen.printer import NAMED_CONSTANTS, Printer, count_operations
 from symsimpson.codegen.thresholds import thresholds
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.mechanics.domain import has_real_energy
@@ -304,7 +304,7 @@ def _moved(statement: Statement) -> tuple[type, str] | None:
     match statement:
         case Load(_, row):
             return Load, row.block
-        case Store(row, value, None, False) if value.is_symbol:
+        case Store(row, value, _, False) if not count_operations(value):
             return Store, row.block
     return None
 
@@ -343,9 +343,7 @@ def _statement(statement: Statement, printer: Printer, depth: int) -> list[str]:
             return list(_moves([_move(statement, printer)], depth))
         case Assign(target, value):
             return folded(f"{pad}{target.name} = ", write(value), pad + "    ", parentheses=True)
-        case Store(row, value, keep, add):
-            if keep is not None:
-                return [f"{pad}{row} = {write(value)} if active != 0 else {keep.name}"]
+        case Store(row, value, _, add):
             head = f"{pad}{row} {'+=' if add else '='} "
             return folded(head, write(value), pad + "    ", parentheses=True)
         case Call(function, arguments, results):

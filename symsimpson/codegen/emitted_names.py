@@ -79,7 +79,6 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "UNKNOWNS",
         "NEWTON_UNKNOWNS",
         "POINTS",
-        "active",
         "array",
         "term",
         "max",

@@ -51,14 +51,11 @@ class Load:
 
 @dataclass(frozen=True)
 class Store:
-    """``W[row, lane] = value``, or ``+=`` with ``add``.
-
-    With ``keep``, lanes that are not active get ``keep`` in place of the value.
-    """
+    """``W[row, lane] = value``, or ``+=`` with ``add``; ``moving`` only where a lane is active."""
 
     row: Row
     value: Expression
-    keep: Expression | None = None
+    moving: bool = False
     add: bool = False
 
 

@@ -10,7 +10,7 @@ from typing import Any, Self
 
 from symsimpson.codegen.emitted_names import NameTable
 from symsimpson.codegen.expression import Expression, Number
-from symsimpson.codegen.ir import Load, Row, Section, Statement, Store
+from symsimpson.codegen.ir import IfActive, Load, Row, Section, Statement, Store
 from symsimpson.codegen.levels import Definitions, Level
 from symsimpson.codegen.scheme_numbers import SchemeNumbers
 from symsimpson.codegen.sections import sections
@@ -106,7 +106,6 @@ class Lowering:
         #: h, the place of the node at hand in the step, and whether v there goes with 1/h.
         self.step = self._base(["h_i", "c_i", "moving"], "NODE_STEP", Level.ITERATION)
         self._inputs: dict[int, tuple[Expression, ...]] = {}
-        self.active = self._base(["active"], "ACTIVE", Level.RUN)[0]
         symbols = [self.graph.declare(name, Level.RUN) for name in self.names.parameters]
         #: By the names of plain symbols.
         self.parameters = {
@@ -188,7 +187,7 @@ class Lowering:
     ) -> tuple[Expression, ...]:
         symbols = []
         for i, hint in enumerate(hints):
-            known = block in ("POSITION", "ACTIVE")  # these names are already given out
+            known = block == "POSITION"  # these names are already given out
             symbol = self.graph.declare(hint if known else self.names.fresh(hint), level)
             self.rows[symbol] = Row(block, first + i)
             symbols.append(symbol)
@@ -277,7 +276,7 @@ class Lowering:
         return (
             *((Section("known before", reads),) if reads else ()),
             *sections(list(dict.fromkeys(defined)), title),
-            *((Section("results", stores),) if stores else ()),
+            *((Section("results", _results(stores)),) if stores else ()),
         )
 
     def keep(self, stores: Iterable[Store], computed: Iterable[Level]) -> list[Expression]:
@@ -297,7 +296,7 @@ class Lowering:
     def _needed(self, stores: Iterable[Store], levels: set[Level]) -> set[Expression]:
         """Collect what stores need, through definitions of these levels."""
         needed: set[Expression] = set()
-        work = [s for store in stores for s in self._symbols(store)]
+        work = [s for store in stores for s in store.value.symbols]
         while work:
             symbol = work.pop()
             if symbol in needed:
@@ -368,8 +367,9 @@ class Lowering:
         total = self.graph.define(f"{name}_step", increment + low, section)
         return self.graph.define_pair("exact_sum", (old, total), hints, section)
 
-    def _symbols(self, store: Store) -> Iterable[Expression]:
-        yield from store.value.symbols
-        if store.keep is not None:
-            yield store.keep
-            yield self.active
+
+def _results(stores: Sequence[Store]) -> tuple[Statement, ...]:
+    """Put stores in active lanes behind those in all of them."""
+    moving = tuple(replace(store, moving=False) for store in stores if store.moving)
+    others = tuple(store for store in stores if not store.moving)
+    return (*others, *((IfActive(moving),) if moving else ()))

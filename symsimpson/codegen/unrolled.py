@@ -136,11 +136,11 @@ def _newton(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
             old = low.impulses[m - degree - 1][a]
             new = define(f"{old.name}_new", old + change, "update")
             row = Row("INCREMENT", low.equations.unknowns.place(m, a))
-            stores.append(Store(row, new, keep=old))
+            stores.append(Store(row, new, moving=True))
             continue
         old = low.increments[m - 1][a]
         new = define(f"{names[a]}_X{m}_new", old + change, "update")
-        stores.append(Store(Row("INCREMENT", low.equations.unknowns.place(m, a)), new, keep=old))
+        stores.append(Store(Row("INCREMENT", low.equations.unknowns.place(m, a)), new, moving=True))
         squares.append(low.mass_diagonal[a] * change**2)
         sizes.append(low.mass_diagonal[a] * new**2)
     for block, terms in (("CORRECTION_SQUARED", squares), ("INCREMENT_SQUARED", sizes)):
@@ -189,20 +189,16 @@ def _advance(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
     for block, sizes in checks.items():
         value = low.graph.define(block.lower(), low.graph.total(sizes), "predictor")
         stores.append(Store(Row(block, 0), value))
-    for block, old, values in (
-        ("POSITION", low.q, {a: new for a, (new, _) in q.items()}),
-        ("POSITION_LOW", low.q_low, {a: rest for a, (_, rest) in q.items()}),
-        ("MOMENTUM", low.p, {a: new for a, (new, _) in p.items()}),
-        ("MOMENTUM_LOW", low.p_low, {a: rest for a, (_, rest) in p.items()}),
-    ):
-        stores += [Store(Row(block, a), values[a], keep=old[a]) for a in sorted(values)]
+    for block, values in (("POSITION", q), ("MOMENTUM", p)):
+        for name, k in ((block, 0), (f"{block}_LOW", 1)):
+            stores += [Store(Row(name, a), values[a][k], moving=True) for a in sorted(values)]
     low.keep(stores, (Level.ITERATION,))
     to = dict(zip((*low.q, *low.p), (*end.q, *momentum), strict=True))
     to |= {low.mass_diagonal[a]: value for a, value in masses.items()}
     for symbol, row in low.hoisted_at(Level.STEP):
         following = low.moved(symbol, to)
         if following != symbol:  # it is made of constant momenta alone
-            stores.append(Store(row, following, keep=symbol))
+            stores.append(Store(row, following, moving=True))
     closed = low.statements(stores, (Level.ITERATION,))
     if iterated:
         doc = "Close a step: p1 and q1 by compensated sums, then predict the next increments."
@@ -242,14 +238,14 @@ def _predicted(
         for m, a in increments(solvers)
     ]
     stores = []
-    for block, kept in (("INCREMENT", low.increments), ("PREDICTED", low.predicted)):
+    for block in ("INCREMENT", "PREDICTED"):
         for m, a in every:
             row = Row(block, eqs.unknowns.place(m, a))
-            stores.append(Store(row, following[m, a], keep=kept[m - 1][a]))
+            stores.append(Store(row, following[m, a], moving=True))
     for k, a in (unknown for solver in solvers for unknown in solver.multipliers):  # as they were
         row = Row("PREDICTED", eqs.unknowns.place(k, a))
         stores.append(Store(row, low.impulses[k - d - 1][a]))
-    stores += [Store(Row("MASS_DIAGONAL", a), masses[a], keep=low.mass_diagonal[a]) for a in masses]
+    stores += [Store(Row("MASS_DIAGONAL", a), masses[a], moving=True) for a in masses]
     measured = {"velocity_jump_squared": jump, "prediction_error_squared": error}
     for name, terms in measured.items():
         stores.append(Store(Row(name.upper(), 0), define(name, total(terms), section)))

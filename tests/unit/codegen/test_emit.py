@@ -1,10 +1,11 @@
 """How emitted lines look."""
 
 import symsimpson as ss
-from symsimpson.codegen.emit import WIDTH, _loads
+from symsimpson.codegen.emit import WIDTH, _statements
 from symsimpson.codegen.expression import Expressions
-from symsimpson.codegen.ir import Load, Row
+from symsimpson.codegen.ir import Load, Row, Store
 from symsimpson.codegen.pipeline import source
+from symsimpson.codegen.printer import Printer
 
 NAMES = Expressions()
 
@@ -16,7 +17,7 @@ def load(name, block, index):
 def test_loads_of_one_block_share_lines():
     loads = [load(f"x{k}", "POSITION", k) for k in range(4)]
     loads += [load("p", "MOMENTUM", 0), load("far", "POSITION", 9)]
-    assert list(_loads(loads, 1)) == [
+    assert _statements(loads, Printer(), 1) == [
         "    x0, x1, x2 = W[POSITION, lane], W[POSITION + 1, lane], W[POSITION + 2, lane]",
         "    x3 = W[POSITION + 3, lane]",
         "    p = W[MOMENTUM, lane]",
@@ -24,9 +25,22 @@ def test_loads_of_one_block_share_lines():
     ]
 
 
+def test_results_of_one_block_share_lines_and_what_is_computed_stands_alone():
+    a, b = NAMES.named("a"), NAMES.named("b")
+    values = [a, b, -a, a + b]
+    stores = [Store(Row("POSITION", k), value) for k, value in enumerate(values)]
+    stores += [Store(Row("MOMENTUM", 0), a), Store(Row("MOMENTUM", 1), b, add=True)]
+    assert _statements(stores, Printer(), 1) == [
+        "    W[POSITION, lane], W[POSITION + 1, lane], W[POSITION + 2, lane] = a, b, -a",
+        "    W[POSITION + 3, lane] = a + b",
+        "    W[MOMENTUM, lane] = a",
+        "    W[MOMENTUM + 1, lane] += b",
+    ]
+
+
 def test_long_names_stand_alone():
     loads = [load(f"a_long_name_of_a_coordinate_{k}", "NODE_POSITION", k) for k in range(4)]
-    lines = list(_loads(loads, 2))
+    lines = _statements(loads, Printer(), 2)
     assert len(lines) == 4
     assert max(map(len, lines)) <= WIDTH
 
