@@ -19,151 +19,25 @@ from symsimpson.module.workspace_layout import BLOCKS
 
 __all__ = ["NameTable"]
 
-#: What an emitted module defines or imports; no symbol may take these names.
-RESERVED = frozenset(BLOCKS) | frozenset(
-    [
-        "math",
-        "numpy",
-        "np",
-        "numba",
-        "carray",
-        "cfunc",
-        "njit",
-        "real",
-        "pi",
-        "sincos",
-        "compiled",
-        "W",
-        "h",
-        "t",
-        "workspace",
-        "lane",
-        "step",
-        "int",
-        "node",
-        "KICKS",
-        "DRIFTS",
-        "STRAIGHT",
-        "STRIDE",
-        "MANY",
-        "FRESH",
-        "TURN",
-        "LOST",
-        "ROUNDING",
-        "smooth",
-        "DIGITS",
-        "STAGE_TABLE",
-        "REACHED_BY_MOVES",
-        "sum",
-        "len",
-        "zip",
-        "tuple",
-        "LANES",
-        "ROWS",
-        "OPTIONS",
-        "SIGNATURE",
-        "INTERFACE",
-        "FACTS",
-        "INFINITE",
-        "NEGLIGIBLE",
-        "QUADRATIC",
-        "STAGNATION",
-        "ROUNDED",
-        "MOST_CORRECTIONS",
-        "FAR",
-        "UNRESOLVED",
-        "LARGE_CHANGE",
-        "DEGREE",
-        "NODES",
-        "DIMENSION",
-        "UNKNOWNS",
-        "NEWTON_UNKNOWNS",
-        "POINTS",
-        "array",
-        "term",
-        "max",
-        "min",
-        "abs",
-        "range",
-        "VARIED",
-        "VARIED_FROM",
-        "HESSIAN_SIZE",
-        "CURVATURE_ROW",
-        "CURVATURE_COLUMN",
-        "POINT_ROW",
-        "POINT_COLUMN",
-        "variation",
-        "TANGENT_UNKNOWNS",
-        "TANGENT_LOWER",
-        "TANGENT_UPPER",
-        "TANGENT_STRIDE",
-        "TANGENT_OFFSET",
-        "F_A_FROM",
-        "F_A_PLACE",
-        "P_A_FROM",
-        "P_A_PLACE",
-        "CONSTRAINTS",
-        "INPUTS",
-        "INPUT_STRIDE",
-        "EULER_GAMMA",
-        "CATALAN",
-        "erf",
-        "erfc",
-        "ROW_ORDER",
-        "COLUMN_ORDER",
-        "WEIGHTS",
-        "BASIS",
-        "BASIS_SLOPE",
-        "EXTRAPOLATION",
-        "END_SLOPE",
-        "START_SLOPE",
-        "sin",
-        "cos",
-        "tan",
-        "asin",
-        "acos",
-        "atan",
-        "atan2",
-        "sinh",
-        "cosh",
-        "tanh",
-        "asinh",
-        "acosh",
-        "atanh",
-        "exp",
-        "log",
-        "sqrt",
-    ]
-)
-
-
-#: Functions that loops over nodes call.
-NODE_FUNCTIONS = frozenset(
-    [
-        "jet",
-        "forces",
-        "gradient",
-        "mass",
-        "gyroscopic",
-        "potential",
-        "constraint_slopes",
-        "constrain",
-        "constraint_values",
-        "pushes",
-        "parameter_slopes",
-        "cost_slopes",
-        "node_curvature",
-        "point_curvature",
-        "constraint_parameter_slopes",
-        "time_rate",
-    ]
-)
+#: What a module imports, names in its kernels, and defines beside what its library knows of: words,
+#: constants, and functions that loops over nodes call. No symbol takes one of these names.
+OWN = """
+    math numpy np numba carray cfunc njit array real int sum len zip tuple max min abs range pi
+    sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh exp log sqrt erf erfc sincos
+    compiled W h t workspace lane step node smooth term variation
+    SIGNATURE INTERFACE OPTIONS FACTS ROWS NEWTON_UNKNOWNS STRAIGHT FRESH EULER_GAMMA CATALAN
+    jet forces gradient mass gyroscopic potential pushes parameter_slopes cost_slopes time_rate
+    constrain constraint_slopes constraint_values constraint_parameter_slopes
+    node_curvature point_curvature
+"""
 
 
 @cache
-def library_names() -> frozenset[str]:
-    """Return the names of functions of the module."""
-    return NODE_FUNCTIONS | frozenset(KERNELS) | frozenset(library_sources())
+def reserved() -> frozenset[str]:
+    """Return the names that mean something in a module."""
+    sources = library_sources()
+    constants = re.findall(r"\b[A-Z][A-Z_0-9]+\b", "\n".join(sources.values()))
+    return frozenset([*OWN.split(), *KERNELS, *sources, *BLOCKS, *constants])
 
 
 def _written_out(name: str) -> str:
@@ -221,8 +95,7 @@ class NameTable:
             keyword.iskeyword(plain)
             or keyword.issoftkeyword(plain)
             or hasattr(builtins, plain)
-            or plain in RESERVED
-            or plain in library_names()
+            or plain in reserved()
         ):
             plain += "_"
         if re.fullmatch(r"[A-Z][A-Z_0-9]*_[A-Z_0-9]*", plain):
@@ -232,7 +105,7 @@ class NameTable:
     def fresh(self, hint: str) -> str:
         """Return the name that is hinted at, or that and a number."""
         name, count = hint, 1
-        while name in self._taken or name in RESERVED or name in library_names():
+        while name in self._taken or name in reserved():
             count += 1
             name = f"{hint}_{count}"
         self._taken.add(name)
