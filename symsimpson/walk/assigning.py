@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import ast
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from itertools import chain
 from typing import Any
 
 from llvmlite import ir
@@ -17,6 +18,7 @@ from symsimpson.walk.arrays import Array
 from symsimpson.walk.called import Functions
 from symsimpson.walk.control_flow import Slot
 from symsimpson.walk.expressions import Env, Product
+from symsimpson.walk.side_by_side import Item, in_order
 from symsimpson.walk.trees import assigned
 from symsimpson.walk.values import Refused, known
 
@@ -68,6 +70,37 @@ class Assigning(Functions):
 
     def _at(self, target: Any, place: Any, env: Env) -> Any:
         return self._named(target.id, env) if place is None else self._read(place)
+
+    def _in_order(self, body: Sequence[ast.stmt]) -> Iterable[Item]:
+        """Go over statements; single numbers have an order in which calls stand together."""
+        if self._width or not body:
+            return ((k, (statement,)) for k, statement in enumerate(body))
+        if body[0] not in self._orders:
+            self._orders[body[0]] = in_order(body, self._text)
+        return self._orders[body[0]]
+
+    def _together(self, statements: Sequence[ast.stmt], env: Env) -> bool:
+        """Walk calls of a function with single numbers as a call with vectors."""
+        values, lanes = self._values, len(statements)
+        pairs = [(x.targets[0], x.value) for x in statements if isinstance(x, ast.Assign)]
+        calls = [call for _, call in pairs if isinstance(call, ast.Call)]
+        given = [[self._value(x, env) for x in call.args] for call in calls]
+        name = ast.unparse(calls[0].func)
+        if name in self._apart or any(map(known, chain(*given))):
+            results = [self._called(name, arguments) for arguments in given]
+        else:
+            given += given[:1] * (lanes % 2)  # no vector has an odd number of lanes
+            columns = zip(*given, strict=True)
+            vectors = [values.joined([*map(values.real, column)]) for column in columns]
+            self._width = len(given)
+            result = self._inside(self._text.functions[name], vectors)
+            self._width = 0
+            parts = result if isinstance(result, list) else [result]
+            own = [[values.element(part, lane) for part in parts] for lane in range(lanes)]
+            results = own if isinstance(result, list) else [x for (x,) in own]
+        for (target, _), value in zip(pairs, results, strict=True):
+            self._assign(target, value, env)
+        return False
 
     def _put(self, target: Any, place: Any, value: Any, env: Env) -> None:
         if place is not None:

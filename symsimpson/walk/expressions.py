@@ -15,6 +15,7 @@ import numpy as np
 from symsimpson.walk.arrays import Array, Range
 from symsimpson.walk.calls import Calls
 from symsimpson.walk.control_flow import Loop, Slot
+from symsimpson.walk.side_by_side import Item
 from symsimpson.walk.text import Text
 from symsimpson.walk.trees import must_wait, used_once
 from symsimpson.walk.values import PrivateRow, Refused, known
@@ -96,6 +97,8 @@ class Expressions(ABC):
         self._names: dict[ast.AST, frozenset[str]] = {}
         #: Of each block, by its first statement: the scratch that is named from each one on.
         self._behind: dict[ast.AST, list[frozenset[str]]] = {}
+        #: The statements of each block in an order in which some are done at once.
+        self._orders: dict[ast.AST, list[Item]] = {}
 
     @abstractmethod
     def _called(self, name: str, arguments: list[Any]) -> Any:

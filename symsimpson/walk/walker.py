@@ -125,9 +125,9 @@ class Walker(Assigning):
 
     def _block(self, body: Sequence[ast.stmt], env: Env) -> bool:
         """Walk statements; returns whether the function was left."""
-        for k, statement in enumerate(body):
+        for k, statements in self._in_order(body):
             self._ahead.append(self._ahead_of(body, k))
-            left = self._statement(statement, env)
+            left = self._statement(statements[0], env, statements[1:])
             self._ahead.pop()
             if left:
                 return True
@@ -141,9 +141,10 @@ class Walker(Assigning):
         self._ahead[-1] = here
         return left
 
-    def _statement(self, node: ast.stmt, env: Env) -> bool:
+    def _statement(self, node: ast.stmt, env: Env, beside: Sequence[ast.stmt] = ()) -> bool:
+        """Walk a statement, and others that stand beside it; returns whether they left."""
         try:
-            return self._do(node, env)
+            return self._together([node, *beside], env) if beside else self._do(node, env)
         except Refused as refused:
             refused.function = refused.function or self._frames[-1].name
             if self._width or self._alone:

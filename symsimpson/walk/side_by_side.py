@@ -1,0 +1,127 @@
+"""Calls of one function that need nothing of each other: they are one vector.
+
+The sines and cosines of all angles at the nodes are most of a step of one trajectory, and what the
+angles are made of can be computed before the first of them.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator, Sequence
+
+from symsimpson.walk.text import Text
+from symsimpson.walk.trees import assigned, straight, weight
+
+__all__ = ["in_order"]
+
+#: As many calls are one vector; functions of fewer operations are not worth it.
+MOST, LEAST = 4, 20
+#: What an expression is made of that may be computed earlier than where it stands.
+_PLAIN = (
+    *(ast.Name, ast.Constant, ast.BinOp, ast.UnaryOp),
+    *(ast.operator, ast.unaryop, ast.expr_context),
+)
+#: Statements at a place of a block; several are calls that are one vector.
+Item = tuple[int, tuple[ast.stmt, ...]]
+
+
+def in_order(body: Sequence[ast.stmt], text: Text) -> list[Item]:
+    """Return the statements of a block in an order in which calls of one function stand together.
+
+    What their arguments are made of is moved before them; all other statements keep their order.
+    """
+    return list(_Order(body, text).items())
+
+
+class _Order:
+    """The statements of a block, with what each of them reads and sets."""
+
+    def __init__(self, body: Sequence[ast.stmt], text: Text) -> None:
+        self.body = body
+        self.calls = {k: name for k, node in enumerate(body) if (name := _called(node, text))}
+        self.done: set[int] = set()
+        if len(self.calls) < 2:
+            return
+        self.reads = [_read(node) for node in body]
+        self.setters: dict[str, list[int]] = {}
+        self.first_read: dict[str, int] = {}
+        for k, node in enumerate(body):
+            for name in assigned([node]):
+                self.setters.setdefault(name, []).append(k)
+            for name in self.reads[k]:
+                self.first_read.setdefault(name, k)
+
+    def items(self) -> Iterator[Item]:
+        """Go through all statements."""
+        for k, node in enumerate(self.body):
+            if k in self.done:
+                continue
+            together = [k]
+            for call in self._alike(k):
+                before = self._before(call, k)
+                if before is not None and len(together) < MOST:
+                    yield from ((k, (self.body[n],)) for n in before)
+                    self.done.update(before)
+                    together.append(call)
+            self.done.update(together)
+            yield k, (node, *(self.body[n] for n in together[1:]))
+
+    def _alike(self, k: int) -> list[int]:
+        """Return later calls of the function that is called at a place, if one is."""
+        name = self.calls.get(k)
+        return [n for n, other in self.calls.items() if n > k and other == name]
+
+    def _before(self, call: int, k: int) -> list[int] | None:
+        """Return the statements that a call must stand behind if it moves to place k, if it can."""
+        if call in self.done:
+            return None
+        found: set[int] = set()
+        work = [call]
+        while work:
+            n = work.pop()
+            if not self._may_move(n):
+                return None
+            for name in self.reads[n]:
+                later = {m for m in self.setters.get(name, ()) if m >= k} - self.done - found
+                if later & self.calls.keys():
+                    return None
+                found |= later
+                work += later
+        return sorted(found)
+
+    def _may_move(self, n: int) -> bool:
+        """Return whether a statement gives names their only values, before anybody reads them."""
+        names, node = assigned([self.body[n]]), self.body[n]
+        if not all(self.setters[x] == [n] and self.first_read.get(x, n + 1) > n for x in names):
+            return False
+        match node:
+            case ast.Assign(targets=[ast.Name()], value=value) if _plain(value):
+                return True
+        return n in self.calls
+
+
+def _called(node: ast.stmt, text: Text) -> str:
+    """Return the function that a statement calls with plain numbers, if it is worth a vector."""
+    match node:
+        case ast.Assign(
+            targets=[ast.Name() | ast.Tuple() as target],
+            value=ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]),
+        ) if name in text.functions:
+            named = all(isinstance(x, ast.Name) for x in getattr(target, "elts", ()))
+            function = text.functions[name]
+            if named and arguments and all(map(_plain, arguments)) and straight(function):
+                heavy = sum(weight(statement, text) for statement in function.body) >= LEAST
+                return name if heavy else ""
+    return ""
+
+
+def _plain(value: ast.expr) -> bool:
+    """Return whether an expression is arithmetic on names and numbers."""
+    return all(isinstance(part, _PLAIN) for part in ast.walk(value))
+
+
+def _read(node: ast.stmt) -> frozenset[str]:
+    """Return the names that a statement reads, or changes."""
+    names = (part for part in ast.walk(node) if isinstance(part, ast.Name))
+    changed = assigned([node]) if isinstance(node, ast.AugAssign) else frozenset()
+    return changed.union(part.id for part in names if isinstance(part.ctx, ast.Load))
