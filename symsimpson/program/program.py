@@ -99,6 +99,11 @@ class Findings:
     wide: dict[int, KernelSets] = field(default_factory=dict)
     events: dict[Any, Any] = field(default_factory=dict)
 
+    def regular_between(self, values: Reals, low: Reals, high: Reals) -> bool:
+        """Return whether positions are known to be in a box without singular points."""
+        box = self.regular.get(values.tobytes())
+        return box is not None and bool((box[0] <= low).all() and (high <= box[1]).all())
+
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Program:

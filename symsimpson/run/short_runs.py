@@ -40,7 +40,7 @@ __all__ = ["MOST_ROWS", "brief_run"]
 
 #: Steps times rows of the workspace: so much is over before anybody presses Ctrl-C; and so much
 #: where the number of steps is not known before.
-MOST_ROWS, MOST_TO_END = 2**18, 2**22
+MOST_ROWS, MOST_TO_END = 2**21, 2**22
 DONE = Status.SUCCESS.message
 #: Numbers that need no reading.
 PLAIN, DOUBLE = frozenset({int, float}), np.dtype(np.float64)
@@ -214,10 +214,14 @@ def _of_steps(
     few = count_looked_at(program, last)
     if few and not program.header.conservative:  # an energy that changes needs another judge
         return None
+    watched = every == 1 and few and program.tools is not None and program.declared is not None
+    findings, values = program.findings, asked.values
+    if watched and values.tobytes() not in findings.regular:
+        return None
     (Q, P), counts = stored = room(last, n) if every else runner.sampled
     end = np.empty((4, n))
     count = runner.run(asked, (h, t0, steps), stride, few, stored, end)
-    if count < 0 or (every == 1 and few and not _known_regular(program, asked, end)):
+    if count < 0 or (watched and not findings.regular_between(values, end[2], end[3])):
         return None
     begun = None
     if every:
@@ -228,14 +232,6 @@ def _of_steps(
         begun = t0, stored[0][:, 0, :, 0].copy()
         Q, P = end[:1], end[1:2]
     return _trajectory(program, asked, (t, Q, P, iterations), h, steps, None, begun)
-
-
-def _known_regular(program: Program, asked: BriefRequest, end: Floats) -> bool:
-    """Return whether a run is known to stay in a box without coordinate singularities."""
-    if program.tools is None or program.declared is None:
-        return True
-    box = program.findings.regular.get(asked.values.tobytes())
-    return box is not None and bool((box[0] <= end[2]).all() and (end[3] <= box[1]).all())
 
 
 def _to_end(

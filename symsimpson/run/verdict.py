@@ -77,7 +77,8 @@ def _unresolved(
     """Return what was not resolved, in words, or nothing."""
     tools, system, h = program.tools, program.declared, float(run.h)
     plain = run.W.dtype == np.float64 and not run.header.retimed
-    if tools is not None and system is not None and trajectory.every == 1 and plain:
+    unknown = plain and trajectory.every == 1 and not _stays_regular(program, trajectory)
+    if tools is not None and system is not None and unknown:
         passed = tools.unresolved_pole(program, system, trajectory)
         if passed is not None and not passed[2]:
             return (
@@ -127,6 +128,13 @@ def _unresolved(
         f"unreliable{but}.\n"
         "Take a smaller h, or a scheme of higher order."
     )
+
+
+def _stays_regular(program: Program, trajectory: Trajectory) -> bool:
+    """Return whether a run is known to stay where coordinates have no singular points or kinks."""
+    values, q = trajectory.parameter_values, trajectory.q
+    fixed = program.header.autonomous and not program.inputs
+    return fixed and program.findings.regular_between(values, q.min(axis=0), q.max(axis=0))
 
 
 def _remember_box(program: Program, trajectory: Trajectory) -> None:

@@ -7,6 +7,7 @@ import pytest
 from support.cases import sweep
 
 import symsimpson as ss
+from symsimpson.analysis.stability import passages
 from symsimpson.run import short_runs
 
 KINDS = [
@@ -199,3 +200,39 @@ def test_what_a_long_run_refuses_a_short_one_does_not_take(taken):
     stepper.integrate(**start, steps=4)
     with pytest.raises(ss.InputError, match="every is"):
         stepper.integrate(**start, steps=4, every=2**60)
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """Count short runs that begin, and states that are searched for singular points."""
+    found = {"begun": 0, "searched": 0}
+
+    def counted(name, function):
+        def call(*arguments):
+            found[name] += 1
+            return function(*arguments)
+
+        return call
+
+    for name, place, attribute in (
+        ("begun", short_runs.BriefRunner, "run"),
+        ("searched", passages, "unresolved_pole"),
+    ):
+        monkeypatch.setattr(place, attribute, counted(name, getattr(place, attribute)))
+    return found
+
+
+def test_states_are_searched_for_singular_points_until_none_are_known_to_be_there(calls):
+    stepper = ss.compile(ss.systems.double_pendulum())
+    asked = {"v0": [0.0, 0.0], "h": 0.01, "progress": False}
+    for q1, steps, searched in ((1.0, 40, 1), (1.0, 40, 1), (1.0, 20, 1), (1.2, 40, 2)):
+        stepper.integrate([q1, 1.5], steps=steps, **asked)
+        assert calls["searched"] == searched
+
+
+def test_where_singular_points_may_be_no_run_is_taken_twice(calls):
+    system = ss.systems.spherical_pendulum()
+    stepper = ss.compile(system)
+    for _ in range(5):  # along a meridian, through the lowest point
+        stepper.integrate([0.5, 0.0], v0=[0.0, 0.0], h=0.01, steps=100)
+    assert calls == {"begun": 0, "searched": 5}
