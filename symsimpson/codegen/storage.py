@@ -114,5 +114,6 @@ class Storage:
 
 def node_stride(scheme: Scheme) -> int:
     """Return the rows of a value that all nodes have: more than nodes where these are lanes."""
-    full = -(-scheme.stages // REGISTER) * REGISTER
+    register = REGISTER // 2 if scheme.stages <= REGISTER // 2 else REGISTER
+    full = -(-scheme.stages // register) * register
     return full if scheme.by_stages else scheme.stages
