@@ -19,6 +19,7 @@ from symsimpson.bench.programs import in_heyoka
 from symsimpson.bench.timing import alternate
 from symsimpson.ensemble.lanes import run_blocks
 from symsimpson.ensemble.members import read_task
+from symsimpson.ensemble.trial import with_fastest_lanes
 from symsimpson.program.machine import available_threads, lanes_for
 from symsimpson.reference import canonical
 from symsimpson.stepping.request import Request
@@ -51,7 +52,7 @@ def report(members: int = MEMBERS) -> Iterator[str]:
         program = ss.compile(system, scheme).program
         request = Request(angles, p0=[0, 0], h=T_END / steps, steps=steps)
         task = read_task(program, request, threads, False, on_disk=False)
-        task = replace(task, lanes=lanes or task.lanes)
+        task = replace(task, lanes=lanes) if lanes else with_fastest_lanes(program, task)
         return lambda: run_blocks(program, task, lambda done: None)[0].q
 
     yield f"{members} double pendulums, 500 Simpson steps of h = 0.02"

@@ -14,6 +14,7 @@ from symsimpson.ensemble.lanes import run_blocks
 from symsimpson.ensemble.members import read_task
 from symsimpson.ensemble.store import open_store, run_missing
 from symsimpson.ensemble.task import Task
+from symsimpson.ensemble.trial import with_fastest_lanes
 from symsimpson.errors import InputError, Interrupted
 from symsimpson.program.observed import read_reductions
 from symsimpson.program.program import Program
@@ -49,6 +50,7 @@ def run_ensemble(
     program = _telling(program, request, store)
     task = read_task(program, request, threads, progress, on_disk=store is not None)
     look_at_steps(program, task)
+    task = with_fastest_lanes(program, task) if client is None else task
     ensemble, stopped = _run(program, task, store, client)
     if not stopped and task.run_events is None:  # else energies change with what events do
         look_at_ends(program, task, ensemble)

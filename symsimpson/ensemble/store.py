@@ -10,10 +10,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -22,6 +21,7 @@ import numpy as np
 from symsimpson.ensemble.ensemble import Ensemble, names_in_dataset
 from symsimpson.ensemble.lanes import run_blocks
 from symsimpson.ensemble.task import Results, Task, ensemble_of
+from symsimpson.ensemble.trial import seconds_of_member
 from symsimpson.errors import InputError, StorageError, SymsimpsonError
 from symsimpson.module.header import digest
 from symsimpson.program.program import Program
@@ -36,8 +36,6 @@ __all__ = ["Store", "members_of", "open_store", "run_missing", "said", "write_ch
 #: Seconds of one thread's work in a chunk, and bytes of states that it has at most.
 CHUNK_SECONDS = 0.5
 CHUNK_BYTES = 2**26
-#: Steps of the trial that tells how long a step takes.
-TRIAL_STEPS = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,25 +227,10 @@ def _create(place: str, program: Program, task: Task, asked: dict[str, Any]) -> 
 
 def _chunk(program: Program, task: Task) -> int:
     """Choose how many members a chunk has."""
-    lanes = task.lanes
-    enough = int(CHUNK_SECONDS * task.threads / _seconds(program, task)) // lanes * lanes
+    lanes, seconds = task.lanes, seconds_of_member(program, task)
+    enough = int(CHUNK_SECONDS * task.threads / seconds) // lanes * lanes
     room = CHUNK_BYTES // (16 * task.stored * program.n)
     return max(1, min(max(enough, lanes), room, task.members))
-
-
-def _seconds(program: Program, task: Task) -> float:
-    """Estimate the time of one member, by a trial with a block of them."""
-    some = np.linspace(0, task.members - 1, task.lanes).astype(np.int64)
-    trial = replace(
-        task.part(some), steps=min(task.steps, TRIAL_STEPS), every=0, threads=1, reductions=()
-    )
-    seconds = []
-    for _ in range(2):  # the first compiles
-        begin = time.perf_counter()
-        run_blocks(program, trial, lambda done: None)
-        seconds.append(time.perf_counter() - begin)
-    blocks = task.steps / trial.steps if trial.steps else 1.0  # as many as would take its time
-    return max(seconds[1], 1e-9) * blocks / task.lanes
 
 
 def run_missing(store: Store) -> bool:

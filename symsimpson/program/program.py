@@ -88,6 +88,8 @@ class Findings:
         By numbers of lanes: kernels for so many trajectories at a time.
     events : dict
         Events of runs, as they were read.
+    lanes : dict
+        By lanes that stand side by side: how many members of an ensemble are faster.
     """
 
     variants: dict[tuple[tuple[str, ...], Any, bool], Program] = field(default_factory=dict)
@@ -98,6 +100,7 @@ class Findings:
     long: set[tuple[float, float]] = field(default_factory=set)
     wide: dict[int, KernelSets] = field(default_factory=dict)
     events: dict[Any, Any] = field(default_factory=dict)
+    lanes: dict[int, int] = field(default_factory=dict)
 
     def regular_between(self, values: Reals, low: Reals, high: Reals) -> bool:
         """Return whether positions are known to be in a box without singular points."""

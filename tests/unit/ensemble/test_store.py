@@ -218,11 +218,11 @@ def test_chunks_are_worth_their_trouble(stepper, monkeypatch):
     program, states = stepper.program, np.zeros((3 * 10**6, 2))
     asked = Request(states, p0=[0, 0], h=0.02, steps=500)
     task = read_task(program, asked, 1, False, on_disk=True)
-    assert module._seconds(program, task) > 0
-    monkeypatch.setattr(module, "_seconds", lambda *_: 0.1)
+    assert module.seconds_of_member(program, task) > 0
+    monkeypatch.setattr(module, "seconds_of_member", lambda *_: 0.1)
     assert module._chunk(program, task) == task.lanes
     assert module._chunk(program, replace(task, threads=16)) == 80
-    monkeypatch.setattr(module, "_seconds", lambda *_: 1e-9)
+    monkeypatch.setattr(module, "seconds_of_member", lambda *_: 1e-9)
     assert module._chunk(program, task) == 2**26 // 32
     assert module._chunk(program, task.part(slice(10))) == 10
     large = replace(task, every=1, steps=10**5)
