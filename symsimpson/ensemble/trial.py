@@ -16,7 +16,7 @@ __all__ = ["seconds_of_member", "with_fastest_lanes"]
 #: A trial takes no more steps.
 TRIAL_STEPS = 2000
 #: Tasks of fewer steps of members are over before a trial pays.
-WORTH_IT = 500_000
+WORTH_IT = 200_000
 #: One by one must take so much less time, so that noise does not choose.
 CLEARLY = 0.9
 #: Members of a trial, and rounds of it.
