@@ -218,13 +218,14 @@ def _of_steps(
     findings, values = program.findings, asked.values
     if watched and values.tobytes() not in findings.regular:
         return None
-    (Q, P), counts = stored = room(last, n) if every else runner.sampled
+    stored = room(last, n) if every else runner.sampled
     end = np.empty((4, n))
     count = runner.run(asked, (h, t0, steps), stride, few, stored, end)
     if count < 0 or (watched and not findings.regular_between(values, end[2], end[3])):
         return None
     begun = None
     if every:
+        (Q, P), counts = stored
         t = t0 + np.arange(0.0, steps + 1.0, every) * h
         Q, P, iterations = each(every // stride, Q[:, :, 0], P[:, :, 0], counts[:, 0])
     else:
