@@ -37,7 +37,7 @@ class _Order:
     """The statements of a block, with what each of them reads and sets."""
 
     def __init__(self, body: Sequence[ast.stmt], text: Text) -> None:
-        self.body = body
+        self.body, self.text = body, text
         self.calls = {k: name for k, node in enumerate(body) if (name := _called(node, text))}
         self.done: set[int] = set()
         if len(self.calls) < 2:
@@ -91,28 +91,37 @@ class _Order:
 
     def _may_move(self, n: int) -> bool:
         """Return whether a statement gives names their only values, before anybody reads them."""
-        names, node = assigned([self.body[n]]), self.body[n]
-        if not all(self.setters[x] == [n] and self.first_read.get(x, n + 1) > n for x in names):
-            return False
-        match node:
-            case ast.Assign(targets=[ast.Name()], value=value) if _plain(value):
-                return True
-        return n in self.calls
+        names = assigned([self.body[n]])
+        only = all(self.setters[x] == [n] and self.first_read.get(x, n + 1) > n for x in names)
+        return only and _computes(self.body[n], self.text)
+
+
+def _computes(node: ast.stmt, text: Text) -> bool:
+    """Return whether a statement gives names the values of arithmetic, or of a function of it."""
+    match node:
+        case ast.Assign(targets=[target], value=value):
+            names = all(isinstance(x, ast.Name) for x in getattr(target, "elts", [target]))
+            return names and (_plain(value) or bool(_function(value, text)))
+    return False
+
+
+def _function(value: ast.expr, text: Text) -> str:
+    """Return the function that is called with plain numbers and only computes, if one is."""
+    match value:
+        case ast.Call(func=ast.Name(id=name), args=[_, *_] as arguments, keywords=[]):
+            function = text.functions.get(name)
+            if function is not None and all(map(_plain, arguments)) and straight(function):
+                return name
+    return ""
 
 
 def _called(node: ast.stmt, text: Text) -> str:
     """Return the function that a statement calls with plain numbers, if it is worth a vector."""
-    match node:
-        case ast.Assign(
-            targets=[ast.Name() | ast.Tuple() as target],
-            value=ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]),
-        ) if name in text.functions:
-            named = all(isinstance(x, ast.Name) for x in getattr(target, "elts", ()))
-            function = text.functions[name]
-            if named and arguments and all(map(_plain, arguments)) and straight(function):
-                heavy = sum(weight(statement, text) for statement in function.body) >= LEAST
-                return name if heavy else ""
-    return ""
+    name = _function(node.value, text) if isinstance(node, ast.Assign) else ""
+    if not name or not _computes(node, text):
+        return ""
+    operations = sum(weight(statement, text) for statement in text.functions[name].body)
+    return name if operations >= LEAST else ""
 
 
 def _plain(value: ast.expr) -> bool:

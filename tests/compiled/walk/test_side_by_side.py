@@ -73,6 +73,15 @@ W[6, lane] = f + g + i + j*k - l*m""",
         "x = W[1, lane]\na = wave(x, 2.0*x)\nb = wave(x + 4.0, x)\nW[5, lane] = a - b",
         [2],
     ),
+    "a light function on the way": (
+        """
+x, y = W[1, lane], W[2, lane]
+a, b = waves(x)
+u = half(y)
+c, d = waves(u - 1.0)
+W[5, lane], W[6, lane] = a + c, b - d""",
+        [2],
+    ),
     "a name that is set twice": (
         """
 x = W[1, lane]
