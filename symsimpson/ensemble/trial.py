@@ -36,7 +36,7 @@ def with_fastest_lanes(program: Program, task: Task) -> Task:
     leave the same bits.
     """
     small = task.members * task.steps < WORTH_IT or task.lanes == 1
-    if small or task.retimed or not program.header.by_stages:
+    if small or task.retimed or not program.kernels_for(task.lanes).by_stages:
         return task
     known = program.findings.lanes
     if task.lanes not in known:

@@ -57,8 +57,9 @@ def test_the_faster_way_is_taken_and_leaves_the_same(tried, lanes):
         assert np.array_equal(end.newton_iterations, ends[0].newton_iterations)
 
 
-def test_where_nodes_are_no_lanes_there_is_no_trial(tried, lanes):
-    ss.compile(ss.systems.double_pendulum()).ensemble(STARTS, **ASKED)
+@pytest.mark.parametrize("scheme", ["simpson", "gauss4"])  # members by Newton's method
+def test_where_bits_would_differ_there_is_no_trial(tried, lanes, scheme):
+    ss.compile(ss.systems.double_pendulum(), scheme).ensemble(STARTS, **ASKED)
     assert not tried[1]
     assert lanes[0] > 1
 
