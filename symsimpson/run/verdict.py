@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from symsimpson.errors import ResolutionWarning
 from symsimpson.program.status import Status
@@ -29,6 +30,8 @@ AT_POLES = (
     Status.SINGULAR_JACOBIAN,
     Status.NOT_FINITE,
 )
+
+Reals = NDArray[Any]
 
 #: So many runs may show that a motion goes where there are singular points.
 TRIES = 3
@@ -132,21 +135,27 @@ def _unresolved(
 
 def _stays_regular(program: Program, trajectory: Trajectory) -> bool:
     """Return whether a run is known to stay where coordinates have no singular points or kinks."""
-    values, q = trajectory.parameter_values, trajectory.q
     fixed = program.header.autonomous and not program.inputs
-    return fixed and program.findings.regular_between(values, q.min(axis=0), q.max(axis=0))
+    values = trajectory.parameter_values
+    return fixed and program.findings.regular_between(values, *_bounds(trajectory))
+
+
+def _bounds(trajectory: Trajectory) -> tuple[Reals, Reals]:
+    """Return the least and the largest values of the coordinates."""
+    columns = np.ascontiguousarray(trajectory.q.T)  # along which it takes a tenth of the time
+    return columns.min(axis=1), columns.max(axis=1)
 
 
 def _remember_box(program: Program, trajectory: Trajectory) -> None:
     """Remember where short runs may go without being looked at one by one."""
-    key, q = trajectory.parameter_values.tobytes(), trajectory.q
+    key = trajectory.parameter_values.tobytes()
     if program.findings.prepared is None or program.findings.irregular.get(key, 0) >= TRIES:
         return
     tools, system = program.tools, program.declared
     known = program.findings.regular.get(key)
     if known is not None and not np.isfinite(known[0]).any():  # all of space is regular
         return
-    low, high = q.min(axis=0), q.max(axis=0)
+    low, high = _bounds(trajectory)
     if known is not None:
         low, high = np.minimum(low, known[0]), np.maximum(high, known[1])
     assert tools is not None
