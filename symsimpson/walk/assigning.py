@@ -96,8 +96,8 @@ class Assigning(Functions):
             result = self._inside(self._text.functions[name], vectors)
             self._width = 0
             parts = result if isinstance(result, list) else [result]
-            own = [[values.element(part, lane) for part in parts] for lane in range(lanes)]
-            results = own if isinstance(result, list) else [x for (x,) in own]
+            rows = [[values.element(part, lane) for part in parts] for lane in range(lanes)]
+            results = rows if isinstance(result, list) else [x for (x,) in rows]
         for (target, _), value in zip(pairs, results, strict=True):
             self._assign(target, value, env)
         return False

@@ -75,19 +75,19 @@ class _Order:
         """Return the statements that a call must stand behind if it moves to place k, if it can."""
         if call in self.done:
             return None
-        found: set[int] = set()
+        needed: set[int] = set()
         work = [call]
         while work:
             n = work.pop()
             if not self._may_move(n):
                 return None
             for name in self.reads[n]:
-                later = {m for m in self.setters.get(name, ()) if m >= k} - self.done - found
+                later = {m for m in self.setters.get(name, ()) if m >= k} - self.done - needed
                 if later & self.calls.keys():
                     return None
-                found |= later
+                needed |= later
                 work += later
-        return sorted(found)
+        return sorted(needed)
 
     def _may_move(self, n: int) -> bool:
         """Return whether a statement gives names their only values, before anybody reads them."""
