@@ -84,6 +84,7 @@ def test_an_error_without_words_is_a_row_that_has_not_passed(monkeypatch):
     assert row.failure == "ZeroDivisionError"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(["midpoint", "simpson", "gauss4", "gauss6"]))
 def test_a_stiff_direction_in_which_nothing_swings_is_resolved(scheme):
     """Steps without its oscillation succeed at any h, but differences of the map see it."""

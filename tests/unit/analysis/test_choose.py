@@ -221,6 +221,7 @@ def test_a_wide_ellipse_is_not():
     assert "fixed" not in given.reason
 
 
+@pytest.mark.slow
 def test_what_takes_long_to_derive_is_not_tried(monkeypatch):
     """Twenty bodies in a time of their own took more than ten minutes, their run three seconds."""
     chosen = {"WITH_EXPLICIT": ("blanes_moan4",), "ADAPTING": ("simpson",), "DERIVING": 1e9}

@@ -32,6 +32,7 @@ def test_linear_symmetries(name, momenta):
     assert [symmetry.name for symmetry in found] == momenta
 
 
+@pytest.mark.slow
 def test_a_symmetry_that_is_not_determined_is_a_row_that_has_not_passed(monkeypatch):
     """mpmath's QR of a singular matrix raised a ValueError of its own, out of the certificate."""
 

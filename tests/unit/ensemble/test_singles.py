@@ -80,6 +80,7 @@ def test_a_start_at_a_singular_point_has_its_status():
     assert found.steps[4] == 0
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::symsimpson.ResolutionWarning")
 def test_members_whose_nodes_are_not_solved_go_on_with_newtons_method():
     stepper = ss.compile(ss.systems.double_pendulum(), "gauss8")

@@ -83,6 +83,7 @@ def test_constraints_hold_on_in_linear_equations():
     assert B.shape == (6, 0)
 
 
+@pytest.mark.slow
 def test_linear_equations_of_a_bicycle():
     """Of the benchmark: the system is large, and has constraints of both kinds."""
     golden = json.loads((DATA / "golden_contact.json").read_text())["exact"]
