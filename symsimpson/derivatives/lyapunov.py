@@ -38,7 +38,7 @@ def _tangent_to_constraints(program: Program, spec: RunSpec, columns: Floats) ->
     if not program.header.constraints:
         return columns
     back = replace(spec, h=-spec.h, steps=1, every=0)
-    before = integrate(program, back, None, None, False, "raise")
+    before = integrate(program, back, progress=False)
     there = replace(
         spec,
         q0=before.q[0],
@@ -49,7 +49,7 @@ def _tangent_to_constraints(program: Program, spec: RunSpec, columns: Floats) ->
         every=0,
         tangents=columns,
     )
-    moved = integrate(program, there, None, None, False, "raise").variations
+    moved = integrate(program, there, progress=False).variations
     assert moved is not None
     basis, _ = np.linalg.qr(moved[0])
     return np.ascontiguousarray(basis)
@@ -99,4 +99,4 @@ def run_lyapunov(
     trajectory = trajectory_of(program, run, spec.steps, run.status, spec, run.stored(), stride)
     if not trajectory.success:
         raise_failure(run, trajectory, trajectory)
-    return chaos_of(program, run.recorded[1 : len(trajectory), :, 0], trajectory, count)
+    return chaos_of(run.recorded[1 : len(trajectory), :, 0], trajectory, count)

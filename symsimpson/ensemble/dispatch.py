@@ -47,7 +47,7 @@ def run_ensemble(
     """
     read_failure(on_failure)
     read_progress(progress)
-    program = _telling(program, request, store)
+    program = _telling(program, request)
     task = read_task(program, request, threads, progress, on_disk=store is not None)
     look_at_steps(program, task)
     task = with_fastest_lanes(program, task) if client is None else task
@@ -59,7 +59,7 @@ def run_ensemble(
     return ensemble
 
 
-def _telling(program: Program, request: Request, store: Any) -> Program:
+def _telling(program: Program, request: Request) -> Program:
     """Return the program whose ensembles carry along what they are asked for.
 
     Raises

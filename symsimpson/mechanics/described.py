@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -16,7 +16,6 @@ from symsimpson.support.calling import explaining
 
 __all__ = ["Described"]
 
-Matrix: TypeAlias = sp.ImmutableDenseMatrix
 #: What the rest of the package asks a system for, and users do not.
 INNER = frozenset({"digest", "large", "mass_checked", "plain", "retimer", "retiming", "seconds"})
 

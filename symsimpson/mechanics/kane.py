@@ -20,8 +20,6 @@ __all__ = ["read_kane"]
 
 #: Longer denominators of speeds are left as they are: SymPy may take for ever.
 TOO_LONG = 120
-#: Steps to a state that satisfies constraints, and what counts as zero there.
-ITERATIONS, NOTHING = 20, 1e-9
 
 
 def read_kane(

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
@@ -32,7 +32,6 @@ from symsimpson.support.stopwatch import collecting, timed
 
 __all__ = ["MechanicalSystem"]
 
-Matrix: TypeAlias = sp.ImmutableDenseMatrix
 #: No parameters.
 NONE: Mapping[sp.Symbol, float] = MappingProxyType({})
 Positions = Mapping[str, Sequence[Any]]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from symsimpson.results.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from symsimpson.program.program import Program
+    pass
 
 __all__ = ["Chaos", "chaos_of"]
 
@@ -77,7 +77,7 @@ class Chaos:
         return f"Chaos(exponents {exponents}; t = {self.t[-1]:g}, megno {self.megno[-1]:.4g})"
 
 
-def chaos_of(program: Program, kept: Floats, trajectory: Trajectory, count: int) -> Chaos:
+def chaos_of(kept: Floats, trajectory: Trajectory, count: int) -> Chaos:
     """Read what the driver kept of so many variations, one row for each time."""
     t = trajectory.t[1:]
     past = (t - trajectory.t[0])[:, None]

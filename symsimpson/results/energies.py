@@ -79,14 +79,7 @@ class Energies(Stored):
                 "before version 0.3.\nTake the run again, or store states on the way: every=100."
             )
         t, (q, p) = self.begun
-        return States(
-            t=np.array([t]),
-            q=q[None],
-            p=p[None],
-            program=self.program,
-            parameter_values=self.parameter_values,
-            driven=self.driven,
-        )
+        return self._others(np.array([t]), q[None], p[None])
 
     @cached_property
     def _given(self) -> Any:

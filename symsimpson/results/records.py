@@ -79,15 +79,7 @@ class Actions(Events):
     @property
     def after(self) -> States:
         """The states after the actions."""
-        program, values = self.program, self.parameter_values
-        return States(
-            t=self.t,
-            q=self.q_after,
-            p=self.p_after,
-            program=program,
-            parameter_values=values,
-            driven=self.driven,
-        )
+        return self._others(self.t, self.q_after, self.p_after)
 
     def _further(self) -> dict[str, Any]:
         numbers = {

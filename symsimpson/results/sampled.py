@@ -28,6 +28,7 @@ __all__ = ["Sampled", "Saved"]
 VECTORS = tuple(vector.name for vector in WITH_COORDINATES)
 
 
+@explaining()
 class WithEvents:
     """A result that knows what events did, though states between them may not be kept."""
 
@@ -62,6 +63,28 @@ class WithEvents:
             )
         return actions_of(self, name)
 
+    def save(self: Any, path: str | os.PathLike[str]) -> None:
+        """Keep the states or quantities in a file, of the kind that its ending says.
+
+        The kinds are those of :meth:`Trajectory.save`. No run goes on from such a file, which
+        :func:`symsimpson.open_trajectory` refuses: numpy, pandas or xarray read it.
+
+        Raises
+        ------
+        InputError
+            If the name ends otherwise, or a library is missing.
+        StorageError
+            If the file cannot be written.
+
+        Examples
+        --------
+        >>> import pathlib, tempfile, symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> run = stepper.integrate([1.0], v0=[0.0], h=0.1, t_eval=[0.0, 0.25, 3.1])
+        >>> run.save(pathlib.Path(tempfile.mkdtemp()) / "run.csv")
+        """
+        write(path, "result", self._arrays, self._table, self.to_xarray)
+
 
 @explaining()
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -89,28 +112,6 @@ class Sampled(WithEvents, Outcome, States):
     records: tuple[Record, ...] = ()
     event_names: tuple[str, ...] = ()
     reduced_values: tuple[tuple[str, float], ...] = ()
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Keep the states in a file, of the kind that its ending says.
-
-        The kinds are those of :meth:`Trajectory.save`. No run goes on from such a file, which
-        :func:`symsimpson.open_trajectory` refuses: numpy, pandas or xarray read it.
-
-        Raises
-        ------
-        InputError
-            If the name ends otherwise, or a library is missing.
-        StorageError
-            If the file cannot be written.
-
-        Examples
-        --------
-        >>> import pathlib, tempfile, symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> run = stepper.integrate([1.0], v0=[0.0], h=0.1, t_eval=[0.0, 0.25, 3.1])
-        >>> run.save(pathlib.Path(tempfile.mkdtemp()) / "run.csv")
-        """
-        write(path, "result", self._arrays, self._table, self.to_xarray)
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         return {name: getattr(self, name) for name in ("t", *VECTORS, *(x.name for x in SCALARS))}
@@ -243,27 +244,6 @@ class Saved(WithEvents, Outcome):
             variables[key] = ("time", *places), values, {"long_name": name}
         named = {"time": self.t, "coord": list(self.program.coordinates)}
         return with_units(xarray.Dataset(variables, named, self._about()), self.program.units)
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Keep the quantities in a file, of the kind that its ending says.
-
-        The kinds are those of :meth:`Trajectory.save`. No run goes on from such a file.
-
-        Raises
-        ------
-        InputError
-            If the name ends otherwise, or a library is missing.
-        StorageError
-            If the file cannot be written.
-
-        Examples
-        --------
-        >>> import pathlib, tempfile, symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> kept = stepper.integrate([1.0], v0=[0.0], h=0.1, steps=50, save=["theta"])
-        >>> kept.save(pathlib.Path(tempfile.mkdtemp()) / "theta.npz")
-        """
-        write(path, "result", self._arrays, self._table, self.to_xarray)
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         return {"t": self.t, **self.values}

@@ -145,14 +145,12 @@ class States(Quantities):
             if not -len(self) <= number < len(self):
                 raise IndexError(f"there is no state {number}: there are {len(self)}, from 0 on")
             some = [number]
-        return States(
-            t=self.t[some],
-            q=self.q[some],
-            p=self.p[some],
-            program=self.program,
-            parameter_values=self.parameter_values,
-            driven=self.driven,
-        )
+        return self._others(self.t[some], self.q[some], self.p[some])
+
+    def _others(self, t: NDArray[Any], q: NDArray[Any], p: NDArray[Any]) -> States:
+        """Return other states of the same run."""
+        program, values = self.program, self.parameter_values
+        return States(t=t, q=q, p=p, program=program, parameter_values=values, driven=self.driven)
 
     def __getstate__(self) -> dict[str, Any]:
         return {f.name: getattr(self, f.name) for f in fields(self)}  # without what was computed

@@ -165,10 +165,7 @@ class Trajectory(Energies, Differentiated):
         with numbers.working():
             times = np.atleast_1d(numbers.result(read_array("t", t, numbers)))
         q, p = self.sol.states(times)
-        program, values = self.program, self.parameter_values
-        return States(
-            t=times, q=q, p=p, program=program, parameter_values=values, driven=self.driven
-        )
+        return self._others(times, q, p)
 
     def events(self, expression: Any, *, direction: int = 0, wrap: Any = ()) -> Events:
         """Find the zeros of an expression along the run, to rounding error.

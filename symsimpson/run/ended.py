@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.errors import ConvergenceError, Interrupted
 from symsimpson.program.status import Status
@@ -22,8 +21,6 @@ if TYPE_CHECKING:
     from symsimpson.results.sampled import Sampled, Saved
 
 __all__ = ["raise_failure", "trajectory_of"]
-
-Reals = NDArray[Any]
 
 
 def trajectory_of(

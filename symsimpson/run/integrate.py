@@ -40,10 +40,10 @@ ROOM = 4096
 def integrate(
     program: Program,
     spec: RunSpec,
-    checkpoint: str | os.PathLike[str] | None,
-    checkpoint_every: int | None,
-    progress: bool | None,
-    on_failure: str,
+    progress: bool | None = None,
+    on_failure: str = "raise",
+    checkpoint: str | os.PathLike[str] | None = None,
+    checkpoint_every: int | None = None,
 ) -> Trajectory:
     """Run, and return what it has come to.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,17 +21,18 @@ LOOKS, JOINING = 16, 3
 Reals = NDArray[Any]
 
 
-class Sink(Protocol):
+class Sink:
     """A place to which the states of each piece of a run go, before the run forgets them."""
 
     def due(self, stop: int) -> int:
         """Return the step at which the piece is to end, ``stop`` or an earlier one."""
+        return stop
 
     def take(self) -> None:
         """Take what was stored since the last call, which may be nothing."""
 
 
-class Keeper:
+class Keeper(Sink):
     """Keeps states of a run; all of them, in its own arrays, unless a subclass does otherwise.
 
     Parameters
@@ -41,13 +42,6 @@ class Keeper:
 
     def __init__(self, run: Run) -> None:
         self._run = run
-
-    def due(self, stop: int) -> int:
-        """Return the step at which the piece is to end."""
-        return stop
-
-    def take(self) -> None:
-        """Leave the states where they are."""
 
     def states(self) -> KeptStates:
         """Return the states that the run is judged by."""

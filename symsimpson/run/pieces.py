@@ -12,7 +12,7 @@ from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.follow import follow
-from symsimpson.run.keeping import Samples
+from symsimpson.run.keeping import Samples, Sink
 from symsimpson.run.resolution import sampling_stride
 from symsimpson.run.start import started
 from symsimpson.stepping.arrival import STRIDE
@@ -64,7 +64,7 @@ def by_pieces(
         return run, last, pieces.up_to(last)
 
 
-class Pieces:
+class Pieces(Sink):
     """A sink that keeps what is taken of each piece of a run.
 
     Parameters
@@ -79,10 +79,6 @@ class Pieces:
     def __init__(self, program: Program, run: Run, spec: RunSpec, take: Take) -> None:
         self._program, self._run, self._spec, self._take = program, run, spec, take
         self._taken, self._step = list[Taken](), -1
-
-    def due(self, stop: int) -> int:
-        """Return the step at which the piece is to end."""
-        return stop
 
     def take(self) -> None:
         """Take what is to be kept of a piece."""

@@ -66,7 +66,7 @@ def run(
         return timed_run(program, read_run(program, request), names, progress, on_failure)
     program = program_for(program, request)
     spec = read_run(program, request)
-    return integrate(program, spec, request.checkpoint, checkpoint_every, progress, on_failure)
+    return integrate(program, spec, progress, on_failure, request.checkpoint, checkpoint_every)
 
 
 def _chosen(
@@ -87,7 +87,7 @@ def end_of_step(program: Program, request: Request) -> Trajectory:
     """Take the one step of a request, and return the state behind it."""
     end = brief_run(program, request) if request.inputs is None else None
     if end is None:
-        end = integrate(program, read_run(program, request), None, None, None, "raise")
+        end = integrate(program, read_run(program, request))
     return end
 
 
@@ -97,7 +97,7 @@ def tangent_of_step(program: Program, request: Request, names: tuple[str, ...]) 
         spec = read_run(program, request)
         return timed_run(program, spec, names, False, "raise", fixed_steps=True)
     program = varied_program(program, names)
-    return integrate(program, read_run(program, request), None, None, None, "raise")
+    return integrate(program, read_run(program, request))
 
 
 def program_for(program: Program, request: Request) -> Program:

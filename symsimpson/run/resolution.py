@@ -244,7 +244,7 @@ def check_forces(program: Program, spec: RunSpec) -> None:
         )
 
 
-def count_looked_at(program: Program, last: int) -> int:
+def count_looked_at(last: int) -> int:
     """Return how many of so many states behind the first are looked at; none of a short run."""
     return min(last, SAMPLES - 1) if last + 1 >= FEWEST else 0
 
@@ -261,7 +261,7 @@ def look_at_energy(
     if not program.header.real_everywhere:
         energies = energies_at(program, run, steps, kept, np.arange(last + 1))
         return _explained(energies, program, run, trajectory, kept)
-    few = count_looked_at(program, last)
+    few = count_looked_at(last)
     if not few:
         return None
     if kept.q.base is not None and kept.q.base is run.q.base:

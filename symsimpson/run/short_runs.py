@@ -211,7 +211,7 @@ def _of_steps(
     every, n = asked.every, program.n
     stride = finer_stride(every, steps) if every else sampling_stride(program, steps)
     last = steps // stride if stride else 0
-    few = count_looked_at(program, last)
+    few = count_looked_at(last)
     if few and not program.header.conservative:  # an energy that changes needs another judge
         return None
     watched = every == 1 and few and program.tools is not None and program.declared is not None

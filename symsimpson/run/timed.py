@@ -61,10 +61,8 @@ def timed_run(
     wanted, plain = spec.tangents, replace(spec, tangents=None)
     assert wanted is not None
     moving = varied_program(program, names)
-    run = integrate(program, plain, None, None, progress, on_failure)
-    begun = integrate(
-        program, replace(plain, steps=0, t_end=None, every=1), None, None, False, "raise"
-    )
+    run = integrate(program, plain, progress, on_failure)
+    begun = integrate(program, replace(plain, steps=0, t_end=None, every=1), progress=False)
     derivatives = _Derivatives(
         program, moving, names, wanted, begun, run, spec.velocities, fixed_steps
     )
@@ -135,7 +133,7 @@ class _Derivatives:
 
     def _steps(self, z: Reals, h: Any, steps: int, every: int, columns: Reals) -> Trajectory:
         asked = self._asked(z, h, steps)._replace(every=every, tangents=columns)
-        return integrate(self.moving, read_run(self.moving, asked), None, None, False, "raise")
+        return integrate(self.moving, read_run(self.moving, asked), progress=False)
 
     def _onward(self, z: Reals, h: Any, steps: int) -> tuple[Reals, Reals]:
         """Return the state after some steps from another, and how it follows from that."""
@@ -157,7 +155,7 @@ class _Derivatives:
     def _here(self, z: Reals) -> Trajectory:
         """Return a run of no steps."""
         asked = self._asked(z, self.run.h, 0)
-        return integrate(self.moving, read_run(self.moving, asked), None, None, None, "raise")
+        return integrate(self.moving, read_run(self.moving, asked))
 
     def _asked(self, z: Reals, h: Any, steps: int) -> Request:
         m = self.n + 1

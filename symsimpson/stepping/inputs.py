@@ -39,25 +39,14 @@ def read_steps(
 ) -> tuple[Any, int, Any]:
     """Read step, number of steps and start time; exactly one of ``t_end`` and ``steps``."""
     h, t0 = read_step(request.h, numbers), read_number("t0", request.t0, numbers)
-    t_end, steps = request.t_end, request.steps
-    if (t_end is None) == (steps is None):
-        given = "neither" if t_end is None else "both"
-        raise InputError(
-            f"a run needs exactly one of t_end and steps, and has {given}.\n"
-            "Pass t_end=10.0 or steps=1000."
-        )
-    if steps is not None:
-        number = read_count("steps", steps, least=0)
+    _check_length(request)
+    if request.steps is not None:
+        number = read_count("steps", request.steps, least=0)
         if not retimed:  # else they are fixed in another time
             _check_times(h, t0, number, numbers)
         return h, number, t0
-    end = read_number("t_end", t_end, numbers)
+    end = _read_end(request, h, t0, numbers)
     exact = float((end - t0) / h)
-    if exact < 0:
-        raise InputError(
-            f"t_end={float(end):.15g} is not reached from t0={float(t0):.15g} with "
-            f"h={float(h):g}.\nUse a negative h to run backwards."
-        )
     refuse_too_many(exact)
     number = round(exact)
     lost = ROUNDING * (exact + float(max(abs(t0), abs(end)) / abs(h)))
@@ -99,18 +88,29 @@ def read_times(request: Request, numbers: Numbers, *, retimed: bool) -> tuple[An
     if not retimed or request.t_end is None:
         return *read_steps(request, numbers, retimed=retimed), None
     h, t0 = read_step(request.h, numbers), read_number("t0", request.t0, numbers)
-    if request.steps is not None:
+    _check_length(request)
+    return h, MOST_STEPS, t0, _read_end(request, h, t0, numbers)
+
+
+def _check_length(request: Request) -> None:
+    """Refuse a run that has not exactly one of ``t_end`` and ``steps``."""
+    if (request.t_end is None) == (request.steps is None):
+        given = "neither" if request.t_end is None else "both"
         raise InputError(
-            "a run needs exactly one of t_end and steps, and has both.\n"
+            f"a run needs exactly one of t_end and steps, and has {given}.\n"
             "Pass t_end=10.0 or steps=1000."
         )
+
+
+def _read_end(request: Request, h: Any, t0: Any, numbers: Numbers) -> Any:
+    """Read ``t_end``, which must lie ahead."""
     end = read_number("t_end", request.t_end, numbers)
-    if (end - t0) * h < 0:
+    if float((end - t0) / h) < 0:
         raise InputError(
             f"t_end={float(end):.15g} is not reached from t0={float(t0):.15g} with "
             f"h={float(h):g}.\nUse a negative h to run backwards."
         )
-    return h, MOST_STEPS, t0, end
+    return end
 
 
 def read_step(h: Any, numbers: Numbers) -> Any:
