@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import sympy as sp
+from numpy.typing import NDArray
 
 from symsimpson.errors import ModelError
 from symsimpson.mechanics.checks import fail, read_name, spell
@@ -16,8 +18,8 @@ from symsimpson.mechanics.system import MechanicalSystem
 
 __all__ = ["Link", "arm_energies", "serial_arm"]
 
-Vector = tuple[Any, Any, Any]
-Rows = tuple[Vector, Vector, Vector]
+#: Three expressions, or three rows of them, as objects of NumPy.
+Vector = NDArray[Any]
 #: Floats this close to multiples of pi/2 are taken for these.
 CLOSE = 1e-12
 
@@ -159,44 +161,47 @@ def arm_energies(
             f"system '{name}': {len(links)} links and {len(q)} joints.\n"
             "An arm has a link after each joint, one at least."
         )
-    zero: Vector = (sp.S.Zero,) * 3
+    zero = np.full(3, sp.S.Zero)
     omega, velocity, origin, height = zero, zero, zero, sp.S.Zero
     pull = _vector(name, "gravity", gravity)
-    frame: Rows = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+    frame = np.eye(3, dtype=int).astype(object)
     terms: list[sp.Expr] = []
     weights: list[sp.Expr] = []
     points = [origin]
     for link, x in zip(links, q, strict=True):
         rotation, shift, axis = _joint(link, x, modified=modified)
         turn, slide = (sp.S.Zero, x.diff()) if link.prismatic else (x.diff(), sp.S.Zero)
-        origin = _add(origin, _times(frame, shift))
-        frame = _product(frame, rotation)
+        origin = origin + frame @ shift
+        frame = frame @ rotation
         points.append(origin)
-        height -= _dot(pull, shift)
+        height -= pull @ shift
         before = omega
-        omega = _add(omega, _scaled(turn, axis))
+        omega = omega + turn * axis
         # the axis of the modified convention goes through the link's origin
         lever = before if modified else omega
-        velocity = _add(_add(velocity, _cross(lever, shift)), _scaled(slide, axis))
-        omega, velocity, pull = (_turned(rotation, y) for y in (omega, velocity, pull))
+        velocity = velocity + np.cross(lever, shift) + slide * axis
+        # components in the frame of the link
+        omega, velocity, pull = (rotation.T @ y for y in (omega, velocity, pull))
         centre = _vector(name, "centre", link.centre)
-        v = _add(velocity, _cross(omega, centre))
-        terms += [link.mass * _dot(v, v), _spin(name, link, omega), link.rotor * x.diff() ** 2]
-        weights.append(link.mass * (height - _dot(pull, centre)))
+        v = velocity + np.cross(omega, centre)
+        terms += [link.mass * (v @ v), _spin(name, link, omega), link.rotor * x.diff() ** 2]
+        weights.append(link.mass * (height - pull @ centre))
     names = ["base", *(f"joint {k}" for k in range(2, len(links) + 1)), "tool"]
-    return sp.Add(*terms) / 2, sp.Add(*weights), dict(zip(names, points, strict=True))
+    return sp.Add(*terms) / 2, sp.Add(*weights), dict(zip(names, map(tuple, points), strict=True))
 
 
-def _joint(link: Link, x: Any, *, modified: bool) -> tuple[Rows, Vector, Vector]:
+def _joint(link: Link, x: Any, *, modified: bool) -> tuple[Vector, ...]:
     """Return rotation and shift from the frame before, and the joint's axis in that frame."""
     theta, d = (link.theta, link.d + x) if link.prismatic else (link.theta + x, link.d)
     c, s = (_number(f(theta)) for f in (sp.cos, sp.sin))
     ca, sa = _cosine_and_sine(link.alpha)
     if modified:
-        rotation: Rows = ((c, -s, 0), (s * ca, c * ca, -sa), (s * sa, c * sa, ca))
-        return rotation, (link.a, -d * sa, d * ca), (0, -sa, ca)
-    rotation = ((c, -s * ca, s * sa), (s, c * ca, -c * sa), (0, sa, ca))
-    return rotation, (link.a * c, link.a * s, d), (0, 0, 1)
+        rotation = (c, -s, 0), (s * ca, c * ca, -sa), (s * sa, c * sa, ca)
+        shift, axis = (link.a, -d * sa, d * ca), (0, -sa, ca)
+    else:
+        rotation = (c, -s * ca, s * sa), (s, c * ca, -c * sa), (0, sa, ca)
+        shift, axis = (link.a * c, link.a * s, d), (0, 0, 1)
+    return tuple(np.array(x, dtype=object) for x in (rotation, shift, axis))
 
 
 def _spin(name: str, link: Link, omega: Vector) -> sp.Expr:
@@ -218,7 +223,7 @@ def _vector(name: str, what: str, given: Sequence[Any]) -> Vector:
     entries = _entries(name, what, given)
     if len(entries) != 3:
         raise fail(name, f"a link's {what} has {len(entries)} entries.", "Give x, y and z.")
-    return entries
+    return np.array(entries, dtype=object)
 
 
 def _check_numbers(name: str, link: Link) -> None:
@@ -250,33 +255,3 @@ def _cosine_and_sine(angle: Any) -> tuple[Any, Any]:
 
 def _number(value: Any) -> Any:
     return value if value != 0 else sp.S.Zero
-
-
-def _dot(a: Vector, b: Vector) -> Any:
-    return sp.Add(*(x * y for x, y in zip(a, b, strict=True)))
-
-
-def _add(a: Vector, b: Vector) -> Vector:
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-def _scaled(factor: Any, a: Vector) -> Vector:
-    return factor * a[0], factor * a[1], factor * a[2]
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-def _times(rows: Rows, a: Vector) -> Vector:
-    return _dot(rows[0], a), _dot(rows[1], a), _dot(rows[2], a)
-
-
-def _turned(rows: Rows, a: Vector) -> Vector:
-    """Write a vector of the frame before in the frame of a link."""
-    return _times(tuple(zip(*rows, strict=True)), a)  # type: ignore[arg-type]
-
-
-def _product(rows: Rows, others: Rows) -> Rows:
-    columns = [_times(rows, column) for column in zip(*others, strict=True)]
-    return tuple(zip(*columns, strict=True))  # type: ignore[return-value]

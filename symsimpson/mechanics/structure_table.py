@@ -28,136 +28,110 @@ def rows(structure: Any) -> list[Row]:
     )
     rows_of = _some(structure.constant_rows)
     some_rows = bool(rows_of) and not structure.constant_mass
-    table: list[Row] = [("coordinates", _some(names), "", "")]
+    table: list[Row] = []
+
+    def add(name: str, here: str, because: str = "", removes: str = "") -> None:
+        table.append((name, here, because, removes))
+
+    add("coordinates", _some(names))
     if structure.constant_mass:
-        table.append(
-            (
-                "mass matrix",
-                mass,
-                "no entry of M contains a coordinate",
-                "dM/dq and forces that depend on v",
-            )
+        add(
+            "mass matrix",
+            mass,
+            "no entry of M contains a coordinate",
+            "dM/dq and forces that depend on v",
         )
     else:
         here = ", ".join(word for word in (mass, "depends on q") if word)
-        table.append(
-            (
-                "mass matrix",
-                here + (f", but for {rows_of}" if some_rows else ""),
-                "these rows of M contain no coordinate" if some_rows else "",
-                "their part of dM/dq" if some_rows else "",
-            )
+        add(
+            "mass matrix",
+            here + (f", but for {rows_of}" if some_rows else ""),
+            "these rows of M contain no coordinate" if some_rows else "",
+            "their part of dM/dq" if some_rows else "",
         )
     if structure.gyroscopic:
-        table.append(("linear in v", "yes", "L has terms a(q).v", ""))
+        add("linear in v", "yes", "L has terms a(q).v")
     if structure.forced:
-        table.append(("forces", _some(structure.forced), "they are declared beside L", ""))
+        add("forces", _some(structure.forced), "they are declared beside L")
     if structure.system.constraints:
-        table.append(
-            (
-                "constraints",
-                _some(list(structure.system.constraints)),
-                f"phi(q) = 0; degrees of freedom: {structure.system.degrees_of_freedom}",
-                "",
-            )
+        add(
+            "constraints",
+            _some(list(structure.system.constraints)),
+            f"phi(q) = 0; degrees of freedom: {structure.system.degrees_of_freedom}",
         )
     if structure.system.velocity_constraints:
         free = structure.system.velocity_degrees_of_freedom
-        table.append(
-            (
-                "velocity constraints",
-                _some(list(structure.system.velocity_constraints)),
-                f"A v = b; velocities that are free: {free}",
-                "",
-            )
+        add(
+            "velocity constraints",
+            _some(list(structure.system.velocity_constraints)),
+            f"A v = b; velocities that are free: {free}",
         )
     if structure.damping is not None:
-        table.append(
-            (
-                "damping",
-                "f = -2 gamma p",
-                "all forces are in proportion to the momenta",
-                "nothing, but for exploit=('all', 'conformal'): weights that grow in time",
-            )
+        add(
+            "damping",
+            "f = -2 gamma p",
+            "all forces are in proportion to the momenta",
+            "nothing, but for exploit=('all', 'conformal'): weights that grow in time",
         )
     if not structure.autonomous:
-        table.append(("time", "yes", "t stands in L or in a force", ""))
+        add("time", "yes", "t stands in L or in a force")
     if structure.separable:
         energies = "L = T(v) - V(q)" if structure.autonomous else "L = T(v) - V(t, q)"
         why = "M is constant and L has no terms a(q).v"
-        table.append(
-            (
-                "separable",
-                energies,
-                f"{why}, nor forces with v" if structure.forced else why,
-                ""
-                if structure.system.plain.held  # which hold it, too
-                else "the end of the path from Newton's unknowns",
-            )
+        add(
+            "separable",
+            energies,
+            f"{why}, nor forces with v" if structure.forced else why,
+            ""
+            if structure.system.plain.held  # which hold it, too
+            else "the end of the path from Newton's unknowns",
         )
     if structure.linear:
-        table.append(
-            (
-                "linear",
-                "forces linear in q",
-                "second derivatives of V are constant",
-                "Newton's method: a step is a product of shears",
-            )
+        add(
+            "linear",
+            "forces linear in q",
+            "second derivatives of V are constant",
+            "Newton's method: a step is a product of shears",
         )
     affine = [names[i] for s in structure.subsystems if s.affine for i in s.coordinates]
     if affine:
-        table.append(
-            (
-                "affine",
-                _some(affine),
-                "equations are linear in q and v, with constant coefficients",
-                "Newton's method: a step is solved with factors of the run",
-            )
+        add(
+            "affine",
+            _some(affine),
+            "equations are linear in q and v, with constant coefficients",
+            "Newton's method: a step is solved with factors of the run",
         )
     if structure.cyclic:
-        table.append(
-            (
-                "cyclic",
-                _some(structure.cyclic),
-                "neither L nor a force contains them, or acts on them"
-                if structure.forced
-                else "L does not contain them",
-                "them from Newton's unknowns; their momenta are constants",
-            )
+        add(
+            "cyclic",
+            _some(structure.cyclic),
+            "neither L nor a force contains them, or acts on them"
+            if structure.forced
+            else "L does not contain them",
+            "them from Newton's unknowns; their momenta are constants",
         )
     if len(structure.subsystems) > 1:
         groups = (", ".join(names[i] for i in s.coordinates) for s in structure.subsystems)
-        table.append(
-            (
-                "subsystems",
-                _some([f"({g})" for g in groups]),
-                "no term of L joins them" + (", and no force" if structure.forced else ""),
-                "their coupling: one small solve each",
-            )
+        add(
+            "subsystems",
+            _some([f"({g})" for g in groups]),
+            "no term of L joins them" + (", and no force" if structure.forced else ""),
+            "their coupling: one small solve each",
         )
     if structure.periodic:
-        table.append(
-            (
-                "angles",
-                _some(structure.periodic),
-                "only in sines and cosines of whole multiples",
-                "",
-            )
-        )
+        add("angles", _some(structure.periodic), "only in sines and cosines of whole multiples")
     zeros = ", ".join(f"{name} {zero} of {all_}" for name, (zero, all_) in structure.zeros.items())
-    table.append(
-        (
-            "zeros",
-            zeros,
-            "these derivatives vanish identically",
-            "their terms, and fill in elimination",
-        )
+    add(
+        "zeros",
+        zeros,
+        "these derivatives vanish identically",
+        "their terms, and fill in elimination",
     )
     for question in structure.undecided:
-        table.append(("undecided", question, "zero at every sample, not proved", "nothing"))
+        add("undecided", question, "zero at every sample, not proved", "nothing")
     for question in structure.nearly:
         why = "by less than 1e-12: floats are taken for the numbers that they are"
-        table.append(("nearly not", question, why, "nothing"))
+        add("nearly not", question, why, "nothing")
     return table
 
 

@@ -43,7 +43,15 @@ from symsimpson.systems.turning_bodies import (
 )
 from symsimpson.systems.water import water
 
-_MAKERS: tuple[Callable[[], CatalogueSystem], ...] = (
+Catalogue = dict[str, Callable[[], CatalogueSystem]]
+
+
+def _by_name(*makers: Callable[[], CatalogueSystem]) -> Catalogue:
+    return {make.__name__: make for make in makers}
+
+
+#: Functions of the catalogue by their names.
+CATALOGUE = _by_name(
     pendulum,
     double_pendulum,
     n_pendulum,
@@ -61,21 +69,10 @@ _MAKERS: tuple[Callable[[], CatalogueSystem], ...] = (
     torus_geodesic,
     ellipsoid_geodesic,
 )
-
-#: Models with many coordinates or long energies.
-_LARGE: tuple[Callable[[], CatalogueSystem], ...] = (
-    puma560,
-    water,
-    argon,
-    argon_cluster,
-    n_body,
-    outer_solar_system,
-    cloth,
-)
-#: Models with close encounters, to be retimed.
-_MEETING: tuple[Callable[[], CatalogueSystem], ...] = (kepler_plane, pythagorean, figure_eight)
+#: Models with many coordinates or long energies, of which no modules are kept.
+MODELS = _by_name(puma560, water, argon, argon_cluster, n_body, outer_solar_system, cloth)
 #: Models with forces, a drive or inputs.
-_FORCED: tuple[Callable[[], CatalogueSystem], ...] = (
+FORCED = _by_name(
     damped_pendulum,
     damped_oscillator,
     duffing,
@@ -86,9 +83,8 @@ _FORCED: tuple[Callable[[], CatalogueSystem], ...] = (
     charged_particle,
     driven_cart_pole,
 )
-
 #: Models with constraints.
-_CONSTRAINED: tuple[Callable[[], CatalogueSystem], ...] = (
+CONSTRAINED = _by_name(
     cartesian_pendulum,
     quaternion_top,
     tumbling_body,
@@ -98,39 +94,12 @@ _CONSTRAINED: tuple[Callable[[], CatalogueSystem], ...] = (
     andrews_squeezer,
     hanging_chain,
 )
-
 #: Models with velocity constraints.
-_ROLLING: tuple[Callable[[], CatalogueSystem], ...] = (
-    chaplygin_sleigh,
-    rolling_disc,
-    snakeboard,
-    ball_on_turntable,
-    whipple_bicycle,
-)
-
-#: Name of each function of the catalogue, and the function.
-CATALOGUE: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make in _MAKERS}
-#: The same of models with many coordinates or long energies, of which no modules are kept.
-MODELS: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make in _LARGE}
-#: The same of models whose energy is not constant.
-FORCED: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make in _FORCED}
-#: The same of models with constraints.
-CONSTRAINED: dict[str, Callable[[], CatalogueSystem]] = {
-    make.__name__: make for make in _CONSTRAINED
-}
-#: The same of models with velocity constraints.
-ROLLING: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make in _ROLLING}
-#: The same of models with close encounters.
-MEETING: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make in _MEETING}
+ROLLING = _by_name(chaplygin_sleigh, rolling_disc, snakeboard, ball_on_turntable, whipple_bicycle)
+#: Models with close encounters, to be retimed.
+MEETING = _by_name(kepler_plane, pythagorean, figure_eight)
 #: All of these.
-EVERY: dict[str, Callable[[], CatalogueSystem]] = {
-    **CATALOGUE,
-    **MODELS,
-    **FORCED,
-    **CONSTRAINED,
-    **ROLLING,
-    **MEETING,
-}
+EVERY: Catalogue = {**CATALOGUE, **MODELS, **FORCED, **CONSTRAINED, **ROLLING, **MEETING}
 
 __all__ = [
     "CATALOGUE",
