@@ -12,7 +12,6 @@ from symsimpson.control.point_functions import lagrange
 from symsimpson.control.problem_parts import read_reals
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_count
-from symsimpson.support.names import spelled
 
 if TYPE_CHECKING:
     from symsimpson.control.layout import Layout
@@ -32,10 +31,7 @@ def motions(
     """
     read, refine = layout.read, len(inputs) // layout.steps
     stepper, sizes = layout.stepper, layout.sizes(x) / refine
-    names = [spelled(a) for a in read.system.parameters]
-    parameters = dict(
-        zip([names[i] for i in read.found], x[layout.parameters].tolist(), strict=True)
-    )
+    parameters = dict(zip(read.found_names, x[layout.parameters].tolist(), strict=True))
     begin, (q, p) = layout.grid.times(layout.sizes(x)), state
     for phase, h in zip(layout.grid.slices, sizes, strict=True):
         first, last = phase.start * refine, phase.stop * refine

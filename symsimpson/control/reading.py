@@ -130,6 +130,12 @@ class Reading:
         return [size if size > NOTHING else 0.0 for size in sizes]
 
     @property
+    def found_names(self) -> list[str]:
+        """Names of the parameters that are found."""
+        names = [spelled(a) for a in self.system.parameters]
+        return [names[i] for i in self.found]
+
+    @property
     def given(self) -> dict[int, float]:
         """The parameters that are not found, by their nodes."""
         pairs = enumerate(zip(self.parameters, self.values, strict=True))

@@ -134,9 +134,8 @@ class ControlResult:
     def unknowns(self) -> dict[str, float]:
         """The parameters that were found, by name."""
         layout = self.layout
-        names = [str(a) for a in layout.read.system.parameters]
-        pairs = zip(layout.read.found, self.x[layout.parameters].tolist(), strict=True)
-        return {names[i]: x for i, x in pairs}
+        values = self.x[layout.parameters].tolist()
+        return dict(zip(layout.read.found_names, values, strict=True))
 
     @property
     def input_values(self) -> Floats:

@@ -27,7 +27,7 @@ from symsimpson.control.solution_files import read_solution
 from symsimpson.errors import InputError, ResolutionWarning
 from symsimpson.program.input_values import MOST_STEPS
 from symsimpson.support.calling import warn
-from symsimpson.support.names import did_you_mean, spelled
+from symsimpson.support.names import did_you_mean
 from symsimpson.support.progress import Progress
 from symsimpson.support.signals import listening
 
@@ -256,17 +256,15 @@ def initial_point(layout: Layout, guess: Any) -> Floats:
                 "that belong to one another by name: {name: result.functions[other]}."
             )
         whole = guess.duration
-        names = [spelled(a) for a in layout.read.system.parameters]
-        values = [guess.unknowns.get(names[i], x) for i, x in zip(read.found, values, strict=True)]
+        known = guess.unknowns
+        values = [known.get(name, x) for name, x in zip(read.found_names, values, strict=True)]
     elif guess is not None:
         how = (
             "another result, or a mapping from names to functions of the time, numbers, or arrays "
             "over equal times"
         )
         given = {name: value for name, _, value in read_mapping("guess", guess, how)}
-        names = [spelled(a) for a in layout.read.system.parameters]
-        unknowns = {names[i]: k for k, i in enumerate(read.found)}
-        allowed = {*read.names, *read.inputs, "duration", *unknowns}
+        allowed = {*read.names, *read.inputs, "duration", *read.found_names}
         for name in given:
             if name not in allowed:
                 raise InputError(
@@ -277,8 +275,8 @@ def initial_point(layout: Layout, guess: Any) -> Floats:
         if whole <= 0:
             raise InputError(f"guess['duration'] is {whole:g}.\nPass a positive number.")
         values = [
-            _number(names[i], given.pop(names[i], x))
-            for i, x in zip(read.found, values, strict=True)
+            _number(name, given.pop(name, x))
+            for name, x in zip(read.found_names, values, strict=True)
         ]
         functions = {
             name: read_function(f"guess[{name!r}]", value, whole) for name, value in given.items()
