@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.analysis.candidates import Found, Wanted
-from symsimpson.analysis.pilot import choose_state, choose_step, without_step_warnings
+from symsimpson.analysis.pilot import choose_state, choose_step
 from symsimpson.analysis.stability.frequency import largest_frequency
 from symsimpson.analysis.variants import in_tau
 from symsimpson.api.compiling import check_system
@@ -25,7 +25,7 @@ from symsimpson.program.input_values import read_number
 from symsimpson.program.numbers import FLOAT64
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.ahead import late
-from symsimpson.support.calling import explained
+from symsimpson.support.calling import explained, without_step_warnings
 from symsimpson.support.names import in_a_row
 from symsimpson.support.progress import waiting
 

@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import (
-    ConstraintWarning,
-    ConvergenceError,
-    InputError,
-    ResolutionWarning,
-    StabilityWarning,
-)
+from symsimpson.errors import ConvergenceError, InputError
 from symsimpson.program.evaluating import evaluate
 from symsimpson.program.status import Status
+from symsimpson.support.calling import without_step_warnings
 from symsimpson.support.names import shortened
 
 if TYPE_CHECKING:
     from symsimpson.api.stepper import Stepper
 
-__all__ = ["choose_state", "choose_step", "without_step_warnings"]
+__all__ = ["choose_state", "choose_step"]
 
 Floats = NDArray[np.float64]
 State = tuple[Floats, Floats]
@@ -39,16 +32,6 @@ CLOSE = 0.01
 TRIES = 30
 #: Most iterations a step, on average, of a step size that is chosen.
 NEWTON_ITERATIONS, STAGE_ITERATIONS = 3.3, 9.0
-
-
-@contextmanager
-def without_step_warnings() -> Iterator[None]:
-    """Let no warning of step sizes be heard inside a block."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", StabilityWarning)
-        warnings.simplefilter("ignore", ResolutionWarning)
-        warnings.simplefilter("ignore", ConstraintWarning)
-        yield
 
 
 def choose_state(

@@ -28,14 +28,7 @@ NEARBY = 1e-3
 
 
 class Precise:
-    """The text of a stepper's module and of the driver, run in many digits.
-
-    Parameters
-    ----------
-    stepper : Stepper
-    parameters : mapping from str to float
-    digits : int
-    """
+    """The text of a stepper's module and of the driver, run in many digits."""
 
     def __init__(self, stepper: Stepper, parameters: Mapping[str, float], digits: int) -> None:
         arithmetic = "arb" if importlib.util.find_spec("flint") else "mpmath"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ def ours(
     """
     stepper = compile_system(retimed or problem.system, scheme)
 
-    def make(steps: float) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
+    def make(steps: float) -> Runnable:
         count = int(steps)
         h = problem.t_end / count
         length = {"steps": count} if retimed is None else {"t_end": problem.t_end}

@@ -44,7 +44,7 @@ def _runge_kutta(problem: Problem) -> Iterator[Contender[Runnable]]:
     start, n = np.array(problem.canonical.state(problem.q0, problem.p0)), problem.system.n
 
     def making(solve: Callable[[Floats, float], int]) -> Any:
-        def make(choice: float) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
+        def make(choice: float) -> Runnable:
             def run() -> Any:
                 y = start.copy()
                 return y, solve(y, choice)
@@ -83,9 +83,7 @@ def _scipy(problem: Problem) -> Iterator[Contender[Runnable]]:
 
     for method in ("DOP853", "LSODA", "Radau"):
 
-        def make(
-            tolerance: float, method: str = method
-        ) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
+        def make(tolerance: float, method: str = method) -> Runnable:
             def run() -> Any:
                 return solve_ivp(
                     right,
@@ -136,7 +134,7 @@ def _heyoka(problem: Problem) -> Iterator[Contender[Runnable]]:
                 compact: bool = bool(mode),
                 momentum: Callable[..., Any] = momentum,
                 scale: Floats = scale,
-            ) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
+            ) -> Runnable:
                 integrator = hy.taylor_adaptive(
                     written, start.tolist(), tol=max(tolerance, 2.3e-16), compact_mode=compact
                 )
@@ -209,9 +207,7 @@ def _numbalsoda(problem: Problem) -> Iterator[Contender[Runnable]]:
     for method in ("lsoda", "dop853"):
         solve = getattr(numbalsoda, method)
 
-        def make(
-            tolerance: float, solve: Any = solve
-        ) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
+        def make(tolerance: float, solve: Any = solve) -> Runnable:
             def run() -> Any:
                 data = np.array([*values, 0.0])
                 states, success = solve(
@@ -252,7 +248,7 @@ def _diffrax(problem: Problem) -> Iterator[Contender[Runnable]]:
     with jax.enable_x64(True):
         compiled = jax.jit(solve).lower(start, 1.0).compile()
 
-    def make(tolerance: float) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
+    def make(tolerance: float) -> Runnable:
         with jax.enable_x64(True):
             given = jax.numpy.asarray(start), jax.numpy.asarray(tolerance)
 

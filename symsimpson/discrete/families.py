@@ -18,6 +18,7 @@ from symsimpson.graph.nodes import ONE, ZERO, Exact, Graph, Value, exact, scaled
 from symsimpson.graph.read import tree_size
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.mechanics.plain import Plain
+from symsimpson.mechanics.quadratic import quadratic_form
 
 __all__ = ["Family", "constraint_families", "families"]
 
@@ -322,16 +323,12 @@ def _family(system: Plain, read: Graph, draft: _Draft) -> Family:
         if (entry := derivatives(slope, x))[0]
     }
     *linear, potential = rebuilt(graph, [*slopes, term], rest) if rest else [term]
-    T = graph.add(
-        graph.multiply([entry, (Fraction(1, 2) if a == b else 1, places[a]), (1, places[b])])
-        for (a, b), entry in M.items()
-    )
     plain = Plain(
         graph=graph,
         q=_symbols(q),
         v=_symbols(v),
         p=(),
-        T=T,
+        T=quadratic_form(graph, M, places),
         M=M,
         parameters=(*_symbols(slots), *system.parameters),
         a=tuple(linear),

@@ -33,12 +33,7 @@ class Cost:
 
 
 def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
-    """Derive F = L_q + f and P = L_v by parameters and inputs.
-
-    Parameters
-    ----------
-    plain : Plain
-    varied : mapping from name to plain symbol
+    """Derive F = L_q + f and P = L_v by parameters and inputs: plain symbols, by their names.
 
     Returns
     -------
@@ -120,12 +115,6 @@ class _BySize:
 
 def derive_cost(plain: Plain, varied: Mapping[str, sp.Symbol], cost: Cost) -> Jet:
     """Derive a running cost g(t, q, v, u) by q, by v, and by parameters and inputs.
-
-    Parameters
-    ----------
-    plain : Plain
-    varied : mapping from name to plain symbol
-    cost : Cost
 
     Returns
     -------

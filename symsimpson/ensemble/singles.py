@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -11,13 +10,13 @@ from numpy.typing import NDArray
 
 from symsimpson.derivatives.lyapunov import run_lyapunov
 from symsimpson.ensemble.task import Results, Task
-from symsimpson.errors import ConstraintWarning, InputError, ResolutionWarning, StabilityWarning
+from symsimpson.errors import ConstraintWarning, InputError
 from symsimpson.program.evaluating import evaluate_members
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.run.folds import SINGULAR, close, independence_of
 from symsimpson.run.requested import run
-from symsimpson.support.calling import warn
+from symsimpson.support.calling import warn, without_step_warnings
 
 if TYPE_CHECKING:
     from symsimpson.results.trajectory import Trajectory
@@ -48,10 +47,7 @@ def run_singly(program: Program, task: Task, results: Results) -> bool:
     reductions = tuple(x for x in task.reductions if not x.of_variations) or None
     for member in np.flatnonzero(~good):
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", ResolutionWarning)
-                warnings.simplefilter("ignore", StabilityWarning)  # not one for each member
-                warnings.simplefilter("ignore", ConstraintWarning)
+            with without_step_warnings():  # not one for each member
                 carried = {"record": task.record, **_carrying(program, task)}
                 carried |= {"every": task.every or None, "reduce": reductions}
                 asked = task.of_member(member, program, **carried)

@@ -23,16 +23,8 @@ LARGEST = 12
 def function_of_level(system: Declared, value: sp.Expr) -> sp.Expr | None:
     """Return a function of positions as one of V, with :data:`level` in its place.
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    value : sympy.Expr
-
-    Returns
-    -------
-    sympy.Expr or None
-        None if V does not stand in it as a whole, and it is no constant times a power of -V: that
-        is returned without the constant.
+    None if V does not stand in it as a whole, and it is no constant times a power of -V: that is
+    returned without the constant.
     """
     V, coordinates = system.potential, system.coordinates
     for sign in (1, -1):

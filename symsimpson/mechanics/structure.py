@@ -128,16 +128,7 @@ class Structure:
 
 
 def analyse(system: Declared) -> Structure:
-    """Find out what a system has and lacks.
-
-    Parameters
-    ----------
-    system : MechanicalSystem
-
-    Returns
-    -------
-    Structure
-    """
+    """Find out what a system has and lacks."""
     given, n = system.plain, system.n
     names = [user.func.__name__ for user in system.coordinates]
     plain, questions, findings = _freed(given, names)

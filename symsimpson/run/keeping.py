@@ -33,12 +33,7 @@ class Sink:
 
 
 class Keeper(Sink):
-    """Keeps states of a run; all of them, in its own arrays, unless a subclass does otherwise.
-
-    Parameters
-    ----------
-    run : Run
-    """
+    """Keeps states of a run; all of them, in its own arrays, unless a subclass does otherwise."""
 
     def __init__(self, run: Run) -> None:
         self._run = run

@@ -16,39 +16,23 @@ MOST_NUMBERS = 42
 
 def scheme(method: Any) -> str:
     """Return order, nodes, weights and the tables A and B, where they are exact and few."""
-    rows = [
-        (
-            "",
-            rf"\text{{{in_text(method.name)}: {method.quadrature.kind} quadrature, "
-            rf"order {method.order}}}",
-        ),
-        ("d", str(method.degree)),
-    ]
+    rule = method.quadrature
+    tables = {"c_i": sp.Matrix([rule.nodes]), "b_i": sp.Matrix([rule.weights])}
     if method.exact and method.stages * (method.degree + 1) <= MOST_NUMBERS:
-        rows += [
-            ("c_i", sp.latex(sp.Matrix([method.quadrature.nodes]))),
-            ("b_i", sp.latex(sp.Matrix([method.quadrature.weights]))),
-            ("A_{ik}", sp.latex(sp.Matrix(method.A))),
-            ("B_{ik}", sp.latex(sp.Matrix(method.B))),
-        ]
+        tables |= {"A_{ik}": sp.Matrix(method.A), "B_{ik}": sp.Matrix(method.B)}
     else:
-        rows += [
-            ("c_i", sp.latex(sp.Matrix([method.quadrature.nodes]).evalf(6))),
-            ("b_i", sp.latex(sp.Matrix([method.quadrature.weights]).evalf(6))),
-        ]
-    return aligned(rows)
+        tables = {name: table.evalf(6) for name, table in tables.items()}
+    title = _title(method, f"{rule.kind} quadrature")
+    rows = [(name, sp.latex(table)) for name, table in tables.items()]
+    return aligned([title, ("d", str(method.degree)), *rows])
 
 
 def composition(method: Any) -> str:
     """Return order, kicks and drifts."""
-    return aligned(
-        [
-            (
-                "",
-                rf"\text{{{in_text(method.name)}: {len(method.drifts)} drifts, "
-                rf"order {method.order}}}",
-            ),
-            ("b_k", sp.latex(sp.Matrix([method.kicks]).evalf(6))),
-            ("a_k", sp.latex(sp.Matrix([method.drifts]).evalf(6))),
-        ]
-    )
+    tables = ("b_k", method.kicks), ("a_k", method.drifts)
+    rows = [(name, sp.latex(sp.Matrix([table]).evalf(6))) for name, table in tables]
+    return aligned([_title(method, f"{len(method.drifts)} drifts"), *rows])
+
+
+def _title(method: Any, kind: str) -> tuple[str, str]:
+    return "", rf"\text{{{in_text(method.name)}: {kind}, order {method.order}}}"

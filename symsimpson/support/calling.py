@@ -1,19 +1,26 @@
-"""Calls of a user: arguments that a function does not have, and where a warning belongs."""
+"""Calls of a user: arguments that a function does not have, and warnings, where they belong."""
 
 from __future__ import annotations
 
 import inspect
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from types import FrameType, FunctionType
 from typing import Any, ParamSpec, TypeVar
 
-from symsimpson.errors import InputError, SymsimpsonError
+from symsimpson.errors import (
+    ConstraintWarning,
+    InputError,
+    ResolutionWarning,
+    StabilityWarning,
+    SymsimpsonError,
+)
 from symsimpson.support.names import did_you_mean
 
-__all__ = ["explained", "explaining", "warn"]
+__all__ = ["explained", "explaining", "warn", "without_step_warnings"]
 
 VARIADIC, KEYWORDS = inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD
 P = ParamSpec("P")
@@ -129,6 +136,15 @@ def warn(message: str, category: type[Warning]) -> None:
     while frame is not None and _inside(frame):
         level, frame = level + 1, frame.f_back
     warnings.warn(message, category, stacklevel=level + 2)
+
+
+@contextmanager
+def without_step_warnings() -> Iterator[None]:
+    """Let no warning of step sizes be heard inside a block."""
+    with warnings.catch_warnings():
+        for kind in (StabilityWarning, ResolutionWarning, ConstraintWarning):
+            warnings.simplefilter("ignore", kind)
+        yield
 
 
 def _inside(frame: FrameType) -> bool:

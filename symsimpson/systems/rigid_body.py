@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
@@ -10,20 +12,17 @@ from symsimpson.systems.entry import CatalogueSystem
 
 __all__ = ["heavy_top", "rigid_body"]
 
+Angles = tuple[AppliedUndef, ...]
 _SOURCE = "H. Goldstein, C. Poole, J. Safko, Classical Mechanics, sections 4.4, 5.6 and 5.7"
 
 
 def rigid_body() -> CatalogueSystem:
     """A free rigid body, started near the rotation about its unstable middle axis."""
-    phi, theta, psi = coordinates("phi theta psi")
-    inertia = sp.symbols("I1 I2 I3", positive=True)
-    omega = _body_rates(phi, theta, psi)
-    momentum = [i * w for i, w in zip(inertia, omega, strict=True)]
-    in_space = _to_space(phi, theta, psi) * sp.Matrix(momentum)
+    angles, inertia, kinetic, in_space = _turning()
     return CatalogueSystem(
         "rigid_body",
-        coordinates=(phi, theta, psi),
-        kinetic=sp.Add(*(i * w**2 for i, w in zip(inertia, omega, strict=True))) / 2,
+        coordinates=angles,
+        kinetic=kinetic,
         potential=sp.S.Zero,
         parameters=dict(zip(inertia, (1.0, 2.0, 3.0), strict=True)),
         invariants={f"angular momentum {axis}": in_space[i] for i, axis in enumerate("xyz")},
@@ -34,22 +33,28 @@ def rigid_body() -> CatalogueSystem:
 
 def heavy_top() -> CatalogueSystem:
     """A heavy asymmetric top with a fixed point and its centre of mass on the third axis."""
-    phi, theta, psi = coordinates("phi theta psi")
-    inertia = sp.symbols("I1 I2 I3", positive=True)
+    angles, inertia, kinetic, in_space = _turning()
     m, g, l = sp.symbols("m g l", positive=True)
-    omega = _body_rates(phi, theta, psi)
-    momentum = [i * w for i, w in zip(inertia, omega, strict=True)]
-    in_space = _to_space(phi, theta, psi) * sp.Matrix(momentum)
     return CatalogueSystem(
         "heavy_top",
-        coordinates=(phi, theta, psi),
-        kinetic=sp.Add(*(i * w**2 for i, w in zip(inertia, omega, strict=True))) / 2,
-        potential=m * g * l * sp.cos(theta),
+        coordinates=angles,
+        kinetic=kinetic,
+        potential=m * g * l * sp.cos(angles[1]),
         parameters={inertia[0]: 1.0, inertia[1]: 1.5, inertia[2]: 0.8, m: 1.0, g: 9.81, l: 0.3},
         invariants={"angular momentum z": in_space[2]},
         reference_state={"q0": (0.0, 1.0, 0.2), "v0": (0.5, 0.3, 6.0)},
         source=_SOURCE,
     )
+
+
+def _turning() -> tuple[Angles, Sequence[sp.Symbol], sp.Expr, sp.Matrix]:
+    """Return angles, moments of inertia, the kinetic energy, and angular momentum in space."""
+    angles = coordinates("phi theta psi")
+    inertia = sp.symbols("I1 I2 I3", positive=True)
+    omega = _body_rates(*angles)
+    momentum = [i * w for i, w in zip(inertia, omega, strict=True)]
+    kinetic = sp.Add(*(i * w**2 for i, w in zip(inertia, omega, strict=True))) / 2
+    return angles, inertia, kinetic, _to_space(*angles) * sp.Matrix(momentum)
 
 
 def _body_rates(phi: AppliedUndef, theta: AppliedUndef, psi: AppliedUndef) -> list[sp.Expr]:

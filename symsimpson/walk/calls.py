@@ -76,16 +76,7 @@ class Calls(Blocks):
         self.builder = ir.IRBuilder(function.append_basic_block("entry"))
         result = walk(list(function.args[1:]))
         results = result if isinstance(result, list) else [] if result is None else [result]
-        typed = [
-            self.whole(x)
-            if isinstance(x, int) and not isinstance(x, bool)
-            else self.bit(x)
-            if isinstance(x, bool)
-            else self.real(x)
-            if known(x)
-            else x
-            for x in results
-        ]
+        typed = [self.typed(x, x) if known(x) else x for x in results]
         for k, value in enumerate(typed):
             self.builder.store(value, self._result(function.args[0], k, value.type))
         self.builder.ret_void()

@@ -87,10 +87,8 @@ class Blocks(Rows):
         """Return a variable with this value."""
         if isinstance(value, (LaneNumber, tuple, list)):
             raise Refused("a variable of this kind, that a loop or a branch changes")
-        if isinstance(value, bool):
-            value = self.bit(value)
-        elif known(value):
-            value = self.whole(value) if isinstance(value, int) else self.real(value)
+        if known(value):
+            value = self.typed(value, value)
         if width and value.type == DOUBLE:
             value = self.spread(value, width)
         with self.builder.goto_entry_block():

@@ -67,12 +67,7 @@ def known(value: Any) -> bool:
 
 
 class Values:
-    """Makes instructions; arithmetic on known numbers is done at once.
-
-    Parameters
-    ----------
-    builder : llvmlite.ir.IRBuilder
-    """
+    """Makes instructions of a builder of llvmlite; known numbers are computed with at once."""
 
     def __init__(self, builder: ir.IRBuilder, flags: tuple[str, ...] = FLAGS) -> None:
         self.builder, self._flags = builder, flags

@@ -29,16 +29,8 @@ def force_terms(
 ) -> NDArray[np.float64]:
     """Return the sums of the moduli of the terms of dL/dq + f at rest, one for each coordinate.
 
-    At velocities, those of its derivatives by them.
-
-    Parameters
-    ----------
-    system : MechanicalSystem
-    q : iterable of float, n of them
-    values : iterable of float
-        Values of all parameters, in the order of the system, then those of inputs.
-    t : float
-    v : iterable of float, optional
+    At velocities, those of its derivatives by them. ``values`` are those of all parameters, in the
+    order of the system, then those of inputs.
 
     Returns
     -------

@@ -72,15 +72,8 @@ def fastest_rotation(
     """Return the largest |Im lambda| of M x'' + (A - A^T - D) x' + K x = 0 at rest, A = da/dq.
 
     So fast does the motion beside q turn or swing: also that of a charge in a magnetic field, of
-    which V knows nothing. It is 0 where one of the matrices has no value.
-
-    Parameters
-    ----------
-    system : MechanicalSystem
-    q : iterable of float, n of them
-    parameters : iterable of float
-        Values of all parameters, in the order of the system, then those of inputs.
-    t : float
+    which V knows nothing. It is 0 where one of the matrices has no value. Arguments are those of
+    :func:`largest_frequency`.
     """
     n = system.n
     try:
@@ -147,13 +140,7 @@ def largest_damping(
 ) -> float:
     """Return the largest rate of M^-1 D, D = -df/dv, at which forces damp velocities; 0 if none.
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    q, v : iterable of float, n of them each
-    parameters : iterable of float
-        Values of all parameters, in the order of the system, then those of inputs.
-    t : float
+    Arguments are those of :func:`largest_frequency`, and n velocities.
     """
     if not system.plain.forces:
         return 0.0

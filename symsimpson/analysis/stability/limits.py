@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.analysis.pilot import without_step_warnings
 from symsimpson.api.compiling import compile as compile_system
 from symsimpson.api.stepper import Stepper
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
+from symsimpson.support.calling import without_step_warnings
 from symsimpson.systems import harmonic_oscillator
 
 __all__ = ["energy_map", "linear_limits", "theory_limits"]

@@ -82,13 +82,7 @@ def _sizes(system: MechanicalSystem, t: Reals, q: Reals, values: Sequence[float]
 
 
 def at_pole(system: MechanicalSystem, run: Trajectory) -> str:
-    """Return which singular point of the coordinates the last state of a run is at, or "".
-
-    Parameters
-    ----------
-    system : MechanicalSystem
-    run : Trajectory
-    """
+    """Return which singular point of the coordinates the last state of a run is at, or ""."""
     if _mass(system)[0] is None or len(run) < 2:
         return ""
     some = np.unique(np.linspace(0, len(run) - 1, SAMPLES).astype(int))
