@@ -68,8 +68,7 @@ def _force(system: MechanicalSystem) -> Any:
     """Return the forces as a function of q, v, parameters, inputs and t, in many digits."""
     plain = system.plain
     lines = Lines(plain, {("f", i): f for i, f in enumerate(plain.f)})
-    arguments = [*plain.q, *plain.v, *plain.parameters, *plain.u, plain.t]
-    return lines.function(arguments, [lines.value("f", i) for i in range(system.n)], "mpmath")
+    return lines.function((*plain.q, *plain.v), "mpmath")
 
 
 def _nodes(s: Subject, scheme: Scheme, j: int) -> tuple[Vector, Vector, Vector]:

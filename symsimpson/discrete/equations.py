@@ -16,7 +16,7 @@ zero (Marsden and West 2001, equations 1.5.3 and 2.2.6).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Any
@@ -158,18 +158,12 @@ class DiscreteEquations:
 
     def second_derivative(self, k: int, a: int, m: int, b: int, entry: Entry) -> list[Any]:
         """List the terms of D_m D_k L_d, components a and b."""
-        return self._terms(("F_q", "F_v", "P_q", "M"), (a, b), entry, k, m)
-
-    def _terms(
-        self, parts: Sequence[str], index: tuple[int, ...], entry: Entry, *points: int
-    ) -> list[Any]:
-        """List entry times factor at the nodes; none is asked for whose factor is zero."""
         factors = [
-            (i, what, self.coefficient(what, i, *points))
+            (i, what, self.coefficient(what, i, k, m))
             for i in range(self.scheme.stages)
-            for what in parts
+            for what in ("F_q", "F_v", "P_q", "M")
         ]
-        return [entry(i, what, *index) * factor for i, what, factor in factors if factor != 0]
+        return [entry(i, what, a, b) * factor for i, what, factor in factors if factor != 0]
 
     def at_start(self, i: int) -> bool:
         """Return whether node i lies at q0, so that its position is known before the step."""

@@ -7,7 +7,7 @@ or of one component of a force, which is written as the work of a virtual displa
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Any
 
@@ -60,8 +60,9 @@ class _Draft:
     """The members of a family as they are found, and the term in slots that the first one gives."""
 
     term: Value
-    coordinates: list[tuple[int, ...]]
-    coefficients: list[tuple[Value, ...]]
+    coordinates: list[tuple[int, ...]] = field(default_factory=list)
+    coefficients: list[tuple[Value, ...]] = field(default_factory=list)
+    constraints: list[int] = field(default_factory=list)
 
 
 def families(plain: Plain) -> tuple[Family, ...]:
@@ -70,40 +71,30 @@ def families(plain: Plain) -> tuple[Family, ...]:
     What contains no coordinate, nor t or an input, is one family of its own: a coefficient alone.
     """
     reader = _Reader(plain)
-    drafts: dict[Any, _Draft] = {}
     still: list[Value] = []
     for term in _terms(plain):
         if reader.moves(term[1]):
-            key, value = reader.read(term)
-            draft = drafts.setdefault(key, _Draft(value, [], []))
-            draft.coordinates.append(tuple(reader.coordinates))
-            draft.coefficients.append(tuple(reader.coefficients))
+            reader.draft(term)
         else:
             still.append(term)
-    constant = plain.graph.add(still)
+    constant, drafts = plain.graph.add(still), [*reader.drafts.values()]
     if constant[0]:
-        term = reader.graph.symbol("c_0")
-        drafts = {"": _Draft(term, [()], [(constant,)]), **drafts}
-    return tuple(_family(plain, reader.graph, draft) for draft in drafts.values())
+        drafts.insert(0, _Draft(reader.graph.symbol("c_0"), [()], [(constant,)]))
+    return tuple(_family(plain, reader.graph, draft) for draft in drafts)
 
 
 def constraint_families(plain: Plain) -> tuple[Family, ...]:
     """Sort the constraints into families; each stands in the system of its family as its own."""
     reader = _Reader(plain)
-    drafts: dict[Any, tuple[_Draft, list[int]]] = {}
     for c, phi in enumerate(plain.constraints.values()):
-        key, value = reader.read(phi)
-        draft, members = drafts.setdefault(key, (_Draft(value, [], []), []))
-        draft.coordinates.append(tuple(reader.coordinates))
-        draft.coefficients.append(tuple(reader.coefficients))
-        members.append(c)
+        reader.draft(phi).constraints.append(c)
     phi_families = []
-    for draft, members in drafts.values():
+    for draft in reader.drafts.values():
         family = _family(plain, reader.graph, draft)
         alone = family.plain
         phi = scaled(-1, alone.V)  # the term as it was read, which has no velocities
         constrained = replace(alone, V=ZERO, constraints={"phi": phi})
-        phi_families.append(replace(family, plain=constrained, constraints=tuple(members)))
+        phi_families.append(replace(family, plain=constrained))
     return tuple(phi_families)
 
 
@@ -185,17 +176,26 @@ class _Reader:
         self._moving = self._place.keys() | self._common.keys()
         self._shapes: dict[int, tuple[int, tuple[int, ...]]] = {}
         self._numbers: dict[Any, int] = {}
-        self.coordinates: list[int] = []
-        self.coefficients: list[Value] = []
+        self._coordinates: list[int] = []
+        self._coefficients: list[Value] = []
+        self.drafts: dict[Value, _Draft] = {}
         self._written: dict[tuple[int, bool], Value] | None = None
 
     def moves(self, n: int) -> bool:
         """Return whether a node contains a coordinate or a velocity, the time or an input."""
         return not self._source.nodes[n].symbols.isdisjoint(self._moving)
 
-    def read(self, term: Value) -> tuple[Any, Value]:
-        """Return the shape of a term, and the term in slots q_s, v_s, c_s."""
-        self.coordinates, self.coefficients = [], []
+    def draft(self, term: Value) -> _Draft:
+        """Put a term beside those that are the same in slots; return the draft of all of them."""
+        read = self._read(term)
+        draft = self.drafts.setdefault(read, _Draft(read))
+        draft.coordinates.append(tuple(self._coordinates))
+        draft.coefficients.append(tuple(self._coefficients))
+        return draft
+
+    def _read(self, term: Value) -> Value:
+        """Write a term in slots q_s, v_s, c_s."""
+        self._coordinates, self._coefficients = [], []
         c, n = term
         large = tree_size(self._source, term) > LARGE_TREE
         self._written = {} if large else None
@@ -204,8 +204,7 @@ class _Reader:
         sign, body = self._node(n, without_constants=True)
         # the number in front is always a coefficient
         front = self._coefficient(self._source.multiply([(exact(c * sign), 0), *still]))
-        value = self.graph.multiply([front, (1, body)])
-        return value, value
+        return self.graph.multiply([front, (1, body)])
 
     def _shape(self, n: int) -> tuple[int, tuple[int, ...]]:
         """Return a number for what is left of a node without its names, and its coordinates."""
@@ -277,13 +276,13 @@ class _Reader:
 
     def _slot(self, n: int) -> Value:
         place = self._place[n]
-        if place not in self.coordinates:
-            self.coordinates.append(place)
-        return self.graph.symbol(f"{self._kind[n]}_{self.coordinates.index(place)}")
+        if place not in self._coordinates:
+            self._coordinates.append(place)
+        return self.graph.symbol(f"{self._kind[n]}_{self._coordinates.index(place)}")
 
     def _coefficient(self, value: Value) -> Value:
-        self.coefficients.append(value)
-        return self.graph.symbol(f"c_{len(self.coefficients) - 1}")
+        self._coefficients.append(value)
+        return self.graph.symbol(f"c_{len(self._coefficients) - 1}")
 
 
 def _number(c: Exact) -> str:
@@ -339,7 +338,8 @@ def _family(system: Plain, read: Graph, draft: _Draft) -> Family:
         forces={"of a member": force} if forced else {},
     )
     coefficients = tuple(tuple(row[k] for k in varying) for row in draft.coefficients)
-    return Family(plain, len(slots), tuple(draft.coordinates), coefficients)
+    members = tuple(draft.coordinates), coefficients, tuple(draft.constraints)
+    return Family(plain, len(slots), *members)
 
 
 def _symbols(names: Sequence[str]) -> tuple[sp.Symbol, ...]:

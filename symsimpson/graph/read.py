@@ -26,26 +26,11 @@ __all__ = [
 
 #: SymPy's functions by their names in a graph.
 FUNCTIONS: dict[Any, str] = {
-    sp.sin: "sin",
-    sp.cos: "cos",
-    sp.tan: "tan",
-    sp.cot: "cot",
-    sp.sec: "sec",
-    sp.csc: "csc",
-    sp.asin: "asin",
-    sp.acos: "acos",
-    sp.atan: "atan",
-    sp.atan2: "atan2",
-    sp.sinh: "sinh",
-    sp.cosh: "cosh",
-    sp.tanh: "tanh",
-    sp.asinh: "asinh",
-    sp.acosh: "acosh",
-    sp.atanh: "atanh",
-    sp.exp: "exp",
-    sp.log: "log",
-    sp.erf: "erf",
-    sp.erfc: "erfc",
+    getattr(sp, name): name
+    for name in (
+        *("sin", "cos", "tan", "cot", "sec", "csc", "asin", "acos", "atan", "atan2"),
+        *("sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "exp", "log", "erf", "erfc"),
+    )
 }
 #: Functions that others write.
 OTHERS: dict[Any, Callable[[Any], sp.Expr]] = {

@@ -86,15 +86,19 @@ def evaluate_in(
     Fast sines have no value for huge angles: there the library's are taken.
     """
     numbers, kernels, (t, q, p) = program.numbers, program.kernels, states
-    place = program.header.layout[block], count
+    header, unit = program.header, numbers.read(1.0).item()
 
     def values(t: Reals, q: Reals, p: Reals, inputs: Reals, *, any_angle: bool) -> Reals:
         address = kernels.address(kernel, any_angle=any_angle)
         first = kernels.address(before, any_angle=any_angle) if before else 0
-        return _evaluated(program, W, (first, address), place, t, q, p, inputs)
+        addresses = kernels.address("prepare"), first, address
+        out, given = numbers.zeros((len(q), count)), tuple(map(numbers.read, (t, q, p)))
+        setting = unit, W, header.driver_layout, given, header.layout[block]
+        numbers.driver("evaluate")(addresses, *setting, out, inputs)
+        return numbers.result(out)
 
     rows = values(t, q, p, inputs, any_angle=False)
-    if program.header.fast_sines and not numbers.all_finite(rows):
+    if header.fast_sines and not numbers.all_finite(rows):
         again = ~numbers.finite(rows).all(axis=1)
         again &= numbers.finite(q).all(axis=1) & numbers.finite(p).all(axis=1)
         if again.any():
@@ -148,25 +152,6 @@ def watching(
         return out
 
     return watch
-
-
-def _evaluated(
-    program: Program,
-    W: Reals,
-    kernels: tuple[Any, Any],
-    block: tuple[int, int],
-    t: Reals,
-    q: Reals,
-    p: Reals,
-    inputs: Reals = NO_INPUTS,
-) -> Reals:
-    """Evaluate two kernels, the first of which may be 0; returns a block of so many rows."""
-    numbers, (first, count) = program.numbers, block
-    out = numbers.zeros((len(q), count))
-    addresses, states = (program.kernels.address("prepare"), *kernels), map(numbers.read, (t, q, p))
-    setting = numbers.read(1.0).item(), W, program.header.driver_layout
-    numbers.driver("evaluate")(addresses, *setting, tuple(states), first, out, inputs)
-    return numbers.result(out)
 
 
 def evaluate_energy(

@@ -11,7 +11,7 @@ from symsimpson.errors import InputError
 from symsimpson.module.header import Header
 from symsimpson.module.interface import MET, WATCHED, ZERO
 from symsimpson.module.quantity import SCALARS, VECTORS
-from symsimpson.program.reader import Reader
+from symsimpson.program.reader import OF_MATH, Reader
 from symsimpson.program.recorders import Recorder
 
 if TYPE_CHECKING:
@@ -331,10 +331,9 @@ def _names(header: Header) -> list[str]:
 
 def _kernel(doc: str, names: Sequence[str], lines: Iterable[str]) -> str:
     """Return the text of a kernel for each lane."""
-    functions = "acos, asin, atan, atan2, cos, cosh, exp, log, sin, sinh, sqrt, tan, tanh"
     return "\n".join(
         [
-            f"from math import {functions}",
+            f"from math import {OF_MATH}",
             "",
             "",
             "def observe(h, t, workspace):",

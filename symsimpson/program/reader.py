@@ -18,27 +18,13 @@ from symsimpson.support.names import did_you_mean, spelled
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
 
-__all__ = ["Reader"]
+__all__ = ["OF_MATH", "Reader"]
 
-#: Functions, and how many arguments they take at least and at most.
-_FUNCTIONS = dict.fromkeys(
-    (
-        "sin",
-        "cos",
-        "tan",
-        "asin",
-        "acos",
-        "atan",
-        "sinh",
-        "cosh",
-        "tanh",
-        "exp",
-        "log",
-        "sqrt",
-        "abs",
-    ),
-    (1, 1),
-) | {"atan2": (2, 2), "min": (1, 50), "max": (1, 50)}
+#: Functions of ``math`` that an expression may have in it.
+OF_MATH = "acos, asin, atan, atan2, cos, cosh, exp, log, sin, sinh, sqrt, tan, tanh"
+#: All functions, and how many arguments they take at least and at most.
+_FUNCTIONS = dict.fromkeys([*OF_MATH.split(", "), "abs"], (1, 1))
+_FUNCTIONS |= {"atan2": (2, 2), "min": (1, 50), "max": (1, 50)}
 _SPELLED = {"Abs": "abs", "Min": "min", "Max": "max"}
 _SIGNS: dict[type[ast.AST], str] = {
     ast.Add: "+",

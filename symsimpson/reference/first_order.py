@@ -188,7 +188,7 @@ class Lines:
     def __init__(self, plain: Plain, outputs: Mapping[Key, Value]) -> None:
         level = plain.level(plain.graph)
         program = share(Program.of(plain.graph, outputs, level))
-        self._outputs = program.outputs
+        self._plain, self._keys, self._outputs = plain, list(outputs), program.outputs
         self._n, self._held = len(plain.q), len(plain.held)
         self.early: list[Definition] = []
         self.later: list[Definition] = []
@@ -208,10 +208,10 @@ class Lines:
         coefficient, n = self._outputs.get(key, ZERO)
         return number(coefficient) * self._done[n] if coefficient else sp.S.Zero
 
-    def function(
-        self, arguments: Sequence[sp.Symbol], results: Sequence[sp.Expr], modules: str
-    ) -> Callable[..., Any]:
-        """Return a function of numbers for expressions in outputs and symbols."""
+    def function(self, state: Sequence[sp.Symbol], modules: str) -> Callable[..., Any]:
+        """Return a function of a state, parameters, inputs and t for all outputs in their order."""
+        arguments = [*state, *self._plain.parameters, *self._plain.u, self._plain.t]
+        results = [self.value(*key) for key in self._keys]
         return line_function(arguments, [*self.early, *self.later], results, modules)
 
     def held_mass(self) -> sp.ImmutableDenseMatrix:

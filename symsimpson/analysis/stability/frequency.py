@@ -173,9 +173,7 @@ def _function(
     outputs: dict[tuple[Hashable, ...], Value] = {
         (name, k): x for name, values in entries.items() for k, x in enumerate(values)
     }
-    lines = Lines(plain, outputs)
-    arguments = [*state, *plain.parameters, *plain.u, plain.t]
-    function = lines.function(arguments, [lines.value(*key) for key in outputs], "math")
+    function = Lines(plain, outputs).function(state, "math")
     ends = np.cumsum([math.prod(shape) for shape in shapes])[:-1]
 
     def found(*numbers: float) -> list[Reals]:

@@ -53,7 +53,7 @@ APART, ORDINARY = 1e-3, 100.0
 
 @lru_cache(maxsize=64)
 def _mass(system: MechanicalSystem) -> tuple[Callable[..., Any] | None, tuple[int, ...]]:
-    """Return a function of q, t and parameters for the entries of M, and what M depends on."""
+    """Return a function of q, values and t for the entries of M, and what M depends on."""
     plain, n = system.plain, system.n
     entries: dict[tuple[Hashable, ...], Value] = {
         ("M", i, j): plain.entry(i, j) for i in range(n) for j in range(n)
@@ -63,9 +63,7 @@ def _mass(system: MechanicalSystem) -> tuple[Callable[..., Any] | None, tuple[in
     depends = tuple(i for i, name in enumerate(names) if name in inside)
     if not depends or n > MOST_COORDINATES or system.plain.held:
         return None, ()
-    lines = Lines(plain, entries)
-    arguments = [*plain.q, plain.t, *plain.parameters, *plain.u]
-    return lines.function(arguments, [lines.value(*key) for key in entries], "numpy"), depends
+    return Lines(plain, entries).function(plain.q, "numpy"), depends
 
 
 def _masses(system: MechanicalSystem, t: Reals, q: Reals, values: Sequence[float]) -> Reals:
@@ -73,7 +71,7 @@ def _masses(system: MechanicalSystem, t: Reals, q: Reals, values: Sequence[float
     function, n = _mass(system)[0], system.n
     assert function is not None
     with np.errstate(all="ignore"):
-        entries = np.broadcast_arrays(q[:, 0], *function(*q.T, t, *values))[1:]
+        entries = np.broadcast_arrays(q[:, 0], *function(*q.T, *values, t))[1:]
     return np.stack([np.asarray(x, dtype=np.float64) for x in entries], axis=1).reshape(-1, n, n)
 
 
