@@ -256,8 +256,8 @@ def initial_point(layout: Layout, guess: Any) -> Floats:
                 "that belong to one another by name: {name: result.functions[other]}."
             )
         whole = guess.duration
-        found = guess.unknowns
-        values = [found.get(name, x) for name, x in zip(read.found_names, values, strict=True)]
+        unknowns = guess.unknowns
+        values = [unknowns.get(name, x) for name, x in zip(read.found_names, values, strict=True)]
     elif guess is not None:
         how = (
             "another result, or a mapping from names to functions of the time, numbers, or arrays "
