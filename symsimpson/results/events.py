@@ -20,7 +20,7 @@ from symsimpson.results.states import States
 from symsimpson.results.stored import Stored
 from symsimpson.support.names import did_you_mean, spelled
 
-__all__ = ["Events", "find_events", "gather", "read_zeros", "zeros"]
+__all__ = ["Events", "find_events", "gather", "of_run", "read_zeros", "zeros"]
 
 Floats = NDArray[np.float64]
 Zeros = tuple[Observed, int]
@@ -134,12 +134,14 @@ def gather(run: Stored, wanted: Zeros, crossings: Sequence[tuple[Floats, ...]]) 
         p=p,
         direction=direction.astype(np.int64),
         expression=wanted[0].expression,
-        status=run.status,
-        message=run.message,
-        program=run.program,
-        parameter_values=run.parameter_values,
-        driven=run.driven,
+        **of_run(run),
     )
+
+
+def of_run(run: Any) -> dict[str, Any]:
+    """Return how a run ended and with what it ran, for states that were found in it."""
+    names = ("status", "message", "program", "parameter_values", "driven")
+    return {name: getattr(run, name) for name in names}
 
 
 @np.errstate(over="ignore", invalid="ignore")  # where there is no finite value, there is no zero

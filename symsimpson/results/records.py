@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.results.events import Events
+from symsimpson.results.events import Events, of_run
 from symsimpson.results.states import States
 
 __all__ = ["Actions", "Record", "actions_of"]
@@ -105,11 +105,7 @@ def actions_of(run: Any, name: str) -> Actions:
         p=rows("p"),
         direction=np.array([record.direction for record in records], dtype=np.int64),
         expression=name,
-        status=run.status,
-        message=run.message,
-        program=run.program,
-        parameter_values=run.parameter_values,
-        driven=run.driven,
+        **of_run(run),
         q_after=rows("q_after"),
         p_after=rows("p_after"),
         impulse=np.array([record.impulse for record in records]),

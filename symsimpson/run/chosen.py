@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_array, read_number
 from symsimpson.program.program import Program
+from symsimpson.results.events import of_run
 from symsimpson.results.sampled import Sampled, Saved
 from symsimpson.results.states import States
 from symsimpson.results.trajectory import Trajectory
@@ -66,10 +67,8 @@ def chosen_run(
     t = columns[0]
     if times is None and last.ended_by is not None and t.size > 1 and t[-1] == t[-2]:
         columns = [np.delete(x, -2, axis=0) for x in columns]  # the end takes the place of a state
-    about: dict[str, Any] = {name: getattr(last, name) for name in ("h", "steps", "status")}
-    about |= {"message": last.message, "program": program}
-    about |= {"parameter_values": last.parameter_values, "driven": last.driven}
-    about |= {"records": tuple(run.records), "reduced_values": last.reduced_values}
+    about = of_run(last) | {"h": last.h, "steps": last.steps, "records": tuple(run.records)}
+    about["reduced_values"] = last.reduced_values
     about["event_names"] = spec.run_events.names if spec.run_events else ()
     result: Sampled | Saved
     if names is None:

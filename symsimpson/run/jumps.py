@@ -13,6 +13,7 @@ from symsimpson.errors import InputError
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import Exact
+from symsimpson.program.reader import OF_MATH
 from symsimpson.stepping.event import Impact
 from symsimpson.stepping.run_events import RunEvents
 from symsimpson.support.names import speed_of_approach
@@ -26,10 +27,7 @@ Floats = NDArray[np.float64]
 #: So many digits, and differences that leave as many of a derivative as doubles have, and more.
 DIGITS, DIFFERENCE = 60, "1e-20"
 #: Functions that expressions may have, in many digits.
-FUNCTIONS = (
-    *("acos", "asin", "atan", "atan2", "cos", "cosh", "exp", "floor", "log"),
-    *("sin", "sinh", "sqrt", "tan", "tanh"),
-)
+FUNCTIONS = OF_MATH.split(", ")
 BUILT_IN = {"abs": abs, "max": max, "min": min}
 
 
@@ -190,8 +188,11 @@ class Jumps:
         M = mp.zeros(self._n)
         for i, j, (c, node) in self._mass:
             M[i, j] = _times(c, at[node])
-        rest = [x - _times(c, at[n]) for x, (c, n) in zip(p, self._plain.a, strict=True)]
-        return list(mp.lu_solve(M, mp.matrix(rest)))
+        return list(mp.lu_solve(M, mp.matrix(self._without_a(at, p))))
+
+    def _without_a(self, at: dict[int, Any], p: Sequence[Any]) -> list[Any]:
+        """Return p - a."""
+        return [x - _times(c, at[n]) for x, (c, n) in zip(p, self._plain.a, strict=True)]
 
     def _read(self, z: Sequence[Any]) -> Callable[[Sequence[int]], list[Any]]:
         """Return what evaluates expressions at a point."""
@@ -204,13 +205,7 @@ class Jumps:
             if any(self._energetic[k] for k in places) and "energy" not in names:
                 at = self._values(t, q, z)
                 v = self._velocity(at, p)
-                kinetic = (
-                    mp.fdot(
-                        [x - _times(c, at[n]) for x, (c, n) in zip(p, self._plain.a, strict=True)],
-                        v,
-                    )
-                    / 2
-                )
+                kinetic = mp.fdot(self._without_a(at, p), v) / 2
                 c, n = self._plain.V
                 names.update({f"v_{i}": x for i, x in enumerate(v)})
                 names.update(kinetic_energy=kinetic, energy=kinetic + _times(c, at[n]))

@@ -292,7 +292,6 @@ def _trajectory(
         parameter_values=asked.values,
         input_values=NO_INPUTS,
         driven=None,
-        variations=None,
         tau_values=tau,
         begun=begun,
     )
