@@ -9,7 +9,7 @@ from symsimpson.schemes.composition import COMPOSITIONS, composition
 from symsimpson.schemes.scheme import MIDPOINT, SIMPSON, Scheme, galerkin
 from symsimpson.support.names import did_you_mean
 
-__all__ = ["named_schemes", "read_scheme"]
+__all__ = ["read_scheme"]
 
 #: Names that schemes have elsewhere.
 ELSEWHERE = {
@@ -57,12 +57,3 @@ def read_scheme(scheme: str | Scheme) -> Scheme:
         "'gauss4', ... (the family by its even order), an explicit one as 'kahan_li8' "
         "(symsimpson.composition), or make one with symsimpson.galerkin."
     )
-
-
-def named_schemes(order: int) -> tuple[Scheme, ...]:
-    """Return every scheme with a name of its own, up to an order."""
-    family = [MIDPOINT, SIMPSON]
-    for nodes in range(2, order // 2 + 2):
-        family += [galerkin("gauss", nodes, nodes), galerkin("lobatto", nodes, nodes - 1)]
-    schemes = [*family, *map(composition, COMPOSITIONS)]
-    return tuple(dict.fromkeys(scheme for scheme in schemes if scheme.order <= order))

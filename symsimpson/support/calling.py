@@ -27,49 +27,26 @@ P = ParamSpec("P")
 Result = TypeVar("Result")
 Kind = TypeVar("Kind", bound=type)
 
-#: What arguments are called elsewhere, and here, in functions of one kind and another; those that a
-#: function does not have are left out.
+#: What arguments of functions of one kind and another are called elsewhere.
 ELSEWHERE = {
-    "dt": "h",
-    "step": "h",
-    "step_size": "h",
-    "stepsize": "h",
-    "timestep": "h",
-    "delta_t": "h",
-    "t_span": "t_end",
-    "tf": "t_end",
-    "t_final": "t_end",
-    "t_max": "t_end",
-    "tmax": "t_end",
-    "T": "t_end kinetic",
-    "duration": "t_end",
-    "n_steps": "steps",
-    "num_steps": "steps",
-    "N": "steps",
-    "t_eval": "every",
-    "saveat": "t_eval",
-    "ts": "t_eval",
-    "stride": "every",
-    "t_start": "t0",
-    "tol": "error",
-    "rtol": "error",
-    "atol": "error",
-    "args": "parameters",
-    "params": "parameters",
-    "y0": "q0",
-    "x0": "q0",
+    "h": "dt step step_size stepsize timestep delta_t",
+    "t_end": "t_span tf t_final t_max tmax T duration",
+    "steps": "n_steps num_steps N",
+    "every": "t_eval stride",
+    "t_eval": "saveat ts",
+    "t0": "t_start",
+    "error": "tol rtol atol",
+    "parameters": "args params",
+    "q0": "y0 x0 q",
+    "v0": "v",
+    "p0": "p",
+    "inputs": "u",
+    "scheme": "method integrator",
+    "kinetic": "T T_kin",
+    "potential": "V U",
     "q": "q0",
     "v": "v0",
     "p": "p0",
-    "u": "inputs",
-    "method": "scheme",
-    "integrator": "scheme",
-    "T_kin": "kinetic",
-    "V": "potential",
-    "U": "potential",
-    "q0": "q",
-    "v0": "v",
-    "p0": "p",
 }
 #: What times are called, told to who asks for another name of one of them.
 TIMES = {
@@ -172,8 +149,8 @@ def _problem(
     takes = f"It takes {', '.join(f'{key}=' for key in named_here) or 'none'}."
     for key in named:
         if key not in arguments:
-            known_as = ELSEWHERE.get(key, "").split()
-            here = next((other for other in known_as if other in arguments), "")
+            meant = (x for x, others in ELSEWHERE.items() if key in others.split())
+            here = next((x for x in meant if x in arguments), "")
             hint = f" Did you mean {here}=?" if here else ""
             hint = hint or did_you_mean(key, arguments).replace("?", "=?")
             times = [text for time, text in TIMES.items() if time in arguments]

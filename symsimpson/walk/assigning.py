@@ -57,7 +57,7 @@ class Assigning(Functions):
                 frame.result = frame.slots if isinstance(result, list) else frame.slots[0]
             for slot, value in zip(frame.slots, results, strict=True):
                 values.write(slot, value)
-        frame.exit = frame.exit or values.new_block("left")
+        frame.exit = frame.exit or values.builder.append_basic_block("left")
         values.builder.branch(frame.exit)
         return True
 

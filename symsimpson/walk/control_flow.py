@@ -223,10 +223,6 @@ class Blocks(Rows):
         kind = ir.FunctionType(ir.VoidType(), [argument.type for argument in arguments])
         self.builder.call(self.builder.inttoptr(address, kind.as_pointer()), arguments)
 
-    def new_block(self, name: str) -> Any:
-        """Return a block that is not entered yet."""
-        return self.builder.append_basic_block(name)
-
     # -- memory
 
     def room(self, kind: Any, shape: list[Any], value: Any, freed: list[Any]) -> Array:
