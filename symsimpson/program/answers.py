@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 from symsimpson.errors import StorageError, SymsimpsonError
+from symsimpson.module.header import digest
 from symsimpson.program.cache import cache_folder
 from symsimpson.support.files import written_beside
 
@@ -40,8 +40,7 @@ def kept(
     write : callable
         Returns what is to be kept, for JSON; None if the answer is not worth it.
     """
-    digest = hashlib.sha256(question.encode()).hexdigest()
-    place = cache_folder() / kind / f"{digest}.json"
+    place = cache_folder() / kind / f"{digest(question)}.json"
     with contextlib.suppress(*DAMAGE):
         return read(json.loads(place.read_text(encoding="utf-8")))
     answer = make()

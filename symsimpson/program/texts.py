@@ -9,6 +9,7 @@ from importlib import resources
 from importlib.resources.abc import Traversable
 from typing import Any
 
+from symsimpson.module.header import digest
 from symsimpson.program.answers import kept
 from symsimpson.support.derivation import Derivation
 
@@ -39,7 +40,7 @@ def kept_text(source: Iterable[str], derive: Callable[[], Derivation]) -> Deriva
 
 def _read(content: Any) -> Derivation:
     text = content["text"]
-    if _digest(text) != content["sha256"]:
+    if digest(text) != content["sha256"]:
         raise ValueError("the text does not have the digest that it names")
     seconds = dict.fromkeys(map(str, content["stages"]), 0.0)
     return Derivation(text, seconds, content["operations"], content["unrolled"] is True)
@@ -50,25 +51,21 @@ def _content(derivation: Derivation) -> dict[str, Any] | None:
         return None
     return {
         "text": derivation.text,
-        "sha256": _digest(derivation.text),
+        "sha256": digest(derivation.text),
         "operations": derivation.operations,
         "unrolled": derivation.unrolled,
         "stages": [*derivation.seconds],
     }
 
 
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 @cache
 def _generator() -> str:
     """Return what tells this generator from others, which may write other texts."""
-    package, digest = resources.files("symsimpson"), hashlib.sha256()
+    package, content = resources.files("symsimpson"), hashlib.sha256()
     for name in GENERATOR:
         for file in _files(package.joinpath(name)):
-            digest.update(file.read_bytes())
-    return digest.hexdigest()
+            content.update(file.read_bytes())
+    return content.hexdigest()
 
 
 def _files(place: Traversable) -> list[Traversable]:
