@@ -10,7 +10,6 @@ import time
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from symsimpson.bench.peers import ours, peers, read_peers
 from symsimpson.bench.record import Point, WorkPrecision
 from symsimpson.errors import InputError, SymsimpsonError
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.program.configuration import versions_of
 from symsimpson.program.input_values import read_array, read_count, read_number
 from symsimpson.program.numbers import FLOAT64
 from symsimpson.schemes.scheme import Scheme
@@ -237,21 +237,7 @@ def _timed(run: Any, number: int) -> float:
 
 def _machine() -> dict[str, Any]:
     """Say where it was measured."""
-    versions = {}
-    for package in (
-        "symsimpson",
-        "numba",
-        "numpy",
-        "sympy",
-        "scipy",
-        "heyoka",
-        "numbalsoda",
-        "diffrax",
-    ):
-        try:
-            versions[package] = version(package)
-        except PackageNotFoundError:
-            continue
+    others = ("scipy", "heyoka", "numbalsoda", "diffrax")
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
     return {
         "processor": _processor(),
@@ -259,7 +245,7 @@ def _machine() -> dict[str, Any]:
         "load": round(load, 2),
         "python": platform.python_version(),
         "system": platform.system(),
-        "versions": versions,
+        "versions": versions_of(("symsimpson", "numba", "numpy", "sympy", *others)),
     }
 
 

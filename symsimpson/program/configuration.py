@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Literal, overload
 
 from symsimpson.errors import InputError
 
-__all__ = ["show_config"]
+__all__ = ["show_config", "versions_of"]
 
 #: What results depend on; then what is only used where it is there.
 _NEEDED = ("symsimpson", "sympy", "numpy", "numba", "llvmlite", "mpmath")
@@ -60,7 +61,11 @@ def show_config(mode: str = "stdout") -> Config | None:
 
     folder = cache_folder()
     config: Config = {
-        "versions": {"python": platform.python_version(), **_versions()},
+        "versions": {
+            "python": platform.python_version(),
+            **dict.fromkeys(_NEEDED, "no package metadata"),
+            **versions_of((*_NEEDED, *_OPTIONAL)),
+        },
         "machine": {
             "system": platform.platform(),
             "processor": llvm.get_host_cpu_name(),
@@ -83,12 +88,10 @@ def show_config(mode: str = "stdout") -> Config | None:
     return None
 
 
-def _versions() -> dict[str, str]:
+def versions_of(names: Iterable[str]) -> dict[str, str]:
+    """Return the versions of those packages that are installed."""
     versions = {}
-    for name in (*_NEEDED, *_OPTIONAL):
-        try:
+    for name in names:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            if name in _NEEDED:
-                versions[name] = "no package metadata"
     return versions
