@@ -16,7 +16,7 @@ from sympy.core.relational import Relational
 from sympy.logic.boolalg import BooleanFunction
 
 from symsimpson.graph.nodes import Value
-from symsimpson.graph.read import Reader
+from symsimpson.graph.read import FUNCTIONS, Reader
 from symsimpson.mechanics.checks import fail, spell
 from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.plain import Symbols
@@ -25,28 +25,7 @@ from symsimpson.support.names import did_you_mean, shortened
 __all__ = ["read_expression"]
 
 #: Functions with closed-form first and second derivatives, smooth on their domain.
-SMOOTH = (
-    sp.sin,
-    sp.cos,
-    sp.tan,
-    sp.cot,
-    sp.sec,
-    sp.csc,
-    sp.asin,
-    sp.acos,
-    sp.atan,
-    sp.atan2,
-    sp.sinh,
-    sp.cosh,
-    sp.tanh,
-    sp.asinh,
-    sp.acosh,
-    sp.atanh,
-    sp.exp,
-    sp.log,
-    sp.erf,
-    sp.erfc,
-)
+SMOOTH = tuple(FUNCTIONS)
 #: Functions with corners or jumps.
 ROUGH = (sp.Abs, sp.sign, sp.floor, sp.ceiling, sp.Heaviside, sp.DiracDelta, sp.frac, sp.Mod)
 #: What is defined by cases.
