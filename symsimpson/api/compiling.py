@@ -127,7 +127,7 @@ def compile(
     check_system(system)
     method = read_scheme(scheme)
     numbers = None
-    if precision is not None:
+    if precision is not None or arithmetic != "mpmath":
         from symsimpson.program.digits import read_precision  # loads mpmath
 
         numbers = read_precision(precision, arithmetic)

@@ -14,6 +14,7 @@ from typing import Any
 from symsimpson.cli.parser import parser
 from symsimpson.errors import ModelWarning, ResolutionWarning, StabilityWarning, SymsimpsonError
 from symsimpson.support.ahead import LATE
+from symsimpson.support.names import did_you_mean
 
 __all__ = ["main"]
 
@@ -37,10 +38,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _read(arguments: list[str]) -> argparse.Namespace:
     """Read a command; names of quantities may stand behind options, too."""
-    commands = parser()
-    options, others = commands.parse_known_args(arguments)
-    if others and ("names" not in options or any(x.startswith("-") for x in others)):
-        commands.error(f"unrecognized arguments: {' '.join(others)}")
+    options, others = parser().parse_known_args(arguments)
+    strange = [x.partition("=")[0] for x in others if x.startswith("-")]
+    if strange:
+        known = re.findall(r"--[\w-]+", options.parser.format_usage())
+        options.parser.error(
+            f"there is no option {strange[0]}.{did_you_mean(strange[0], known)}\n"
+            f"{options.parser.prog} takes {', '.join(known) or 'none'}"
+        )
+    if others and "names" not in options:
+        options.parser.error(f"unrecognized arguments: {' '.join(others)}")
     if others:
         options.names += others
     return options

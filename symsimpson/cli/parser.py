@@ -32,9 +32,13 @@ def parser() -> argparse.ArgumentParser:
 
     def command(name: str, run: Any, words: str, *parents: Any) -> argparse.ArgumentParser:
         command_parser = given.add_parser(
-            name, help=words, description=words, parents=list(parents)
+            name,
+            help=words,
+            description=words,
+            parents=list(parents),
+            allow_abbrev=False,  # --h is not --help
         )
-        command_parser.set_defaults(run=run)
+        command_parser.set_defaults(run=run, parser=command_parser)
         return command_parser
 
     command("list", commands.list_systems, "list the systems of the catalogue")

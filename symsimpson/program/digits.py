@@ -59,7 +59,7 @@ def read_precision(precision: Any, arithmetic: Any) -> Digits:
     if not FEWEST <= digits <= MOST:
         raise InputError(
             f"precision is {precision!r}, not a number of decimal digits from {FEWEST} to "
-            f"{MOST}.\nPass precision=64, or None for compiled double precision."
+            f"{MOST}.\nPass precision=64; for double precision, neither precision= nor arithmetic=."
         )
     if arithmetic == "arb":
         library("flint", "arithmetic='arb' (python-flint)", "precise")

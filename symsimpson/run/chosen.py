@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import InputError
+from symsimpson.errors import InputError, UnknownNameError
 from symsimpson.program.input_values import read_array, read_number
 from symsimpson.program.program import Program
 from symsimpson.results.events import of_run
@@ -152,7 +152,12 @@ def _check_names(program: Program, spec: RunSpec, names: list[str]) -> None:
         t=t, q=q, p=0 * q, program=program, parameter_values=spec.parameters, driven=begin
     )
     for name in names:
-        states[name]
+        try:
+            states[name]
+        except UnknownNameError as error:
+            raise UnknownNameError(
+                f"save: {error}\nName quantities of the run; run.save('run.nc') writes a file."
+            ) from None
 
 
 def _stored(piece: Trajectory, before: int, spec: RunSpec) -> States:

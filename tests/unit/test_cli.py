@@ -175,11 +175,15 @@ def test_values_that_begin_with_a_minus(capsys):
         ("run pendulum --q0 a", "no list of numb"),
         ("run pendulum --steps 1.5", "no whole number"),
         ("run pendulum --steps many", "no whole"),
+        ("export pendulum --h 0.1 --out x", "no option --h.\nsymsimpson export takes --scheme"),
+        ("run pendulum --shceme midpoint", "no option --shceme. Did you mean --scheme?"),
+        ("list pendulum", "symsimpson list: error: unrecognized arguments: pendulum"),
     ],
 )
 def test_wrong_values_are_named(line, said, capsys):
-    with pytest.raises(SystemExit):
+    with pytest.raises(SystemExit) as caught:
         main(line.split())
+    assert caught.value.code == 2
     assert said in capsys.readouterr().err
 
 

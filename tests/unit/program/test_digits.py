@@ -131,6 +131,11 @@ def test_precision_is_checked(wrong):
         ss.compile(ss.systems.pendulum(), precision=64, arithmetic="long double")
 
 
+def test_many_digits_need_a_number_of_them():
+    with pytest.raises(ss.InputError, match="neither precision= nor arithmetic="):
+        ss.compile(ss.systems.pendulum(), arithmetic="arb")
+
+
 def test_without_flint_arb_names_the_extra(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "flint", None)
     with pytest.raises(ss.InputError, match=r"symsimpson\[precise\]"):

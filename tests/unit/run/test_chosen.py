@@ -165,6 +165,7 @@ def test_files(stepper, tmp_path):
         ({"t_eval": [0.5], "tangents": 1}, "needs the states of all steps"),
         ({"save": "q", "steps": 1, "checkpoint": "run.ckpt"}, "needs the states of all steps"),
         ({"save": "enregy", "steps": 1}, "Did you mean energy"),
+        ({"save": "run.zz", "steps": 1}, r"run\.save.* writes a file"),
         ({"save": (), "steps": 1}, "names nothing"),
         ({"save": 3, "steps": 1}, "not a list of names"),
         ({"save": "q"}, "exactly one of t_end and steps"),
