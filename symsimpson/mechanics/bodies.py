@@ -27,6 +27,8 @@ __all__ = ["RigidBody"]
 Vector = NDArray[np.float64]
 #: A quaternion or a rotation matrix may be off by so much.
 ROUNDED = 1e-9
+#: Moments are written in two digits or more.
+WRITTEN = 1e-2
 
 
 #: The quaternions of bodies that were made, and the names of these.
@@ -70,7 +72,12 @@ class RigidBody:
     Raises
     ------
     ModelError
-        If the inertia is no three moments and no symmetric matrix.
+        If the inertia is no three moments and no symmetric matrix, or has a negative moment.
+
+    Warns
+    -----
+    ModelWarning
+        If a principal moment is greater than the sum of the other two, which no body has.
 
     Notes
     -----
@@ -231,10 +238,18 @@ def _inertia(name: str, given: Any) -> sp.ImmutableDenseMatrix:
         what = f"an inertia of {name!r}"
         matrix = sp.ImmutableDenseMatrix([[read_scalar(what, x) for x in row] for row in parts])
         if matrix.shape == (3, 3) and matrix == matrix.T:
-            if any(moment.is_negative for moment in matrix.diagonal()):
+            least, excess = _moments(matrix)
+            if least < 0 or any(moment.is_negative for moment in matrix.diagonal()):
                 raise ModelError(
                     f"the body {name!r} has a moment of inertia that is negative.\n"
                     "Moments are integrals of squares of distances: look at the signs."
+                )
+            if excess > 0:
+                warn(
+                    f"a principal moment of inertia of {name!r} is greater than the sum of the "
+                    "other two.\nNo masses have such moments, though the motion is computed: look "
+                    "at the numbers, and at the axes and the point that they are about.",
+                    ModelWarning,
                 )
             return matrix
     except (TypeError, ValueError, sp.SympifyError):
@@ -243,6 +258,18 @@ def _inertia(name: str, given: Any) -> sp.ImmutableDenseMatrix:
         f"the inertia of {name!r} is neither three moments nor a symmetric 3 by 3 matrix.\n"
         "Write inertia=(I1, I2, I3)."
     )
+
+
+def _moments(matrix: sp.ImmutableDenseMatrix) -> tuple[float, float]:
+    """Return the least principal moment, and what the greatest has above the sum of the others.
+
+    Both are zero where they are rounding, and where moments are no numbers.
+    """
+    if not all(x.is_number and x.is_finite for x in matrix):
+        return 0.0, 0.0
+    first, second, third = np.linalg.eigvalsh(np.array(matrix, dtype=np.float64))
+    excess, size = third - second - first, max(abs(first), third)
+    return first if -first > ROUNDED * size else 0.0, excess if excess > WRITTEN * size else 0.0
 
 
 def _numbers(name: str, given: ArrayLike, shape: tuple[int, ...]) -> Vector:

@@ -165,6 +165,17 @@ def test_what_is_no_mass_or_moment(mass):
         ss.RigidBody("b", inertia=(1, 2, 3), fourth=mass)
 
 
+def test_moments_that_no_body_has_are_told():
+    turned = np.array([[3, 0, -2], [0, 1, 0], [-2, 0, 3]])  # of moments 1, 1 and 5
+    for moments in ((1, 1, 5), turned):
+        with pytest.warns(ss.ModelWarning, match="'b' is greater than the sum of the other two"):
+            ss.RigidBody("b", inertia=moments)
+    a, b = sp.symbols("a b", positive=True)
+    plane = (sp.sqrt(2), sp.pi, sp.sqrt(2) + sp.pi)
+    for moments in (plane, (0.0833, 0.0833, 0.1667), (1, 1, 0), (a, a, b), (1, 1, 5 * a)):
+        ss.RigidBody("b", inertia=moments)  # a warning fails here
+
+
 def test_a_quaternion_that_nothing_holds_is_told():
     body = ss.RigidBody("loose", inertia=(1, 2, 3), mass=1)
     given = {"coordinates": body.coordinates, "kinetic": body.kinetic, "potential": 0}
@@ -182,6 +193,10 @@ def test_a_quaternion_that_nothing_holds_is_told():
         (lambda: ss.RigidBody("b", (1, 1, 1)).state(angle=1), "Did you mean angles="),
         (lambda: ss.RigidBody("b", (1, 1, 1)).state(position=(1, 0, 0)), "has no position"),
         (lambda: ss.RigidBody("b", (-1, 1, 1)), "moment of inertia that is negative"),
+        (
+            lambda: ss.RigidBody("b", [[1, 0, 0], [0, 1, 2], [0, 2, 1]]),
+            "moment of inertia that is negative",
+        ),
         (lambda: ss.RigidBody("b", "abc"), "neither three moments"),
         (lambda: ss.coincide(1, 2), "a point has components"),
         (lambda: ss.Event(), "is not given expression="),
