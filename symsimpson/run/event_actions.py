@@ -286,7 +286,7 @@ class EventActions:
         try:
             e = restitution(approach)
         except InputError as error:
-            self.failed = f"{error} "
+            self.failed = f"The event {self._events.names[k]!r} cannot act: {error} "
             return state, 0.0
         if self._sign < 0 and e != 1.0:
             self.failed = (
@@ -346,26 +346,30 @@ class EventActions:
 
 
 def constant_restitution(program: Program, event: Event, values: Floats) -> float | None:
-    """Return the restitution of an impact, None where it depends on its speed or is refused."""
+    """Return the restitution of an impact, None where it depends on its speed."""
     if not isinstance(event.action, Impact):
         return None
     given = event.action.restitution
     if hasattr(given, "free_symbols") and speed_of_approach() in given.free_symbols:
         return None
-    try:
-        return _restitution(program, given, values)(0.0)
-    except InputError:
-        return None
+    return _restitution(program, given, values)(0.0)
 
 
 def _restitution(program: Program, given: Any, values: Floats) -> Callable[[float], float]:
-    """Return the restitution as a function of the speed of approach."""
+    """Return the restitution as a function of the speed of approach.
+
+    Raises
+    ------
+    InputError
+        If it does not depend on that, and is not between 0 and 1.
+    """
     if not hasattr(given, "free_symbols") or given.is_number:
         number = float(given)
         return lambda _: number
     approach, place = speed_of_approach(), program.names.parameters.found
     symbols = given.free_symbols - {approach}
     left = given.subs({symbol: float(values[place(symbol)]) for symbol in symbols})
+    varies = left.has(approach)
 
     def restitution(speed: float) -> float:
         try:
@@ -373,10 +377,14 @@ def _restitution(program: Program, given: Any, values: Floats) -> Callable[[floa
         except TypeError:  # it is not real
             factor = float("nan")
         if not 0.0 <= factor <= 1.0:
+            at = f" at a speed of approach of {speed:g}" if varies else ""
             raise InputError(
-                f"the restitution {given} is {factor:g} at a speed of approach of {speed:g}.\n"
+                f"the restitution {given} is {factor:g}{at}.\n"
                 "It must be between 0 (plastic) and 1 (elastic)."
             )
         return factor
 
-    return restitution
+    if varies:
+        return restitution
+    number = restitution(0.0)
+    return lambda _: number
