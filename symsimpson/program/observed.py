@@ -169,7 +169,7 @@ def read_reductions(
                 f"reduce[{name!r}] tells how variations grow, which is not measured through events."
                 "\nLeave it out, or the events."
             )
-        alone = isinstance(pair, tuple) and len(pair) == 2 and pair[1] in (None, "")
+        alone = isinstance(pair, tuple) and len(pair) == 2 and str(pair[1]) in ("None", "")
         kind = pair[0] if alone else pair
         if isinstance(kind, str) and kind in OF_VARIATIONS:
             reductions.append(Reduction("", "0.0", False, name=str(name), kind=kind))

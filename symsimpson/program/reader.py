@@ -102,6 +102,8 @@ class Reader:
     def read_any(self, expression: Any) -> str:
         """Read a text, an expression of SymPy, or an equation."""
         most = LONGEST
+        if isinstance(expression, type):  # as sympy.Function("f"), or a function of SymPy
+            raise self._refuse(f"{expression} is a function of nothing; write {expression}(...)")
         if hasattr(expression, "free_symbols") and hasattr(expression, "xreplace"):
             if hasattr(expression, "shape"):
                 raise self._refuse("it is a matrix, not one expression")

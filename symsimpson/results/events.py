@@ -93,7 +93,7 @@ def read_zeros(program: Program, expression: Any, direction: int, wrap: Any) -> 
             "way down, or 0 for both."
         )
     names = program.names.coordinates
-    wrap = wrap.tolist() if isinstance(wrap, np.ndarray) else wrap
+    wrap = wrap.tolist() if hasattr(wrap, "tolist") else wrap
     several = isinstance(wrap, (tuple, list, set, frozenset))
     given = program.coordinates if wrap is True else wrap if several else [wrap] if wrap else []
     places = [names.place(coordinate) for coordinate in given]

@@ -48,9 +48,10 @@ class Impact:
 
     def __post_init__(self) -> None:
         given = self.restitution
-        if not hasattr(given, "free_symbols") or getattr(given, "is_number", True):
+        bare = isinstance(given, type)  # a function of nothing
+        if bare or not hasattr(given, "free_symbols") or getattr(given, "is_number", True):
             real = isinstance(given, Real) and not isinstance(given, bool)
-            real = real or bool(getattr(given, "is_real", False))
+            real = real or (not bare and bool(getattr(given, "is_real", False)))
             number = float(given) if real and abs(given) <= 1 else float("nan")
             if not 0.0 <= number <= 1.0:
                 raise InputError(

@@ -60,6 +60,7 @@ def silence(wanted: bool = True) -> Iterator[None]:
 @contextlib.contextmanager
 def waiting(what: str, wanted: bool | None = None) -> Iterator[None]:
     """Tell after a second what is being waited for, and for how long; at once if wanted."""
+    read_progress(wanted)
     if _silent.get() or wanted is False or not (wanted or watched()):
         with silence(wanted is False):
             yield
@@ -175,6 +176,7 @@ class Watcher:
     """Counts steps of a run, and makes a bar when it has taken long: tqdm is slow to import."""
 
     def __init__(self, total: int, wanted: bool | None) -> None:
+        read_progress(wanted)
         self._total, self._done = total, 0
         self._since = time.monotonic()
         self._bar = Progress(total, True, "step") if wanted else None

@@ -68,7 +68,7 @@ def test_wrapped_angles_are_not_crossed_where_they_jump(pendulum):
 def test_wrapped_zeros_near_the_seam_are_all_found(pendulum, place, h):
     run = pendulum.integrate([1.0], v0=[10.0], h=h, steps=round(7 / abs(h)))
     turns = abs(run.events(f"sin((theta - ({place}))/2)").t)
-    for wrap in (True, "theta", ss.coordinates("theta")[0], ["theta"]):
+    for wrap in (True, np.True_, "theta", ss.coordinates("theta")[0], ["theta"]):
         found = run.events(f"theta - ({place})", wrap=wrap)
         assert len(found) == len(turns) > 8
         assert np.abs(abs(found.t) - turns).max() < 1e-12

@@ -1,5 +1,6 @@
 """Events that are refused in words, and what does not go with them."""
 
+import numpy as np
 import pytest
 import sympy as sp
 from support.impacts import BALL, drop, floor, g, x, z
@@ -40,6 +41,8 @@ def test_what_no_event_can_be(make, told):
         ([ss.Event(sp.sqrt(z**2), name="w", action=ss.Impact())], "never changes its sign"),
         ([ss.Event(g - 1, name="w", action=ss.Switch())], "'w' has no coordinate.*never changes"),
         ([ss.Event(z - x, name="w")], "'x'"),
+        ([ss.Event(sp.Function("f"), name="w")], r"event 'w': f is a function of nothing; write f"),
+        ([ss.Event(z, name="w", when=sp.sin)], "condition of the event 'w': sin is a function of"),
         ([ss.Event(z, name="w", action=ss.Change(velocities={x: 1}))], "names 'x', which is no"),
         ([ss.Event(z + 2, name="w", when="sqrt(q)", action=ss.Impact())], "'q'"),
         ([floor(sp.Symbol("e"))], "the restitution e contains e"),
@@ -68,6 +71,11 @@ def test_what_does_not_go_with_events():
         (lambda: ss.Impact(sp.I), "restitution is I"),
         (lambda: ss.Impact(sp.Matrix([1, 2])), "restitution is Matrix"),
         (lambda: ss.Impact(True), "restitution is True"),
+        (lambda: ss.Impact(sp.Function("f")), "restitution is f"),
+        (lambda: ss.Impact(sp.sin), "restitution is sin"),
+        (lambda: drop(reduce={"a": ("max", [z, z])}), r"reduce\['a'\]: it contains"),
+        (lambda: drop(reduce={"a": ("max", sp.sin)}), r"reduce\['a'\]: sin is a function of"),
+        (lambda: drop(reduce={"a": ("max", np.ones(2))}), r"reduce\['a'\]: it is no expression"),
         (lambda: ss.Change(velocities=3), "velocities is 3, not a mapping"),
         (lambda: ss.Event(z, name=3), "the name of an event is 3"),
     ],

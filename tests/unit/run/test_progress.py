@@ -3,6 +3,7 @@
 import threading
 import time
 
+import numpy as np
 import pytest
 
 import symsimpson as ss
@@ -115,6 +116,18 @@ def test_nothing_is_drawn_into_files_unless_it_is_asked_for(told, monkeypatch):
             time.sleep(0.01)
     ss.compile(system, "gauss4").integrate([1.0], v0=[0.0], h=0.01, steps=3, progress=True)
     assert told == ["asked for", "step"]
+
+
+@pytest.mark.parametrize("wanted", [np.array([1, 2]), "yes"], ids=["array", "text"])
+def test_what_is_no_truth_value_is_refused(wanted):
+    stepper = ss.compile(ss.systems.pendulum())
+    given = {"q0": [1.0], "v0": [0.0], "h": 0.1, "steps": 40, "progress": wanted}
+    calls = [stepper.integrate, stepper.linearise, stepper.lyapunov]
+    calls += [lambda **asked: stepper.gradient(cost="theta", wrt="q", **asked)]
+    calls += [lambda **asked: ss.compile(ss.systems.pendulum(), progress=asked["progress"])]
+    for call in calls:
+        with pytest.raises(ss.InputError, match="progress is"):
+            call(**given)
 
 
 def test_compile_takes_progress(told, monkeypatch):
