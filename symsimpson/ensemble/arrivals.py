@@ -12,7 +12,7 @@ from symsimpson.ensemble.task import Results, Task
 from symsimpson.module.interface import ARRIVED
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
-from symsimpson.stepping.arrival import states_at
+from symsimpson.stepping.arrival import reduced_at_ends, states_at
 
 __all__ = ["take_last_parts", "with_ends"]
 
@@ -36,6 +36,13 @@ def take_last_parts(program: Program, task: Task, results: Results) -> None:
         np.full(arrived.size, task.t_end),
         1,
     )
+    if task.reductions:
+        fine_ones, count = arrived[fine], 2 * len(task.reductions)
+        before = (results.recorded[fine_ones, 0, 0], *(x[fine] for x in states))
+        ends = np.full(len(fine_ones), task.t_end), q[fine], p[fine]
+        seen = results.seen[fine_ones, :count:2]
+        given = program, task.reductions, task.parameters[fine_ones]
+        results.seen[fine_ones, :count:2] = reduced_at_ends(*given, before, ends, seen)
     results.q[arrived, 0], results.p[arrived, 0] = q, p
     results.recorded[arrived, 0, 0], results.part[arrived] = task.t_end, part
     results.codes[arrived[~fine], 0] = Status.NOT_CONVERGED

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from symsimpson.errors import ConvergenceError, Interrupted
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.stepping.arrival import last_part, with_end
+from symsimpson.stepping.arrival import last_part, reduced_at_ends, with_end
 from symsimpson.stepping.driving import driven
 from symsimpson.stepping.kept import KeptStates
 from symsimpson.stepping.run import Run
@@ -41,12 +42,14 @@ def trajectory_of(
         tau = np.array([run.h * done], dtype=run.q.dtype)
         q, p = run.end()
         iterations = np.array([iterations.sum() + run.last_iterations], dtype=np.int64)
-    t = run.t0 + tau
+    t, reduced = run.t0 + tau, run.reduced(spec.reductions)
     if run.header.retimed:
         t = recorded[:, 0] if every else run.rows("TIME", 1).copy()
         if run.arrived:
             part, *end, status = last_part(program, run, spec.t_end)
             if status is Status.SUCCESS:
+                if reduced:
+                    reduced = _with_end(program, run, spec, reduced, end)
                 tau_end = run.h * done + part
                 t, tau, q, p, iterations = with_end(
                     (t, tau, q, p, iterations), (spec.t_end, tau_end, *end), bool(every)
@@ -89,10 +92,22 @@ def trajectory_of(
         input_values=result(spec.inputs),
         driven=driven(result(spec.inputs), single(run.t0), single(run.h), done, run.ended_by),
         **run.beside(recorded, result),
-        reduced_values=run.reduced(spec.reductions),
+        reduced_values=reduced,
         tau_values=result(tau) if run.header.retimed else None,
         begun=None if every else (single(run.begun[0]), result(run.begun[1])),
     )
+
+
+def _with_end(
+    program: Program, run: Run, spec: RunSpec, reduced: Sequence[tuple[str, float]], end: Any
+) -> tuple[tuple[str, float], ...]:
+    """Return what observed values came to, the state at the end of a retimed run with them."""
+    before, after = (run.rows("TIME", 1).copy(), *run.end()), (np.array([spec.t_end]), *end)
+    names, numbers = zip(*reduced, strict=True)
+    known = np.array([numbers])
+    given = program, spec.reductions, run.parameters[None]
+    (row,) = reduced_at_ends(*given, before, after, known).tolist()
+    return tuple(zip(names, row, strict=True))
 
 
 def raise_failure(

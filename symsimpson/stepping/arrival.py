@@ -7,16 +7,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.program.evaluating import watching
 from symsimpson.program.recorders import with_clock
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import NO_INPUTS, workspace
 from symsimpson.stepping.run import Run
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from symsimpson.program.numbers import Numbers
+    from symsimpson.program.observed import Reduction
     from symsimpson.program.program import Program
 
-__all__ = ["STRIDE", "last_part", "resolution", "states_at", "with_end"]
+__all__ = ["STRIDE", "last_part", "reduced_at_ends", "resolution", "states_at", "with_end"]
 
 Reals = NDArray[Any]
 #: Where no states are asked for, each so-many-th step is stored to be looked at.
@@ -90,6 +94,34 @@ def states_at(
         )
         part[some], q[some], p[some], fine[some] = part_out, q_out[:-1], p_out[:-1], well
     return part, q, p, fine
+
+
+def reduced_at_ends(
+    program: Program,
+    reductions: Sequence[Reduction],
+    values: Reals,
+    before: tuple[Reals, ...],
+    ends: tuple[Reals, ...],
+    reduced: Reals,
+) -> Reals:
+    """Return what observed values came to, shape (K, ...), with those at ends within a step.
+
+    ``before`` and ``ends`` are t, q and p of K runs, the last ones that were looked at and those
+    behind them; ``values`` are their parameters, shape (K, m).
+    """
+    kinds = np.array([reduction.kind for reduction in reductions])
+    watched = [k for k, reduction in enumerate(reductions) if reduction.of_states]
+    known = reduced.copy()
+    for member, row in enumerate(known if watched else ()):
+        watch = watching(program, [reductions[k] for k in watched], values[member])
+        states = (np.stack([x[member], y[member]]) for x, y in zip(before, ends, strict=True))
+        (earlier, late), (begin, end) = watch(*states), (before[0][member], ends[0][member])
+        kind, kept, rise = kinds[watched], row[watched], late - earlier
+        met = (kind == "first") & np.isnan(kept) & (late > 0)
+        kept[met] = (end - (end - begin) * late / np.where(rise == 0, 1.0, rise))[met]
+        kept = np.where(kind == "max", np.fmax(kept, late), kept)
+        row[watched] = np.where(kind == "min", np.fmin(kept, late), kept)
+    return known
 
 
 def with_end(states: tuple[Reals, ...], end: tuple[Any, ...], every: bool) -> tuple[Reals, ...]:

@@ -75,6 +75,27 @@ def test_reductions_know_the_time_of_each_member(stepper):
     np.testing.assert_allclose(many["near"], 1 - ECCENTRICITY, rtol=2e-2)
 
 
+@pytest.mark.parametrize("every", [None, 3])
+def test_reductions_see_the_end_of_single_runs_and_of_members(stepper, every):
+    reduce = {
+        "last": ("max", "t"),
+        "least": ("min", "t + 10*energy"),
+        "late": ("first", "t - 7.999"),
+        "never": ("first", "t - 8.001"),
+    }
+    asked = {"h": 0.1, "t_end": 8.0, "every": every, "reduce": reduce}
+    many = stepper.ensemble(Q0, v0=V0, **asked)
+    assert (many["last"] == 8.0).all()
+    np.testing.assert_allclose(many["late"], 7.999, rtol=1e-14)
+    assert np.isnan(many["never"]).all()
+    for k in range(len(many)):
+        single = stepper.integrate(Q0[k], v0=V0[k], **asked).reduced
+        for name, value in single.items():
+            np.testing.assert_allclose(many[name][k], value, rtol=1e-12)
+    back = asked | {"h": -0.1, "t_end": -8.0, "reduce": {"low": ("min", "t")}}
+    assert stepper.integrate(Q0[0], v0=V0[0], **back).reduced == {"low": -8.0}
+
+
 def test_what_cannot_begin_or_go_on_is_told_of_each(stepper):
     many = stepper.ensemble([[1.0, 0.0], [0.0, 0.0]], v0=[[0.0, 1.0], [0.0, 0.0]], h=0.1, t_end=5.0)
     assert many.status.tolist() == [ss.Status.SUCCESS, ss.Status.BAD_INPUT]
