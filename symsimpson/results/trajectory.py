@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
     from symsimpson.results.records import Record
 
 __all__ = ["Trajectory"]
+
+#: Times of steps are rounded by less than this, in steps.
+ROUNDED = 1e-6
 
 
 @explaining()
@@ -119,9 +123,13 @@ class Trajectory(Energies, Differentiated):
 
     @property
     def inputs(self) -> dict[str, NDArray[Any]]:
-        """Values of the inputs by name: shape (steps,), or (steps, s) if nodes have their own."""
+        """Values of the inputs by name: shape (steps,), or (steps, s) if nodes have their own.
+
+        A step that an event ended is one of them; what was given for steps behind the end is not.
+        """
         names, (given,) = self.program.inputs, self.input_values
-        values = np.broadcast_to(given, (max(self.steps, len(given)), *given.shape[1:]))
+        count = max(self.steps, math.ceil(float(self.tau[-1] / self.h) - ROUNDED))
+        values = np.broadcast_to(given, (max(count, len(given)), *given.shape[1:]))[:count]
         shown = values[:, 0] if values.shape[1] == 1 else values
         return {name: shown[..., k] for k, name in enumerate(names)}
 

@@ -32,9 +32,13 @@ def trajectory_of(
     spec: RunSpec,
     kept: KeptStates,
     every: int,
+    left_out: int = 0,
 ) -> Trajectory:
-    """Return what a run of so many steps has come to: each so-many-th state, or the last for 0."""
-    done, numbers = run.step, program.numbers
+    """Return what a run of so many steps has come to: each so-many-th state, or the last for 0.
+
+    Of Newton iterations so many were ``left_out``, as they lie behind the last of the states.
+    """
+    done, numbers, last = run.step, program.numbers, left_out + run.last_iterations
     q, p, iterations, recorded, _ = kept
     if every:
         tau = numbers.counted(0, done + 1, every) * run.h
@@ -52,14 +56,13 @@ def trajectory_of(
                     reduced = _with_end(program, run, spec, reduced, end)
                 tau_end = run.h * done + part
                 t, tau, q, p, iterations = with_end(
-                    (t, tau, q, p, iterations), (spec.t_end, tau_end, *end), bool(every)
+                    (t, tau, q, p, iterations), (spec.t_end, tau_end, *end, last), bool(every)
                 )
     recorded = recorded if every else run.left()[None]
     if run.end_within is not None:
         t_end, *end = run.end_within
-        states = (t, tau, q, p, iterations), (t_end, t_end - run.t0, *np.array(end)[:, None])
-        before = len(t)
-        t, tau, q, p, iterations = with_end(*states, bool(every))
+        part, before = (t_end, t_end - run.t0, *np.array(end)[:, None], last), len(t)
+        t, tau, q, p, iterations = with_end((t, tau, q, p, iterations), part, bool(every))
         if len(t) > before:
             recorded = np.vstack([recorded, run.left()])
         elif every:  # it is at the last state, as that was before

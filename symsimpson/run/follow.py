@@ -67,12 +67,13 @@ def follow(
     if status is Status.NOT_FINITE and run.step == 0:
         check_forces(program, spec)
     kept = keeper.states()
-    asked = kept
+    asked, left_out = kept, 0
     if spec.every not in (0, kept.every):
         q, p, iterations, recorded = each(spec.every // kept.every, *kept[:-1])
         asked = KeptStates(q, p, iterations, recorded, spec.every)
+        left_out = int(kept.iterations.sum() - iterations.sum())
     count = run.step if run.arrived else count
-    trajectory = trajectory_of(program, run, count, status, spec, asked, spec.every)
+    trajectory = trajectory_of(program, run, count, status, spec, asked, spec.every, left_out)
     if count and status is not Status.INTERRUPTED and problem is None:
         trajectory = verdict(program, run, trajectory, kept)
     return trajectory, problem

@@ -262,7 +262,8 @@ def _to_end(
         tau = np.append(h * np.arange(0.0, steps + 1.0, every), tau[:far])
         t = np.append(before, t[:far])
         q, p = (np.concatenate([x[:last, :, 0], y[:far]]) for x, y in ((Q, q), (P, p)))
-        iterations = np.append(counts[:last, 0], np.zeros(far, dtype=np.int64))
+        kept = counts[:last, 0]
+        iterations = np.append(kept, (iterations - kept.sum())[:far])
     begun = None if every else (t0, stored[0][:, 0, :, 0].copy())
     return _trajectory(program, asked, (t, q, p, iterations), h, steps, tau, begun)
 

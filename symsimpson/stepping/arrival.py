@@ -127,10 +127,11 @@ def reduced_at_ends(
 def with_end(states: tuple[Reals, ...], end: tuple[Any, ...], every: bool) -> tuple[Reals, ...]:
     """Return times, tau, positions, momenta and iterations with the end of the run behind them.
 
-    It takes the place of the state before it where that alone is kept.
+    The ``end`` has the iterations since the last stored state, too. It takes the place of the state
+    before it where that alone is kept.
     """
     t, tau, q, p, iterations = states
-    t_end, tau_end, q_end, p_end = end
+    t_end, tau_end, q_end, p_end, last = end
     if not every:
         return np.append(t[:0], t_end), np.append(tau[:0], tau_end), q_end, p_end, iterations
     if t_end == t[-1]:
@@ -140,7 +141,7 @@ def with_end(states: tuple[Reals, ...], end: tuple[Any, ...], every: bool) -> tu
         np.append(tau, tau_end),
         np.vstack([q, q_end]),
         np.vstack([p, p_end]),
-        np.append(iterations, 0),
+        np.append(iterations, last),
     )
 
 

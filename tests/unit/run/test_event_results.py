@@ -316,3 +316,34 @@ def test_zeros_of_a_run_that_was_ended_are_there_once(every):
         zeros = run.events(z - height)
         assert zeros.t == pytest.approx([FALL * np.sqrt(1 - height)])
         assert zeros.direction.tolist() == [-1]
+
+
+@pytest.mark.parametrize("every", [2, 3, None])
+@pytest.mark.parametrize("retimed", [False, True], ids=["event", "retimed"])
+def test_an_end_within_a_step_has_its_newton_iterations(every, retimed):
+    system = ss.systems.double_pendulum()
+    stepper = ss.compile(system.retimed(sp.Integer(1)) if retimed else system)
+    asked = {"q0": [1.0, 1.0], "v0": [0.0, 0.0], "h": 0.1, "t_end": 0.75 if retimed else 0.8}
+    if not retimed:
+        asked["events"] = [ss.Event(ss.time - 0.75, name="late", terminal=True)]
+    whole = stepper.integrate(**asked)
+    rough = stepper.integrate(**asked, every=every)
+    assert whole.newton_iterations[1:].min() > 0
+    assert rough.newton_iterations[-1] > 0
+    assert rough.newton_iterations.sum() == whole.newton_iterations.sum()
+
+
+@pytest.mark.parametrize("every", [1, 3, None])
+def test_inputs_are_those_of_the_steps_that_were_taken(every):
+    stepper = ss.compile(ss.systems.driven_cart_pole())
+    given = np.linspace(0.0, 0.1, 20)
+    for end, rows in ((0.105, 11), (0.1, 10), (1.0, 20)):  # in a step, at its end, behind all
+        run = stepper.integrate(
+            **stepper.reference_state,
+            h=0.01,
+            steps=20,
+            every=every,
+            inputs={"u": given},
+            events=[ss.Event(ss.time - end, name="stop", terminal=True)],
+        )
+        assert np.array_equal(run.inputs["u"], given[:rows])
