@@ -194,8 +194,11 @@ def opened(read: Reading, path: str | os.PathLike[str], scheme: Any) -> ControlR
                 (layout.bounds[0], x, layout.bounds[1], of_unknowns),
             )
         ]
-        off = abs(cost - saved["cost"]) / (abs(cost) or 1.0)
-        fits = off <= ROUNDED and max(violations) <= saved["violation"] + ROUNDED
+        if np.isfinite([cost, *violations]).all():
+            off = abs(cost - saved["cost"]) / (abs(cost) or 1.0)
+            fits = off <= ROUNDED and max(violations) <= saved["violation"] + ROUNDED
+        else:  # where the search ended, something had no value
+            fits = not np.isfinite(saved["violation"])
     if not fits:
         raise InputError(
             f"{place}: the file holds the solution of another problem, of {grid.count} steps of "

@@ -96,11 +96,19 @@ def test_the_error_of_a_small_cost_is_relative(tmp_path):
         swing(7e-12).open(tmp_path / "a.npz")
 
 
-def test_a_search_that_ends_without_a_value_says_of_what():
+def test_a_search_that_ends_without_a_value_says_of_what(tmp_path):
     start = {x: 0, x.diff(): 0}
-    found = ss.OptimalControl(CART, cost=u**2 + 1 / x, start=start, duration=1).solve(steps=4)
+    problem = ss.OptimalControl(CART, cost=u**2 + 1 / x, start=start, duration=1)
+    found = problem.solve(steps=4)
     assert found.status is ss.ControlStatus.NOT_FINITE
     assert "the cost has no value" in found.message
+    found.save(tmp_path / "a.npz")
+    again = problem.open(tmp_path / "a.npz")
+    assert (again.message, again.status) == (found.message, found.status)
+    assert (again.x == found.x).all()
+    other = ss.OptimalControl(CART, cost=u**2, start=start, duration=1)
+    with pytest.raises(ss.InputError, match="the solution of another problem"):
+        other.open(tmp_path / "a.npz")
 
 
 def test_a_cost_without_bound_is_told():
