@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.module.interface import STANDING
 from symsimpson.program.evaluating import evaluate, evaluate_in
-from symsimpson.program.program import Program
+from symsimpson.program.program import Program, new_program
 from symsimpson.results.work import parts_of_work, rough_parts
 
 if TYPE_CHECKING:
@@ -55,6 +55,8 @@ LAST, LAST_LIMIT = 4, 0.1
 AGAIN = 1_000_000
 #: Changes of the energy below this part of it are rounding.
 ROUNDING = 1e-9
+#: Digits in which energies are evaluated anew, and at most so many positions in Python.
+DIGITS, MOST_BY_TEXT = 50, 10_000
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.int64]
@@ -327,13 +329,39 @@ def _unrounded(
 
     At x = 1e-8, g (1 - cos x) is zero in doubles, and the energy seems to come and go.
     """
-    tools, system = program.tools, program.declared
-    if tools is None or system is None or run.W.dtype != np.float64 or run.header.retimed:
+    tools, system, values = program.tools, program.declared, trajectory.parameter_values
+    if run.W.dtype != np.float64 or run.header.retimed:
         return seen
     t = run.t0 + run.h * np.minimum(seen.places * kept.every, trajectory.steps)
-    values = trajectory.parameter_values.tolist()
-    changes = tools.changes_of_potential(system, t, kept.q[seen.places], values)
+    q, p = kept.q[seen.places], kept.p[seen.places]
+    if tools is None or system is None:
+        changes = _changes_by_text(program, (t, q, p), values)
+    else:
+        changes = tools.changes_of_potential(system, t, q, values.tolist())
+        if changes is not None:
+            changes += seen.kinetic - seen.kinetic[0]
     if changes is None:
         return seen
-    total = seen.total[0] + (seen.kinetic - seen.kinetic[0]) + changes
+    total = seen.total[0] + changes
     return replace(seen, total=np.where(np.isfinite(total), total, seen.total))
+
+
+def _changes_by_text(
+    program: Program, states: tuple[Reals, Reals, Reals], values: Reals
+) -> Floats | None:
+    """Return the energy at states less that at the first, by a module's text in many digits.
+
+    None where Python would take long.
+    """
+    from symsimpson.program.digits import read_precision  # loads mpmath
+
+    if states[1].size > MOST_BY_TEXT:
+        return None
+    precise = new_program(
+        program.source,
+        program.system,
+        numbers=read_precision(DIGITS, "mpmath"),
+        names=program.names,
+    )
+    energies = evaluate(precise, "energy", "ENERGY", 1, states, values)[:, 0]
+    return (energies - energies[0]).astype(np.float64)

@@ -169,9 +169,11 @@ def test_systems_at_rest_and_small_motions_are_no_alarm():
 
 
 @pytest.mark.parametrize("every", [1, None])
-def test_rounding_of_a_potential_whose_terms_cancel_is_no_alarm(every):
+@pytest.mark.parametrize("loaded", [False, True])
+def test_rounding_of_a_potential_whose_terms_cancel_is_no_alarm(every, loaded, tmp_path):
     """1 - cos(x) is 0 in doubles at 1e-8, and the kinetic energy seems to come from nowhere."""
-    stepper = ss.compile(particle(sp.Float("9.81") * (1 - sp.cos(X)), "small"))
+    small = particle(sp.Float("9.81") * (1 - sp.cos(X)), "small")
+    stepper = ss.load(ss.generate(small, "simpson", tmp_path)) if loaded else ss.compile(small)
     given = {"v0": [0.0], "h": 0.01, "steps": 600, "every": every}
     with warnings.catch_warnings():
         warnings.simplefilter("error", ss.ResolutionWarning)
@@ -179,10 +181,13 @@ def test_rounding_of_a_potential_whose_terms_cancel_is_no_alarm(every):
     assert run.q[-1, 0] == pytest.approx(1e-8 * np.cos(6 * np.sqrt(9.81)), rel=1e-4)
 
 
-def test_a_barrier_that_is_jumped_below_the_rounding_of_V_is_warned_of():
+@pytest.mark.parametrize("loaded", [False, True])
+def test_a_barrier_that_is_jumped_below_the_rounding_of_V_is_warned_of(loaded, tmp_path):
     """The same motion as of V = 1/(100 x), at speeds of 1e-8 beside terms that cancel."""
     potential = sp.Rational(1, 100) / X * sp.Rational(1, 10**18) + 1 - sp.cos(X / 10**10)
-    stepper = ss.compile(particle(potential, "low_barrier"), "lobatto8")
+    low = particle(potential, "low_barrier")
+    path = ss.generate(low, "lobatto8", tmp_path)
+    stepper = ss.load(path) if loaded else ss.compile(low, "lobatto8")
     with pytest.warns(ss.ResolutionWarning):
         run = stepper.integrate([0.1], v0=[-1e-8], h=5e7, steps=40)
     assert run.q[-1, 0] < 0
