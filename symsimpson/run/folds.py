@@ -36,6 +36,13 @@ Reals = NDArray[Any]
 BY_STATE = ("t", "q", "p", "newton_iterations", "tau_values", "variations")
 #: Where they are less independent than this, constraints follow from one another.
 SINGULAR = DEPENDENT**0.5
+#: Failures of a step that constraints explain which are no more independent than ``NEAR``, and
+#: would not be at all ``AHEAD`` steps later.
+UNSOLVED = (
+    *(Status.NOT_CONVERGED, Status.DIVERGED, Status.STEP_TOO_LARGE),
+    *(Status.SINGULAR_JACOBIAN, Status.NOT_FINITE),
+)
+NEAR, AHEAD = 0.1, 4
 
 
 def independence_of(pivots: Reals) -> NDArray[np.float64]:
@@ -87,29 +94,33 @@ def look_at_folds(
     """Look at how independent the constraints were at states of a run.
 
     Where one follows from others the run ended before; where that may have been so between two
-    states, it is warned of.
+    states, it is warned of; where a step failed shortly before, its message says so.
     """
     names = program.names.constraints.shown
     q, p, *_, every = kept
     if len(names) < 2 or len(q) < 2:
         return trajectory
-    header = program.header
+    header, failed = program.header, trajectory.status in UNSOLVED
     t = run.t0 + run.h * np.minimum(np.arange(len(q)) * every, trajectory.steps)
+    if failed:  # where it came to, and as far before as a step leads
+        end = np.array([run.now]), *run.end()
+        v = evaluate_in(run.W, program, "energy", "VELOCITY", program.n, end)
+        before = end[0] - run.h, end[1] - run.h * v, end[2]
+        t, q, p = map(np.concatenate, zip((t, q, p), before, end, strict=True))
     pivots = evaluate_in(run.W, program, "multipliers", "HELD_PIVOT", len(names), (t, q, p))
-    independence = independence_of(pivots)
+    known = independence_of(pivots)
+    independence = known[: len(kept.q)]
     singular = np.flatnonzero(independence < SINGULAR)
     who = f"{program.system}, {program.scheme}"
+
+    def dependent(at: int) -> str:
+        size, states = header.layout["HELD_SIZE"], (x[[at]] for x in (t, q, p))
+        (rows,) = evaluate_in(run.W, program, "multipliers", "CONSTRAINT_QQ", size, tuple(states))
+        return name_dependent(names, slopes_of(header, rows).astype(np.float64))
+
     if singular.size:
         bad = int(singular[0])
-        rows = evaluate_in(
-            run.W,
-            program,
-            "multipliers",
-            "CONSTRAINT_QQ",
-            header.layout["HELD_SIZE"],
-            (t[bad : bad + 1], q[bad : bad + 1], p[bad : bad + 1]),
-        )[0]
-        which = name_dependent(names, slopes_of(header, rows).astype(np.float64))
+        which = dependent(bad)
         message = (
             f"{who}: the constraints {which} depend on each other at t={float(t[bad]):g}, at "
             f"step {bad * every} of {trajectory.steps}. {Status.SINGULAR_CONSTRAINTS.message}"
@@ -119,6 +130,13 @@ def look_at_folds(
             about |= first_states(trajectory, bad)
             about |= ended_after(trajectory, (bad - 1) * every)
         return Trajectory(**about | {"status": Status.SINGULAR_CONSTRAINTS, "message": message})
+    if failed and known[-1] < min(NEAR, AHEAD * (known[-2] - known[-1])):
+        told = (
+            f"{trajectory.message} The constraints {dependent(-1)} come to depend on each other "
+            "there, as where bars of a linkage fold into a line: end the run before, or choose "
+            "lengths and motions at which they do not."
+        )
+        return Trajectory(**trajectory.__getstate__() | {"message": told})
     near = np.flatnonzero(close(independence))
     if every > 1 or not near.size:  # of states that are far apart nothing can be said
         return trajectory

@@ -241,3 +241,30 @@ def test_injected_nan_and_infinity(scheme):
             assert run.status is not ss.Status.SUCCESS
             assert run.step < 60
     assert failed > 10
+
+
+@pytest.mark.parametrize("every", [1, 20, None])
+def test_a_step_that_fails_where_bars_fold_tells_of_the_constraints(every):
+    """Two equal cranks and a bar between them, which lie in a line at the angle pi."""
+    a, b, c, d = ss.coordinates("a b c d")
+    system = ss.MechanicalSystem(
+        "parallelogram",
+        coordinates=(a, b, c, d),
+        kinetic=sum(q.diff() ** 2 for q in (a, b, c, d)) / 2,
+        potential=0 * a,
+        constraints={
+            "left": a**2 + b**2 - 1,
+            "right": (c - 2) ** 2 + d**2 - 1,
+            "top": (a - c) ** 2 + (b - d) ** 2 - 4,
+        },
+    )
+    stepper = ss.compile(system, "suzuki4")
+    cos, sin = np.cos(3), np.sin(3)
+    start = {"q0": [cos, sin, 2 + cos, sin], "v0": [-sin, cos, -sin, cos], "every": every}
+    run = stepper.integrate(**start, h=0.005, steps=60, on_failure="return")
+    assert run.status is ss.Status.NOT_FINITE
+    assert "'left', 'right', 'top' come to depend on each other there" in run.message
+    fast = start | {"v0": [-2000 * sin, 2000 * cos] * 2}
+    far = stepper.integrate(**fast, h=0.005, steps=60, on_failure="return")
+    assert not far.success
+    assert "depend on each other" not in far.message  # the step is too large
