@@ -114,8 +114,8 @@ def look_at_folds(
     who = f"{program.system}, {program.scheme}"
 
     def dependent(at: int) -> str:
-        size, states = header.layout["HELD_SIZE"], (x[[at]] for x in (t, q, p))
-        (rows,) = evaluate_in(run.W, program, "multipliers", "CONSTRAINT_QQ", size, tuple(states))
+        size, states = header.layout["HELD_SIZE"], (t[[at]], q[[at]], p[[at]])
+        (rows,) = evaluate_in(run.W, program, "multipliers", "CONSTRAINT_QQ", size, states)
         return name_dependent(names, slopes_of(header, rows).astype(np.float64))
 
     if singular.size:

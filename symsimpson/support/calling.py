@@ -57,7 +57,7 @@ TIMES = {
 
 
 def explained(
-    kind: type[SymsimpsonError] = InputError,
+    kind: type[SymsimpsonError] = InputError, hint: str = ""
 ) -> Callable[[Callable[P, Result]], Callable[P, Result]]:
     """Have a function raise an error of the package for arguments that it does not have.
 
@@ -65,6 +65,8 @@ def explained(
     ----------
     kind : type of SymsimpsonError
         What it raises in place of a TypeError.
+    hint : str
+        What to do, behind what it says.
 
     Notes
     -----
@@ -82,7 +84,7 @@ def explained(
                 problem = None if within else _problem(function, given, named)
                 if problem is None:
                     raise
-                raise kind(problem) from None
+                raise kind(problem + hint) from None
 
         return call
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from symsimpson.errors import ModelError
+from symsimpson.support.calling import explained
 from symsimpson.support.names import did_you_mean
 from symsimpson.systems.argon import argon, argon_cluster
 from symsimpson.systems.bicycle import whipple_bicycle
@@ -46,8 +48,12 @@ from symsimpson.systems.water import water
 Catalogue = dict[str, Callable[[], CatalogueSystem]]
 
 
+REMEDY = " Values of parameters are given to runs: stepper.integrate(..., parameters={'g': 1.62})."
+
+
 def _by_name(*makers: Callable[[], CatalogueSystem]) -> Catalogue:
-    return {make.__name__: make for make in makers}
+    """Return functions by their names, which say how parameters are given."""
+    return {make.__name__: explained(ModelError, REMEDY)(make) for make in makers}
 
 
 #: Functions of the catalogue by their names.
@@ -100,6 +106,7 @@ ROLLING = _by_name(chaplygin_sleigh, rolling_disc, snakeboard, ball_on_turntable
 MEETING = _by_name(kepler_plane, pythagorean, figure_eight)
 #: All of these.
 EVERY: Catalogue = {**CATALOGUE, **MODELS, **FORCED, **CONSTRAINED, **ROLLING, **MEETING}
+globals().update(EVERY)
 
 __all__ = [
     "CATALOGUE",

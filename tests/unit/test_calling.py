@@ -56,6 +56,16 @@ def test_declarations_name_their_keywords():
         ss.MechanicalSystem.from_lagrangian("p", T - V, (x,), params={})
 
 
+def test_the_catalogue_says_how_parameters_are_given():
+    for call in (lambda: ss.systems.double_pendulum(l1=0.3), lambda: ss.systems.kepler(0.3)):
+        with pytest.raises(ss.ModelError, match=r"given to runs: .*parameters={'g': 1.62}"):
+            call()
+    with pytest.raises(ss.ModelError, match="whole number of links, not 0"):
+        ss.systems.n_pendulum(0.3)  # its own error
+    assert ss.systems.n_pendulum(n=2).n == 2
+    assert ss.systems.EVERY["kepler"] is ss.systems.kepler is ss.systems.CATALOGUE["kepler"]
+
+
 def test_functions_without_arguments_and_methods_of_parents(stepper):
     for call, message in (
         (lambda: stepper.report(x=3), r"Stepper.report has no argument x=.\nIt takes none."),
