@@ -14,6 +14,7 @@ import numpy as np
 from symsimpson.cli.find import check_figure, find, state_of
 from symsimpson.errors import InputError, ResolutionWarning
 from symsimpson.support.files import check_folder, written_beside
+from symsimpson.support.names import counted
 
 if TYPE_CHECKING:
     from symsimpson.api.stepper import Stepper
@@ -170,7 +171,7 @@ def _report(trajectory: Trajectory, given: dict[str, Any]) -> None:
         print(f"  {name} = {value:g}")
     iterations = iterations_a_step(trajectory)
     said = "" if iterations is None else f", {iterations:.2f} Newton iterations a step"
-    print(f"  {trajectory.steps} steps to t = {end:g}{said}")
+    print(f"  {counted(trajectory.steps, 'step')} to t = {end:g}{said}")
     if program.header.conservative:
         print(f"  largest relative energy error {np.abs(trajectory.energy_error).max():.2e}")
     else:

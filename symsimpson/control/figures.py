@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.plotting.axes import axes
+from symsimpson.plotting.axes import axes, colours
 
 __all__ = ["iterations", "motion", "sparsity"]
 
@@ -15,6 +15,8 @@ def motion(result: Any) -> Any:
     """Draw coordinates and inputs over the time, inputs with their bounds."""
     upper, lower = axes(None, (6.4, 4.8), nrows=2, sharex=True)
     layout = result.layout
+    upper.set_prop_cycle(color=colours(len(layout.read.names)))
+    lower.set_prop_cycle(color=colours(max(1, len(layout.read.inputs))))
     t = np.linspace(0, result.duration, 12 * layout.steps + 1)
     for name in layout.read.names:
         upper.plot(t, result.functions[name](t), label=name)

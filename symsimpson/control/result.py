@@ -21,6 +21,7 @@ from symsimpson.control.point_functions import lagrange
 from symsimpson.control.solution_files import write_solution
 from symsimpson.errors import InputError
 from symsimpson.stepping.driving import driven
+from symsimpson.support.names import counted
 
 if TYPE_CHECKING:
     from symsimpson.results.trajectory import Trajectory
@@ -391,5 +392,5 @@ class ControlResult:
         return (
             f"ControlResult({layout.read.system.name}, {layout.scheme.name}: "
             f"{' + '.join(map(str, layout.grid.steps))} steps, cost {self.cost:.9g}, "
-            f"{self.status.name} after {self.iterations} iterations)"
+            f"{self.status.name} after {counted(self.iterations, 'iteration')})"
         )

@@ -26,6 +26,7 @@ from symsimpson.results.work import WORK, named_parts
 from symsimpson.stepping.driving import Driven, inputs_there
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
+from symsimpson.support.names import counted
 
 __all__ = ["Ensemble", "names_in_dataset", "spread"]
 
@@ -78,7 +79,7 @@ class Ensemble(Quantities, Differentiated):
     >>> import symsimpson as ss
     >>> stepper = ss.compile(ss.systems.pendulum())
     >>> stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50)
-    Ensemble(pendulum, simpson: 2 members, 1 states of each stored; 2 SUCCESS)
+    Ensemble(pendulum, simpson: 2 members, 1 state of each stored; 2 SUCCESS)
     >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, every=10)
     >>> many["theta"].shape, many.energy.shape, many[1].q.shape
     ((2, 6), (2, 6), (6, 1))
@@ -372,11 +373,8 @@ class Ensemble(Quantities, Differentiated):
         return ensemble(self, self._about()["t_end"])
 
     def __repr__(self) -> str:
-        program = self.program
-        return (
-            f"Ensemble({program.system}, {program.scheme}: {len(self)} members, "
-            f"{self.stored} states of each stored; {self.message})"
-        )
+        stored = f"{counted(len(self), 'member')}, {counted(self.stored, 'state')} of each stored"
+        return f"Ensemble({self.program.system}, {self.program.scheme}: {stored}; {self.message})"
 
 
 def names_in_dataset(

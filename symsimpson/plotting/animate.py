@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from symsimpson.errors import InputError
-from symsimpson.plotting.axes import axes
+from symsimpson.plotting.axes import axes, colours
 from symsimpson.plotting.pictures import KINDS, film_in_plane, write_film
 from symsimpson.plotting.scene import scene_of
 from symsimpson.plotting.space import film_in_space
@@ -123,8 +123,8 @@ def plot_path(run: Any, *, ax: Any = None) -> Any:
             f"{run.program.system} moves in space, and these axes are plane.\n"
             "Make axes with plt.subplots(subplot_kw={'projection': '3d'}), or leave ax out."
         )
-    for k, name in enumerate(scene.names):
-        ax.plot(*scene.fine[:, k].T, lw=0.7, color=f"C{k % 10}", alpha=0.8, label=name)
+    for k, (name, colour) in enumerate(zip(scene.names, colours(len(scene.names)), strict=True)):
+        ax.plot(*scene.fine[:, k].T, lw=0.7, color=colour, alpha=0.8, label=name)
     for link in scene.links:
         style = {"lw": 1.6, "ls": "-"} if link.rigid else {"lw": 0.8, "ls": ":"}
         ax.plot(*scene.ends(-1, link).T, color="0.25", **style)

@@ -7,7 +7,7 @@ from typing import Any
 from symsimpson.errors import InputError
 from symsimpson.support.extras import library
 
-__all__ = ["axes"]
+__all__ = ["axes", "colours"]
 
 
 def axes(ax: Any, size: tuple[float, float], **how: Any) -> Any:
@@ -27,3 +27,12 @@ def axes(ax: Any, size: tuple[float, float], **how: Any) -> Any:
             "Pass one of plt.subplots()[1], or leave ax out."
         )
     return ax
+
+
+def colours(count: int) -> list[Any]:
+    """Return so many colours, no two of them alike: matplotlib's own, or more from a map."""
+    matplotlib = library("matplotlib", "a figure", "plot")
+    if count <= len(matplotlib.rcParams["axes.prop_cycle"]):
+        return [f"C{k}" for k in range(count)]
+    turbo = matplotlib.colormaps["turbo"]
+    return [turbo(k / (count - 1)) for k in range(count)]

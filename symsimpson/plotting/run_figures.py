@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from symsimpson.errors import InputError
-from symsimpson.plotting.axes import axes
-from symsimpson.support.names import shortened, spelled
+from symsimpson.plotting.axes import axes, colours
+from symsimpson.support.names import counted, shortened, spelled
 
 __all__ = ["plot", "plot_energy", "plot_exponents", "plot_members", "plot_phase"]
 
@@ -70,11 +70,10 @@ def plot(some: Any, names: Any = None, *, connected: bool = True, ax: Any = None
         panels = list(axes(None, size, nrows=len(by_unit), sharex=True))
     else:
         panels, by_unit = [axes(ax, (7, 3.5))], {None: list(values)}
-    how, drawn = ({"lw": 1.2} if connected else DOTS), 0
+    how, colour = ({"lw": 1.2} if connected else DOTS), iter(colours(len(values)))
     for panel, (unit, together) in zip(panels, by_unit.items(), strict=True):
         for name in together:
-            panel.plot(some.t, values[name], label=label(name), color=f"C{drawn % 10}", **how)
-            drawn += 1
+            panel.plot(some.t, values[name], label=label(name), color=next(colour), **how)
         panel.grid(lw=0.4, alpha=0.6)
         if len(together) == 1:
             panel.set_ylabel(with_unit(together[0], units))
@@ -103,7 +102,7 @@ def plot_members(many: Any, name: Any, some: Any, *, ax: Any = None) -> Any:
         ax.hist(last, bins=min(60, max(5, int(len(last) ** 0.5))))
         ax.set(xlabel=f"{with_unit(name, units)} at the end", ylabel="members")
     program = many.program
-    ax.set_title(f"{program.system}, {program.scheme}: {shown} of {len(many)} members")
+    ax.set_title(f"{program.system}, {program.scheme}: {shown} of {counted(len(many), 'member')}")
     ax.grid(lw=0.4, alpha=0.6)
     return ax
 
@@ -152,6 +151,7 @@ def plot_energy(run: Any, *, shadow: bool = False, ax: Any = None) -> Any:
 def plot_exponents(chaos: Any, *, ax: Any = None) -> Any:
     """Draw Lyapunov exponents over the time that they were averaged over."""
     ax = axes(ax, (7, 3))
+    ax.set_prop_cycle(color=colours(chaos.history.shape[1]))
     for k, history in enumerate(chaos.history.T):
         ax.plot(chaos.t, history, lw=0.8, label=f"exponent {k + 1}")
     program = chaos.trajectory.program

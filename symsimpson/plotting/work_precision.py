@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from symsimpson.plotting.axes import axes
+from symsimpson.plotting.axes import axes, colours
 
 __all__ = ["plot_work_precision"]
 
@@ -25,7 +25,7 @@ def plot_work_precision(record: Any, *, ax: Any = None) -> Any:
     matplotlib axes
     """
     ax = axes(ax, (8.5, 5))
-    for k, name in enumerate(record.names):
+    for k, (name, colour) in enumerate(zip(record.names, colours(len(record.names)), strict=True)):
         line: list[tuple[float, float]] = []
         points = [p for p in record.points if p.name == name]
         for point in sorted(points, key=lambda p: p.median):
@@ -41,7 +41,7 @@ def plot_work_precision(record: Any, *, ax: Any = None) -> Any:
             ms=3.5,
             lw=1.8 if first else 1.0,
             label=name,
-            color=f"C{k % 10}",
+            color=colour,
             alpha=1.0 if first else 0.75,
         )
     ax.invert_xaxis()

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from symsimpson.errors import InputError
 from symsimpson.module.quantity import QUANTITIES, SCALARS, VECTORS
-from symsimpson.support.names import did_you_mean, spelled
+from symsimpson.support.names import counted, did_you_mean, spelled
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
@@ -255,7 +255,7 @@ class Reader:
             ):
                 least, most = _FUNCTIONS[_SPELLED.get(name, name)]
                 if not least <= len(arguments) <= most:
-                    raise self._refuse(f"{name} is given {len(arguments)} arguments")
+                    raise self._refuse(f"{name} is given {counted(len(arguments), 'argument')}")
                 inner = ", ".join(map(self._write, arguments))
                 return f"{_SPELLED.get(name, name)}({inner})"
             case ast.Call(func=ast.Name(id="Mod"), args=[left, right], keywords=[]):

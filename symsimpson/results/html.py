@@ -10,6 +10,7 @@ from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.outcome import iterations_a_step
 from symsimpson.support.markup import Markup, box, curves, facts, scatter
+from symsimpson.support.names import counted
 
 __all__ = ["ensemble", "events", "states", "stepper", "trajectory", "verdict"]
 
@@ -67,7 +68,7 @@ def trajectory(run: Any) -> str:
     """Show how a run ended, with pictures."""
     rows: list[tuple[str, Any]] = [
         ("scheme", f"{run.program.scheme}, order {run.program.order}"),
-        ("steps", f"{run.steps} of h = {float(run.h):g}, {len(run)} states stored"),
+        ("steps", f"{run.steps} of h = {float(run.h):g}, {counted(len(run), 'state')} stored"),
         ("status", verdict(run.status.name, run.success)),
     ]
     if not run.success:
@@ -103,7 +104,7 @@ def ensemble(members: Any, t_end: float) -> str:
     rows: list[tuple[str, Any]] = [
         ("scheme", f"{members.program.scheme}, order {members.program.order}"),
         ("members", len(members)),
-        ("to t", f"{t_end:g}, {members.stored} states of each stored"),
+        ("to t", f"{t_end:g}, {counted(members.stored, 'state')} of each stored"),
         ("status", verdict(members.message, good)),
     ]
     if members.store is not None:

@@ -8,6 +8,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from symsimpson.support.names import counted
+
 __all__ = ["Linearisation"]
 
 #: float64, or numbers of mpmath in an object array.
@@ -48,4 +50,5 @@ class Linearisation:
 
     def __repr__(self) -> str:
         names = ", ".join((*self.by_parameter, *self.by_input))
-        return f"Linearisation({len(self.by_state)} steps, by the state{', ' * bool(names)}{names})"
+        steps = counted(len(self.by_state), "step")
+        return f"Linearisation({steps}, by the state{', ' * bool(names)}{names})"

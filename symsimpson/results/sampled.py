@@ -20,7 +20,7 @@ from symsimpson.results.states import States, attribute_name, with_units
 from symsimpson.results.tables import apart, dataframe, write
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
-from symsimpson.support.names import did_you_mean, spelled
+from symsimpson.support.names import counted, did_you_mean, spelled
 
 __all__ = ["Sampled", "Saved"]
 
@@ -269,5 +269,5 @@ class Saved(WithEvents, Outcome):
     def __repr__(self) -> str:
         return (
             f"Saved({self.program.system}, {self.program.scheme}: {', '.join(self.values)} at "
-            f"{self.t.size} times, {self.status.name})"
+            f"{counted(self.t.size, 'time')}, {self.status.name})"
         )

@@ -20,6 +20,7 @@ from symsimpson.results.tables import dataframe
 from symsimpson.stepping.driving import Driven, inputs_there
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
+from symsimpson.support.names import counted
 
 __all__ = ["States"]
 
@@ -340,7 +341,7 @@ class States(Quantities):
         return states(self)
 
     def __repr__(self) -> str:
-        times = f"{len(self)} states"
+        times = counted(len(self), "state")
         if len(self):
             times += f", {float(self.t[0]):g} <= t <= {float(self.t[-1]):g}"
         return f"{type(self).__name__}({self.program.system}, {self.program.scheme}: {times})"

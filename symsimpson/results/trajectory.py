@@ -18,7 +18,7 @@ from symsimpson.results.differentiated import Differentiated
 from symsimpson.results.energies import Energies
 from symsimpson.results.states import States
 from symsimpson.support.calling import explaining
-from symsimpson.support.names import did_you_mean
+from symsimpson.support.names import counted, did_you_mean
 
 if TYPE_CHECKING:
     from symsimpson.plotting.animate import Animation
@@ -306,6 +306,6 @@ class Trajectory(Energies, Differentiated):
     def __repr__(self) -> str:
         program = self.program
         return (
-            f"Trajectory({program.system}, {program.scheme}: {self.steps} steps of "
-            f"h={float(self.h):g}, {self.t.size} states stored, {self.status.name})"
+            f"Trajectory({program.system}, {program.scheme}: {counted(self.steps, 'step')} of "
+            f"h={float(self.h):g}, {counted(self.t.size, 'state')} stored, {self.status.name})"
         )

@@ -16,6 +16,7 @@ from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.request import of_a_step
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.calling import explaining
+from symsimpson.support.names import counted
 from symsimpson.support.signals import undisturbed
 
 if TYPE_CHECKING:
@@ -169,7 +170,7 @@ class ControlLoop:
     def __repr__(self) -> str:
         program = self.program
         return (
-            f"ControlLoop({program.system}, {program.scheme}: {self.steps} steps of "
+            f"ControlLoop({program.system}, {program.scheme}: {counted(self.steps, 'step')} of "
             f"h={float(self._run.h):g}, t = {float(self.t):g})"
         )
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import SchemeError
 from symsimpson.schemes.quadrature import Quadrature, gauss, lagrange_basis, lobatto, radau
+from symsimpson.support.names import counted
 
 __all__ = ["MIDPOINT", "SIMPSON", "Scheme", "galerkin"]
 
@@ -238,7 +239,7 @@ class Scheme:
     def __repr__(self) -> str:
         kind = self.quadrature.kind.capitalize()
         return (
-            f"Scheme({self.name!r}: {kind} quadrature with {self.stages} nodes, "
+            f"Scheme({self.name!r}: {kind} quadrature with {counted(self.stages, 'node')}, "
             f"degree {self.degree}, order {self.order})"
         )
 

@@ -18,7 +18,7 @@ from symsimpson.errors import (
     StabilityWarning,
     SymsimpsonError,
 )
-from symsimpson.support.names import did_you_mean
+from symsimpson.support.names import counted, did_you_mean
 
 __all__ = ["explained", "explaining", "warn", "without_step_warnings"]
 
@@ -166,9 +166,11 @@ def _problem(
     if count > len(placed):
         others = [key for key in named_here if key not in placed]
         most = f"at most {len(placed)}: {', '.join(placed)}" if placed else "none"
-        said = f"{name} is given {count} arguments without a name, and takes {most}.\n"
+        said = f"{name} is given {counted(count, 'argument')} without a name, and takes {most}.\n"
         if not arguments:
             return f"{said}Call it without any: {name.rpartition('.')[2]}()."
+        if not others:
+            return f"{said}Leave out what is behind."
         return (
             f"{said}Name the others: {name.rpartition('.')[2]}"
             f"({', '.join([*placed, *(f'{key}=...' for key in others)])})."

@@ -14,6 +14,7 @@ from symsimpson.errors import InputError
 __all__ = [
     "Named",
     "by_name",
+    "counted",
     "did_you_mean",
     "in_a_row",
     "read_mapping",
@@ -43,6 +44,11 @@ def shortened(value: object) -> str:
     """Return how a value is written, in some sixty characters."""
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+def counted(count: int, what: str) -> str:
+    """Return how many there are: "1 state", "2 states"."""
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def in_a_row(given: Any) -> tuple[Any, ...]:

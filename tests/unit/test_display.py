@@ -188,3 +188,18 @@ def test_pictures_leave_out_what_is_not_finite():
     assert len(points) == 3
     assert "nan" not in markup.scatter(x, np.full(5, np.nan))
     assert markup.curves(np.arange(10_000.0), [np.arange(10_000.0)]).count(",") <= markup.POINTS
+
+
+def test_one_of_a_kind_is_told_in_the_singular():
+    stepper = ss.compile(ss.systems.pendulum(), "midpoint")
+    given = {"q0": [1.0], "v0": [0.0], "h": 0.1, "steps": 1}
+    told = "pendulum, midpoint: 1 step of h=0.1, 1 state stored"
+    run = stepper.integrate(**given, every=None)
+    assert repr(run) == f"Trajectory({told}, SUCCESS)"
+    assert "1 state, 0.1 <= t" in repr(run[0])
+    assert "1 state stored" in run._repr_html_()
+    assert "1 member, 1 state of each" in repr(stepper.ensemble(**given))
+    assert repr(stepper.linearise(**given)).startswith("Linearisation(1 step, ")
+    assert "with 1 node," in repr(ss.galerkin("gauss", 1, 1))
+    with pytest.raises(ss.InputError, match="given 1 argument without"):
+        ss.Switch("x")

@@ -330,7 +330,7 @@ OTHERS = {
         ss.InputError,
         r"reduce\['a'\] is \(\)",
     ),
-    "nothing without a name": (lambda: ss.Switch("x"), ss.InputError, "1 arguments .* takes none"),
+    "nothing without a name": (lambda: ss.Switch("x"), ss.InputError, "1 argument .* takes none"),
     "time": (
         lambda: ss.choose(PENDULUM, **START, t_end=np.inf, error=1e-3),
         ss.InputError,
