@@ -82,7 +82,12 @@ def look_at_ends(program: Program, task: Task, ensemble: Ensemble) -> None:
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
             every = 1 if task.steps <= WHOLE else None
-            run(program, task.of_member(member, program, every=every), None, False, "return")
+            asked = task.of_member(member, program, every=every)
+            single = run(program, asked, None, False, "return")
+        if not single.success:
+            message = f"member {member}, as others may, does not come to its end by itself"
+            warn(f"{message}: {single.message}", ResolutionWarning)
+            return
         for warning in warned:
             if issubclass(warning.category, ResolutionWarning):
                 warn(f"member {member}, as others may: {warning.message}", ResolutionWarning)
@@ -119,4 +124,4 @@ def _energies_left(
     scale = energies[..., 1].max(axis=1)
     with np.errstate(all="ignore"):
         left = np.where(scale > 0, change / scale, 0.0)
-    return np.where(np.isfinite(left), left, 0.0)
+    return np.where(np.isfinite(energies[:, 0]).all(axis=1), np.nan_to_num(left, nan=np.inf), 0.0)

@@ -25,6 +25,8 @@ __all__ = ["PAIR", "RENEWAL", "run_singly"]
 
 #: Fast sines and cosines have a value for angles up to here.
 FAST_SINES = 5e8
+#: Powers of numbers above this may be none.
+FAR = 1e50
 #: So many variations of a motion tell its largest exponent and how two align; they are made
 #: orthonormal after so many steps.
 PAIR, RENEWAL = 2, 20
@@ -34,13 +36,15 @@ def run_singly(program: Program, task: Task, results: Results) -> bool:
     """Run members that failed once more, each by itself, where robust kernels may help it.
 
     What a member comes to then is what a single run of it comes to. So are those at whose stored
-    states the energy is not real, or constraints follow from one another. Tells whether Ctrl-C
-    stopped it.
+    states the energy is not real, or too large to be a number, or constraints follow from one
+    another. Tells whether Ctrl-C stopped it.
     """
     status, small = results.codes[:, 0], (np.abs(task.q0) < FAST_SINES).all(axis=1)
     good = status == Status.SUCCESS
     if not program.header.real_everywhere:
         good &= _real(program, task, results)
+    for ends in (results.q[:, -1], results.p[:, -1]):
+        good &= ~(np.abs(ends) > FAR).any(axis=1)
     if len(program.header.constraints) > 1 and task.every:
         good &= _unfolded(program, task, results)
     good |= (status == Status.BAD_INPUT) & small

@@ -57,6 +57,37 @@ def test_steps_that_turn_by_more_than_half_a_turn():
         stepper.ensemble([0.0, 0.0], parameters={"B": [1.0, 30.0, 32.0]}, **given)
 
 
+@pytest.mark.filterwarnings("ignore::symsimpson.errors.StabilityWarning")
+@pytest.mark.parametrize("every", [1, None])
+def test_members_far_beyond_stability_end_as_single_runs_do(every):
+    """Positions grow to 1e200, whose squares are no numbers."""
+    (x,) = ss.coordinates("x")
+    system = ss.MechanicalSystem(
+        "spring", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=x**2 / 2
+    )
+    stepper = ss.compile(system, "suzuki4")
+    given = {"v0": [0.5], "h": 30.0, "steps": 20, "every": every}
+    single = stepper.integrate([1.0], **given, on_failure="return")
+    many = stepper.ensemble([[1.0], [0.0]], **given)
+    assert single.status is ss.Status.NOT_FINITE
+    assert (many.status == single.status).all()
+    assert many.steps[0] == single.steps
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::symsimpson.errors.StabilityWarning")
+def test_members_that_fail_by_themselves_are_told():
+    """Lanes do not look at the energy of each step, at which a single run ends."""
+    (x,) = ss.coordinates("x")
+    system = ss.MechanicalSystem(
+        "quartic", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=x**4 / 4
+    )
+    stepper = ss.compile(system, "gauss8")
+    told = "member 0, as others may, does not come to its end by itself: quartic, gauss8: step 112"
+    with pytest.warns(ss.ResolutionWarning, match=told):
+        stepper.ensemble([[1.0], [0.0]], v0=[0.5], h=3.5, steps=400)
+
+
 def test_where_no_member_could_begin_it_says_why():
     tau, r, phi = ss.coordinates("tau r phi")
     f = 1 - 2 / r
