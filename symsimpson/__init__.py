@@ -14,4 +14,12 @@ import lazy_loader
 __version__ = "0.2.0"
 
 # what is named in __init__.pyi is imported when it is first used, so that the package starts fast
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_attribute, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> object:
+    if name in __all__:
+        return _attribute(name)
+    from symsimpson.support.names import did_you_mean
+
+    raise AttributeError(f"symsimpson has no {name}.{did_you_mean(name, __all__)}")

@@ -15,7 +15,7 @@ from symsimpson.results.chaos import Chaos
 from symsimpson.results.gradient import Gradient
 from symsimpson.results.linearisation import Linearisation
 from symsimpson.run.requested import tangent_of_step
-from symsimpson.stepping.request import Request, of_a_step
+from symsimpson.stepping.request import Request, step_request
 from symsimpson.stepping.variations import read_varied
 from symsimpson.support.calling import explaining
 
@@ -82,9 +82,7 @@ class Differentiating(Stepping):
         n, given = self.n, tuple(wrt) if isinstance(wrt, (list, tuple)) else (wrt,)
         varied = [name for name in given if not (isinstance(name, str) and name in ("q", "p"))]
         names = read_varied(self.program, varied, of_steps=True)
-        request = Request(
-            q, v, p, h, steps=1, t0=t, parameters=parameters, inputs=of_a_step(inputs)
-        )
+        request = step_request(q, v, p, h, t, parameters, inputs)
         end = tangent_of_step(self.program, request._replace(tangents=2 * n), names)
         assert end.variations is not None
         D = end.variations[0]

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from symsimpson.api.evaluator import Evaluator, Parameters, Reals
 from symsimpson.run.requested import end_of_step
 from symsimpson.stepping.driving import node_times
-from symsimpson.stepping.request import Request, of_a_step
+from symsimpson.stepping.request import Request, of_a_step, step_request
 from symsimpson.stepping.spec import read_run
 from symsimpson.support.calling import explaining
 
@@ -68,9 +68,7 @@ class Stepping(Evaluator):
         >>> bool(q1[0] < 1.0), bool(p1[0] < 0.0)
         (True, True)
         """
-        request = Request(
-            q, v, p, h, steps=1, t0=t, parameters=parameters, inputs=of_a_step(inputs)
-        )
+        request = step_request(q, v, p, h, t, parameters, inputs)
         end = end_of_step(self.program, request)
         return end.q[0], end.p[0]
 

@@ -21,6 +21,7 @@ from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.mechanics.checks import fail, spell
 from symsimpson.mechanics.plain import Held, Plain, Symbols
 from symsimpson.mechanics.quadratic import SAMPLES, is_well_conditioned, rank, samples
+from symsimpson.support.names import counted
 
 __all__ = [
     "Accelerations",
@@ -196,7 +197,7 @@ def check_number(name: str, rows: Mapping[str, Sequence[Value]], symbols: Symbol
     if len(rows) >= len(symbols.q):
         raise fail(
             name,
-            f"there are {len(rows)} constraints on {len(symbols.q)} coordinates.",
+            f"{counted(len(rows), 'constraint')} on {counted(len(symbols.q), 'coordinate')}.",
             "Nothing could move. There must be fewer constraints than coordinates.",
         )
     every = list(rows.values())

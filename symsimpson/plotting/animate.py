@@ -17,6 +17,7 @@ from symsimpson.plotting.axes import axes, colours
 from symsimpson.plotting.pictures import KINDS, film_in_plane, write_film
 from symsimpson.plotting.scene import scene_of
 from symsimpson.plotting.space import film_in_space
+from symsimpson.program.input_values import whole_number
 from symsimpson.support.files import read_path, write_text, written_beside
 
 __all__ = ["Animation", "animate", "plot_path"]
@@ -73,13 +74,14 @@ class Animation:
         place = read_path("the file of the animation", path)
         if place.suffix == ".html":
             return write_text(path, self._page, "animation")
-        if place.suffix not in KINDS or not -self.frames <= frame < self.frames:
+        known = whole_number(frame)
+        if place.suffix not in KINDS or known not in range(-self.frames, self.frames):
             raise InputError(
                 f"{os.fspath(path)!r}, frame={frame!r}: there is no such kind of film, or frame."
                 f"\nEnd the name in .html, .gif, .mp4 or .png; frames are 0 to {self.frames - 1}."
             )
         with written_beside(place, "animation") as whole:
-            self._write(whole, place.suffix, frame % self.frames)
+            self._write(whole, place.suffix, int(frame) % self.frames)
         return place
 
     def _repr_html_(self) -> str:

@@ -46,6 +46,11 @@ def run(
     ------
     InputError, StorageError, ConvergenceError, Interrupted
     """
+    if checkpoint_every is not None and request.checkpoint is None:
+        raise InputError(
+            f"checkpoint_every={checkpoint_every!r} says how often a file is written, and there is "
+            "none.\nPass checkpoint='run.ckpt', too, or leave it out."
+        )
     if request.t_eval is not None or request.save is not None:
         return _chosen(program, request, progress, on_failure)
     plain = request.inputs is None and not request.recorded and request.checkpoint is None

@@ -7,7 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-__all__ = ["Request", "of_a_step"]
+from symsimpson.errors import InputError
+
+__all__ = ["Request", "of_a_step", "step_request"]
 
 
 class Request(NamedTuple):
@@ -69,6 +71,22 @@ class Request(NamedTuple):
         """The variations of the state that are asked for: none where it is parameters alone."""
         alone = self.tangents is None and self.sensitivities is not None
         return 0 if alone else self.tangents
+
+
+def step_request(q: Any, v: Any, p: Any, h: Any, t: Any, parameters: Any, inputs: Any) -> Request:
+    """Return the request for one step.
+
+    Raises
+    ------
+    InputError
+        If velocities and momenta are given, or neither.
+    """
+    if (v is None) == (p is None):
+        raise InputError(
+            f"a step needs exactly one of v and p, and has {'neither' if v is None else 'both'}.\n"
+            "Pass velocities as v=[...], or momenta as p=[...]."
+        )
+    return Request(q, v, p, h, steps=1, t0=t, parameters=parameters, inputs=of_a_step(inputs))
 
 
 def of_a_step(inputs: Any) -> Any:

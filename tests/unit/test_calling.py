@@ -66,6 +66,24 @@ def test_the_catalogue_says_how_parameters_are_given():
     assert ss.systems.EVERY["kepler"] is ss.systems.kepler is ss.systems.CATALOGUE["kepler"]
 
 
+def test_a_step_names_its_own_arguments(stepper):
+    for call in (stepper.step, stepper.tangent):
+        with pytest.raises(ss.InputError, match="exactly one of v and p, and has neither"):
+            call([1.0], h=0.1)
+        with pytest.raises(ss.InputError, match="exactly one of v and p, and has both"):
+            call([1.0], [0.0], p=[0.0], h=0.1)
+
+
+def test_what_goes_with_a_file_needs_one(stepper):
+    with pytest.raises(ss.InputError, match=r"Pass checkpoint='run.ckpt', too"):
+        stepper.integrate(**START, h=0.1, steps=2, checkpoint_every=3)
+
+
+def test_names_of_the_package_that_there_are_not_have_neighbours():
+    with pytest.raises(AttributeError, match=r"has no MechanicalSystm. Did you mean Mechanical"):
+        ss.MechanicalSystm  # noqa: B018
+
+
 def test_functions_without_arguments_and_methods_of_parents(stepper):
     for call, message in (
         (lambda: stepper.report(x=3), r"Stepper.report has no argument x=.\nIt takes none."),

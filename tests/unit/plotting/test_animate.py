@@ -174,7 +174,9 @@ def test_a_gif_has_all_frames(tmp_path):
         assert opened.n_frames == film.frames
 
 
-@pytest.mark.parametrize(("name", "frame"), [("film.txt", 0), ("film", 0), ("film.png", 99)])
+@pytest.mark.parametrize(
+    ("name", "frame"), [("film.txt", 0), ("film", 0), ("film.png", 99), ("film.png", "last")]
+)
 def test_other_endings_and_frames_are_refused(tmp_path, name, frame):
     with pytest.raises(ss.InputError, match=r"\.html, \.gif, \.mp4 or \.png"):
         run_of("double_pendulum").animate(fps=5).save(tmp_path / name, frame=frame)
