@@ -52,6 +52,8 @@ def state_of(system: MechanicalSystem, options: argparse.Namespace) -> dict[str,
         what = f"{' and '.join(f'--{k}' for k in asked)} without --q0"
         what = what if asked else f"{system.name} has no reference state"
         raise InputError(f"{what}.\nPass --q0 and --v0 or --p0.")
+    if ("v0" in state) == ("p0" in state):
+        raise InputError("--q0 needs exactly one of --v0 and --p0.\nPass numbers, as --v0 0,0.")
     return state
 
 

@@ -66,6 +66,11 @@ def plot(options: argparse.Namespace) -> int:
             f"--kind {options.kind} draws no {', '.join(options.names)}.\nLeave the names out, or "
             "draw them by --kind time or --kind phase."
         )
+    if options.kind == "phase" and len(options.names) > 2:
+        raise InputError(
+            f"--kind phase draws one quantity over another, not {', '.join(options.names)}.\n"
+            "Name two, x and y, or one to draw its momentum over it."
+        )
     trajectory = _integrated(options, *_made(find(options.system, options.retimed), options))
     if options.kind == "time":
         ax = trajectory.plot(options.names or None)

@@ -109,6 +109,11 @@ ERRORS = {
     "both ends": (["run", "pendulum", "--t-end", "1", "--steps", "5"], "exactly one of"),
     "far away": (["run", "pendulum", "--t-end", "1e308"], "too many to count"),
     "velocity alone": (["run", "pendulum", "--v0", "1"], "--v0 without --q0"),
+    "position alone": (["run", "pendulum", "--q0", "1"], "exactly one of --v0 and --p0"),
+    "three of a plane": (
+        ["plot", "pendulum", "theta", "v_theta", "zz", "--kind", "phase", "--out", "run.png"],
+        "--kind phase draws one quantity over another, not theta, v_theta, zz",
+    ),
     "a module": (["export", "{own}", "--out", "own"], "Name the variable that holds it"),
     "names of energies": (
         ["plot", "pendulum", "theta", "--kind", "energy", "--out", "run.png"],
