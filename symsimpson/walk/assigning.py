@@ -20,7 +20,7 @@ from symsimpson.walk.control_flow import Slot
 from symsimpson.walk.expressions import Env, Product
 from symsimpson.walk.side_by_side import Item, in_order
 from symsimpson.walk.trees import assigned
-from symsimpson.walk.values import Refused, known
+from symsimpson.walk.values import DOUBLE, Refused, known
 
 __all__ = ["Assigning"]
 
@@ -86,17 +86,20 @@ class Assigning(Functions):
         calls = [call for _, call in pairs if isinstance(call, ast.Call)]
         given = [[self._value(x, env) for x in call.args] for call in calls]
         name = ast.unparse(calls[0].func)
-        if name in self._apart or any(map(known, chain(*given))):
+        reals = all(getattr(x, "type", None) == DOUBLE for x in chain(*given))
+        if name in self._apart or not reals:
             results = [self._called(name, arguments) for arguments in given]
         else:
             given += given[:1] * (lanes % 2)  # no vector has an odd number of lanes
             columns = zip(*given, strict=True)
-            vectors = [values.joined([*map(values.real, column)]) for column in columns]
+            vectors = [values.joined([*column]) for column in columns]
             self._width = len(given)
             result = self._inside(self._text.functions[name], vectors)
             self._width = 0
             parts = result if isinstance(result, list) else [result]
-            rows = [[values.element(part, lane) for part in parts] for lane in range(lanes)]
+            rows = [
+                [x if known(x) else values.element(x, lane) for x in parts] for lane in range(lanes)
+            ]
             results = rows if isinstance(result, list) else [x for (x,) in rows]
         for (target, _), value in zip(pairs, results, strict=True):
             self._assign(target, value, env)

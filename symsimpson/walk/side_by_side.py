@@ -10,7 +10,7 @@ import ast
 from collections.abc import Iterator, Sequence
 
 from symsimpson.walk.text import Text
-from symsimpson.walk.trees import assigned, straight, weight
+from symsimpson.walk.trees import assigned, of_reals, weight
 
 __all__ = ["in_order"]
 
@@ -40,6 +40,7 @@ class _Order:
         self.body, self.text = body, text
         self.calls = {k: name for k, node in enumerate(body) if (name := _called(node, text))}
         self.done: set[int] = set()
+        self.leaves = [k for k, node in enumerate(body) if self.calls and _may_leave(node)]
         if len(self.calls) < 2:
             return
         self.reads = [_read(node) for node in body]
@@ -67,9 +68,13 @@ class _Order:
             yield k, (node, *(self.body[n] for n in together[1:]))
 
     def _alike(self, k: int) -> list[int]:
-        """Return later calls of the function that is called at a place, if one is."""
+        """Return later calls of the function that is called at a place, if one is.
+
+        What stands behind a statement by which the block may be left stays there.
+        """
         name = self.calls.get(k)
-        return [n for n, other in self.calls.items() if n > k and other == name]
+        end = next((n for n in self.leaves if n > k), len(self.body))
+        return [n for n, other in self.calls.items() if k < n < end and other == name]
 
     def _before(self, call: int, k: int) -> list[int] | None:
         """Return the statements that a call must stand behind if it moves to place k, if it can."""
@@ -110,7 +115,7 @@ def _function(value: ast.expr, text: Text) -> str:
     match value:
         case ast.Call(func=ast.Name(id=name), args=[_, *_] as arguments, keywords=[]):
             function = text.functions.get(name)
-            if function is not None and all(map(_plain, arguments)) and straight(function):
+            if function is not None and all(map(_plain, arguments)) and of_reals(function, text):
                 return name
     return ""
 
@@ -122,6 +127,12 @@ def _called(node: ast.stmt, text: Text) -> str:
         return ""
     operations = sum(weight(statement, text) for statement in text.functions[name].body)
     return name if operations >= LEAST else ""
+
+
+def _may_leave(node: ast.stmt) -> bool:
+    """Return whether what follows a statement may be left out."""
+    leaving = (ast.Break, ast.Continue, ast.Return)
+    return any(isinstance(part, leaving) for part in ast.walk(node))
 
 
 def _plain(value: ast.expr) -> bool:

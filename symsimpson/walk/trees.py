@@ -10,7 +10,7 @@ from typing import Any
 
 from symsimpson.walk.text import Text
 
-__all__ = ["assigned", "leaves", "must_wait", "straight", "used_once", "vectors", "weight"]
+__all__ = ["assigned", "leaves", "must_wait", "of_reals", "used_once", "vectors", "weight"]
 
 #: How often a loop of unknown length is taken to turn.
 TURNS = 4
@@ -60,7 +60,7 @@ def reads_rows(node: ast.expr) -> bool:
 def must_wait(node: ast.expr, text: Text) -> bool:
     """Return whether an expression must not be evaluated before it is known to be needed."""
     return reads_rows(node) or any(
-        name in text.functions and not straight(text.functions[name]) for name in _calls(node)
+        name in text.functions and not _straight(text.functions[name]) for name in _calls(node)
     )
 
 
@@ -151,7 +151,7 @@ def vectors(node: ast.For, name: str, turns: range, text: Text, known: Mapping[s
                 return used != name and (used in set_here or used not in inside)
             case ast.Call(func=ast.Name(id=called), args=arguments):
                 function = text.functions.get(called)
-                if function is not None and not straight(function):
+                if function is not None and not _straight(function):
                     return False
                 return all(fine(argument) for argument in arguments)
         return all(fine(child) for child in ast.iter_child_nodes(expression))
@@ -184,7 +184,7 @@ def vectors(node: ast.For, name: str, turns: range, text: Text, known: Mapping[s
 
 
 @lru_cache(maxsize=256)
-def straight(function: ast.FunctionDef) -> bool:
+def _straight(function: ast.FunctionDef) -> bool:
     """Return whether a function only computes with numbers."""
     allowed = (ast.Assign, ast.Return, ast.Expr)
     plain = all(isinstance(statement, allowed) for statement in function.body)
@@ -192,6 +192,16 @@ def straight(function: ast.FunctionDef) -> bool:
         isinstance(node, ast.Subscript) or (isinstance(node, ast.Name) and node.id == "W")
         for node in ast.walk(function)
     )
+
+
+@lru_cache(maxsize=256)
+def of_reals(function: ast.FunctionDef, text: Text) -> bool:
+    """Return whether a function, and all that it calls, only computes, and counts nothing."""
+    inside = [text.functions[name] for name in _calls(function) if name in text.functions]
+    counts = "int" in _calls(function) or any(
+        isinstance(x, ast.Attribute) for x in ast.walk(function)
+    )
+    return _straight(function) and not counts and all(of_reals(x, text) for x in inside)
 
 
 def _base(place: ast.expr, name: str) -> ast.expr | None:

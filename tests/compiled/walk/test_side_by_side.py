@@ -35,6 +35,35 @@ def wave(x, shift):
 @compiled
 def half(x):
     return 0.5*x
+
+
+@compiled
+def beside_a_number(x):
+    a, b = waves(x)
+    return a + b, 2.5
+
+
+@compiled
+def counted(n, x):
+    a, b = waves(x)
+    return a + n // 2*b
+
+
+@compiled
+def upwards(x):
+    return int(wave(x, 1.0)*10.0)
+
+
+@compiled
+def limited(x):
+    if x > 0.5:
+        return 0.5
+    return x
+
+
+@compiled
+def limited_wave(x):
+    return limited(wave(x, 2.0))
 """
 #: Bodies, and how many calls are done at once, in the order of the text that is walked.
 BODIES = {
@@ -131,6 +160,53 @@ W[5, lane], W[6, lane], W[7, lane] = a + c, b - d, e*f""",
     "a known number among them": (
         "x = W[1, lane]\na, b = waves(x)\nc, d = waves(2.5)\nW[5, lane] = a*b + c*d",
         [2],
+    ),
+    "a result that is known": (
+        """
+x, y = W[1, lane], W[2, lane]
+a, b = beside_a_number(x)
+c, d = beside_a_number(y)
+W[5, lane] = a*b + c*d""",
+        [2],
+    ),
+    "whole numbers given": (
+        """
+x = W[1, lane]
+n, m = int(W[7, 0]), int(W[9, 0])
+a = counted(n, x)
+b = counted(m, x)
+W[5, lane] = a - 2.0*b""",
+        [2],
+    ),
+    "whole numbers taken": (
+        """
+x, y = W[1, 0], W[2, 0]
+n = upwards(x)
+m = upwards(y)
+W[5, lane] = n // 3 + m // 4""",
+        [],
+    ),
+    "a function in it that is left early": (
+        """
+x, y = W[1, lane], W[2, lane]
+a = limited_wave(x)
+b = limited_wave(y)
+W[5, lane] = a - 2.0*b""",
+        [],
+    ),
+    "a turn that ends in between": (
+        """
+u = 0.0
+for n in range(int(W[9, 0])):
+    a, b = waves(n*1.0)
+    W[10 + n, lane] = a
+    if n > 4:
+        continue
+    u = n*2.0
+    c, d = waves(u)
+    W[30 + n, lane] = c*d
+W[5, lane] = u""",
+        [],
     ),
     "what costs little": ("x = W[1, lane]\na = half(x)\nb = half(x + 1.0)\nW[5, lane] = a*b", []),
 }
