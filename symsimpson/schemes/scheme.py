@@ -101,10 +101,10 @@ class Scheme:
     @property
     def formula(self) -> Sequence[str]:
         """The discrete Lagrangian, in lines."""
-        kind = self.quadrature.kind.capitalize()
+        kind, nodes = self.quadrature.kind.capitalize(), counted(self.stages, "node")
         return (
             "    L_d(X_0, ..., X_d) = h sum_i b_i L(sum_k A_ik X_k, 1/h sum_k B_ik X_k),",
-            f"    d = {self.degree}, X_0 = q0, X_d = q1, {kind} quadrature, {self.stages} nodes,",
+            f"    d = {self.degree}, X_0 = q0, X_d = q1, {kind} quadrature, {nodes},",
             "    p0 = -D_0 L_d,  D_k L_d = 0 for 0 < k < d,  p1 = D_d L_d",
         )
 
