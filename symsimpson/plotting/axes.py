@@ -33,6 +33,6 @@ def colours(count: int) -> list[Any]:
     """Return so many colours, no two of them alike: matplotlib's own, or more from a map."""
     matplotlib = library("matplotlib", "a figure", "plot")
     if count <= len(matplotlib.rcParams["axes.prop_cycle"]):
-        return [f"C{k}" for k in range(count)]
+        return [matplotlib.colors.to_hex(f"C{k}") for k in range(count)]
     turbo = matplotlib.colormaps["turbo"]
     return [turbo(k / (count - 1)) for k in range(count)]

@@ -136,8 +136,10 @@ class Flipped(DiscreteEquations):
     """A Jacobian with the wrong sign in one of its terms."""
 
     def second_derivative(self, k, a, m, b, entry):
-        right = super().second_derivative(k, a, m, b, entry)
-        return [*right, *(-2 * x for x in self._terms(("P_q",), (a, b), entry, k, m))]
+        def flipped(i, what, *index):
+            return entry(i, what, *index) * (-1 if what == "P_q" else 1)
+
+        return super().second_derivative(k, a, m, b, flipped)
 
 
 def built(kind, scheme=ss.SIMPSON):

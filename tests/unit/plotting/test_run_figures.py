@@ -19,7 +19,8 @@ def test_no_two_of_many_coordinates_have_one_colour():
     stepper = ss.compile(ss.systems.n_pendulum(12), "midpoint")
     many = stepper.integrate([0.1] * 12, v0=[0] * 12, h=0.01, steps=3)
     assert len({line.get_color() for line in many.plot().lines}) == 12
-    assert [line.get_color() for line in many.plot(["q1", "q2"]).lines] == ["C0", "C1"]
+    few = [line.get_color() for line in many.plot(["q1", "q2"]).lines]
+    assert few == [matplotlib.colors.to_hex(colour) for colour in ("C0", "C1")]
     paths = many.plot_path().lines[:12]
     assert len({line.get_color() for line in paths}) == 12
 
