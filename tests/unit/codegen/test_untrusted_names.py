@@ -1,6 +1,7 @@
 """A symbol's name is untrusted text: it reaches code only as a plain identifier."""
 
 import ast
+import re
 
 import numpy as np
 import pytest
@@ -10,8 +11,8 @@ from support.workspace import begin, block, take_step
 from sympy.physics.mechanics import dynamicsymbols
 
 import symsimpson as ss
-from symsimpson.codegen.emitted_names import NameTable
-from symsimpson.codegen.pipeline import source
+from symsimpson.codegen.emitted_names import NameTable, reserved
+from symsimpson.codegen.pipeline import derive, source
 from symsimpson.module.binding import bind_float
 from symsimpson.module.header import read_header
 from symsimpson.module.workspace_layout import BLOCKS
@@ -178,3 +179,17 @@ def test_names_are_the_users_own():
     text = source(ss.systems.cart_pole())
     assert "m_pole" in text
     assert "sin_theta_1, cos_theta_1 = sincos(theta_1)" in text
+
+
+@pytest.mark.parametrize("name", ["rolling_disc", "damped_pendulum", "fermi_pasta_ulam"])
+def test_functions_of_a_module_have_names_that_no_symbol_takes(name):
+    system = getattr(ss.systems, name)()
+    varied = [str(a) for a in system.parameters][:1]
+    functions = [
+        node.name
+        for text in (source(system, "simpson"), derive(system, "simpson", varied=varied).text)
+        for node in ast.parse(text).body
+        if isinstance(node, ast.FunctionDef)
+    ]
+    families = [name for name in functions if re.search(r"_\d+$", name)]
+    assert {*functions} - {*families} <= reserved()
