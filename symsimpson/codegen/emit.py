@@ -291,32 +291,23 @@ def _kernel(kernel: Kernel, printer: Printer) -> str:
 
 def _statements(statements: Iterable[Statement], printer: Printer, depth: int) -> list[str]:
     lines: list[str] = []
-    for block, group in groupby(statements, _moved):
+    moves = ((_move(statement, printer), statement) for statement in statements)
+    for block, group in groupby(moves, lambda pair: pair[0] and pair[0][0]):
         if block is None:
-            lines += (line for x in group for line in _statement(x, printer, depth))
+            lines += (line for _, x in group for line in _statement(x, printer, depth))
         else:
-            lines += _moves([_move(x, printer) for x in group], depth)
+            lines += _moves((move[1:] for move, _ in group if move), depth)
     return lines or ["    " * depth + "pass"]
 
 
-def _moved(statement: Statement) -> tuple[type, str] | None:
-    """Return from or to which block a value is moved; None where more is done than that."""
-    match statement:
-        case Load(_, row):
-            return Load, row.block
-        case Store(row, value, _, False) if not count_operations(value):
-            return Store, row.block
-    return None
-
-
-def _move(statement: Statement, printer: Printer) -> tuple[str, str]:
-    """Return the target and the source of a value that is moved."""
+def _move(statement: Statement, printer: Printer) -> tuple[tuple[type, str], str, str] | None:
+    """Return from or to which block a value is moved, its target and source; None for others."""
     match statement:
         case Load(target, row):
-            return target.name, str(row)
-        case Store(row, value):
-            return str(row), printer.text(value)
-    raise AssertionError(statement)
+            return (Load, row.block), target.name, str(row)
+        case Store(row, value, _, False) if not count_operations(value):
+            return (Store, row.block), str(row), printer.text(value)
+    return None
 
 
 def _moves(moves: Iterable[tuple[str, str]], depth: int) -> Iterator[str]:
@@ -339,8 +330,8 @@ def _statement(statement: Statement, printer: Printer, depth: int) -> list[str]:
     pad = "    " * depth
     write = printer.text
     match statement:
-        case Load():
-            return list(_moves([_move(statement, printer)], depth))
+        case Load():  # written with others of its block
+            return []
         case Assign(target, value):
             return folded(f"{pad}{target.name} = ", write(value), pad + "    ", parentheses=True)
         case Store(row, value, _, add):
