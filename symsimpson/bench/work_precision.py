@@ -36,9 +36,10 @@ LEAST_SECONDS = 1e-3
 MOST_SECONDS = 2.0
 #: After so many slow choices a sweep ends, and it leaves out so many behind each of them.
 MOST_SLOW, LEAP = 3, 3
-#: A run that takes this long is not run twice to be warm, and every second number of steps behind
-#: it is left out.
-LONG_SECONDS = 0.1
+#: A run that takes this long is not run twice to be warm, unless it takes so many times as long as
+#: the one before, which may be the time of a compiler. Every second number of steps behind it is
+#: left out.
+LONG_SECONDS, MUCH_LONGER = 0.1, 4.0
 #: What has been timed for so long is timed no more: noise is short against it.
 ENOUGH_SECONDS = 0.5
 #: A run over this part of the time measures the cost of a call alone.
@@ -181,13 +182,18 @@ def _contenders(
     yield from peers(problem, names)
 
 
-def _once(contender: Contender[Runnable], choice: float, problem: Problem) -> _Entry | None:
-    """Run a choice, the second time with a clock if it is short; None if it raised an error."""
+def _once(
+    contender: Contender[Runnable], choice: float, problem: Problem, before: float = 0.0
+) -> _Entry | None:
+    """Run a choice, once more if it was not warm yet; None if it raised an error.
+
+    ``before`` has the seconds that a coarser choice took.
+    """
     run, read = contender.make(choice)
     try:
         spent = 0.0
         for _ in range(2):
-            if spent < LONG_SECONDS:
+            if spent < LONG_SECONDS or spent > MUCH_LONGER * before:
                 begin = time.perf_counter()
                 result = run()
                 spent = time.perf_counter() - begin
@@ -202,12 +208,13 @@ def _once(contender: Contender[Runnable], choice: float, problem: Problem) -> _E
 def _sweep(contender: Contender[Runnable], problem: Problem, finest: float) -> list[_Entry]:
     """Run choices from coarse to fine until they are accurate enough, stagnate or are too slow."""
     entries: list[_Entry] = []
-    slow = place = 0
+    slow, place, before = 0, 0, 0.0
     while place < len(contender.choices):
-        entry = _once(contender, contender.choices[place], problem)
+        entry = _once(contender, contender.choices[place], problem, before)
         place += 1
         if entry is None:
             continue
+        before = entry.times[0]
         place += contender.what == "steps" and entry.times[0] > LONG_SECONDS
         if entry.error < 1:
             entries.append(entry)

@@ -1,14 +1,16 @@
 """Comparisons: every peer solves the right problem, records are read as they were written."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.bench import throughput
+from symsimpson.bench import throughput, work_precision
 from symsimpson.bench.benchmark_problem import make_problem
+from symsimpson.bench.contender import Contender, Outcome
 from symsimpson.bench.peers import ours, peers
 from symsimpson.bench.programs import PROGRAMS, in_heyoka
 from symsimpson.bench.record import WorkPrecision
@@ -141,6 +143,24 @@ def test_wrong_input(case):
     given, message = WRONG[case]
     with pytest.raises(ss.InputError, match=message):
         ss.work_precision(ss.systems.pendulum(), **{"peers": (), "t_end": 0.1} | given)
+
+
+def test_the_time_of_a_compiler_is_no_time_of_a_run(monkeypatch):
+    """Fallback kernels are compiled in the sweep, where a coarse step needs them."""
+    clock, compiled = SimpleNamespace(now=0.0), set()
+    monkeypatch.setattr(work_precision, "time", SimpleNamespace(perf_counter=lambda: clock.now))
+
+    def make(steps):
+        def run():
+            clock.now += 1e-4 * steps if steps != 8 or steps in compiled else 0.7
+            compiled.add(steps)
+            return steps
+
+        return run, lambda steps: Outcome(np.array([steps**-4]), np.zeros(1), steps)
+
+    problem = SimpleNamespace(error=lambda q, p: q[0])
+    entries = work_precision._sweep(Contender("a", "steps", (4, 8, 16), make), problem, 1e-9)
+    assert [entry.times[0] for entry in entries] == pytest.approx([4e-4, 8e-4, 16e-4])
 
 
 def test_one_level_is_a_table_of_one():
