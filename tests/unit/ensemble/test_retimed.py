@@ -75,7 +75,7 @@ def test_reductions_know_the_time_of_each_member(stepper):
     np.testing.assert_allclose(many["near"], 1 - ECCENTRICITY, rtol=2e-2)
 
 
-@pytest.mark.parametrize("every", [None, 3])
+@pytest.mark.parametrize("every", sweep([None, 3]))
 def test_reductions_see_the_end_of_single_runs_and_of_members(stepper, every):
     reduce = {
         "last": ("max", "t"),

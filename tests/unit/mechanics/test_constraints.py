@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import sympy as sp
+from support.cases import sweep
 from sympy.physics.mechanics import LagrangesMethod
 
 import symsimpson as ss
@@ -135,7 +136,7 @@ def test_the_nearest_state():
     assert free.consistent([1, 2, 3], [4, 5, 6])[1].tolist() == [4, 5, 6]
 
 
-@pytest.mark.parametrize("place", [(1.2, 0.2, -1.2), (0.5, 0.9, -1.9), (1.7, -0.3, -1.4)])
+@pytest.mark.parametrize("place", sweep([[1.2, 0.2, -1.2], [0.5, 0.9, -1.9], [1.7, -0.3, -1.4]]))
 def test_no_state_along_the_constraints_is_nearer(place):
     """Of a linkage whose bars go their ways: looked at all along these."""
     bars, way = ss.systems.four_bar(), np.linspace(-0.7, 0.7, 401)

@@ -104,7 +104,7 @@ PAIRS = {
 }
 
 
-@pytest.mark.parametrize("name", PAIRS)
+@pytest.mark.parametrize("name", sweep(PAIRS))
 def test_potentials_of_distances_are_found(name):
     q, u = ss.coordinates("x1 y1 x2 y2 x3 y3"), ss.coordinates("a1 b1 a2 b2 a3 b3")
     frame, places = me.ReferenceFrame("N"), [(q[k], q[k + 1]) for k in (0, 2, 4)]
@@ -129,7 +129,7 @@ def test_potentials_of_distances_are_found(name):
     assert max(abs(float(slope)) for slope in slopes) < 1e-12
 
 
-@pytest.mark.parametrize("name", PAIRS)
+@pytest.mark.parametrize("name", sweep(PAIRS))
 @pytest.mark.parametrize("alone", [True, False])
 def test_potentials_of_distances_on_a_line_are_found(name, alone):
     """The distance is the root of a square, which SymPy writes as an absolute value of reals."""
