@@ -35,7 +35,7 @@ CONSISTENT = 1e-9
 #: the slope of the constraint: one that goes round by 0.8 of a radian in a step of degree 1 does.
 AWAY = 0.1
 #: So many of Newton's steps bring a guess onto its constraints, or near them.
-MOST_STEPS = 30
+MOST_ITERATIONS = 30
 
 
 def held_rates(read: Reading) -> list[Value]:
@@ -195,7 +195,7 @@ def onto(layout: Any, q: Floats, values: dict[int, Any]) -> Floats:
     read = layout.read
     functions = PointFunctions(read.graph, read.q, read.held.phi)
     flat = q.reshape(-1, layout.n).copy()
-    for _ in range(MOST_STEPS if read.held.phi else 0):
+    for _ in range(MOST_ITERATIONS if read.held.phi else 0):
         at = {**values, **dict(zip(read.q, flat.T, strict=True))}
         off = functions.values(at, len(flat)).T
         slopes = functions.jacobian(at, len(flat))

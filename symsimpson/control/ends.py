@@ -26,7 +26,7 @@ __all__ = ["Following", "following"]
 Floats = NDArray[np.float64]
 #: From so many places one goes to where rows are 0, in so many of Newton's steps at most; at least
 #: FEWEST get there.
-PLACES, MOST_STEPS, FEWEST = 8, 80, 2
+PLACES, MOST_ITERATIONS, FEWEST = 8, 80, 2
 #: Parameters and durations, which have bounds, are moved where states do not do: by this part.
 SELDOM = 1e-2
 #: Rows are 0 within EXACT, in units of sizes; one that is so within NEAR at all places follows from
@@ -140,7 +140,7 @@ class _Rows:
 
     def onto(self, w: Floats, rows: list[int]) -> Floats | None:
         """Return a place where rows are 0, if Newton's method gets there."""
-        for _ in range(MOST_STEPS):
+        for _ in range(MOST_ITERATIONS):
             off, slopes = self._measured(w, rows)
             if not (np.isfinite(off).all() and np.isfinite(slopes).all()):
                 return None
