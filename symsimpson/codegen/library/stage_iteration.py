@@ -92,13 +92,15 @@ def check_stage_acceptance(W, lane):
 
     LARGEST_SQUARED is what it compares its increments with: about n^2/4 times those of n nodes,
     squared. In the next step convergence is checked first when one more iteration is likely to be
-    enough.
+    enough, and earlier behind a step that was done when it was first checked: it may have been so
+    for long.
     """
     increment = W[INCREMENT_SQUARED, lane]
     resolved = W[CYCLIC_JUMP_SQUARED, lane] <= UNRESOLVED * increment
     W[IN_DOUBT, lane] = 0.0 if resolved else 1.0
     W[LARGEST_SQUARED, lane] = max(W[LARGEST_SQUARED, lane], 0.25 * NODES**2 * increment)
-    W[STAGE_EXPECTED, lane] = W[STAGE_COUNT, lane] - 1.0
+    count = W[STAGE_COUNT, lane]
+    W[STAGE_EXPECTED, lane] = count - (1.0 if count > W[STAGE_EXPECTED, lane] else 3.0)
     W[STAGE_COUNT, lane] = 0.0
 
 
