@@ -347,6 +347,19 @@ def test_when_stages_are_done(correction, before, factor, seen, verdict):
             assert abs(W[module.CONTRACTION, 0] / mp.mpf(seen) - 1) < 1e-12
 
 
+@pytest.mark.parametrize(
+    ("count", "expected", "first"), [(8, 7, 7), (7, 7, 4), (2, 2, -1), (5, 0, 4)]
+)
+def test_when_stages_are_checked_first(count, expected, first):
+    """One iteration before the last; earlier where the first check found that all was done."""
+    module = bind_mpmath(source(ss.systems.pendulum(), "gauss6"), checking=True)
+    W = np.full((module.ROWS, 1), mp.mpf(0), dtype=object)
+    W[module.STAGE_COUNT, 0], W[module.STAGE_EXPECTED, 0] = mp.mpf(count), mp.mpf(expected)
+    module.check_stage_acceptance(W, 0)
+    assert W[module.STAGE_EXPECTED, 0] == first
+    assert W[module.STAGE_COUNT, 0] == 0
+
+
 @pytest.mark.slow
 def test_large_systems_run():
     """Eight links: looped kernels, compiled, of the right order."""
