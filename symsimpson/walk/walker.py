@@ -108,6 +108,7 @@ class Walker(Assigning):
                 self._text.functions[name] for name in names if name in self._text.functions
             ]
             named = frozenset(names & self._text.scratch.keys())
+            self._names[node] = named  # a function may have a value of its own name
             scratch = self._names[node] = named.union(*map(self._mentioned, functions))
         return scratch
 

@@ -70,6 +70,13 @@ def test_a_branch_in_which_a_function_is_left():
     assert found[5, 0] == 7
 
 
+def test_a_function_with_a_value_of_its_own_name():
+    twice = "@compiled\ndef twice(x):\n    twice = 2*x\n    return twice\n\n\n"
+    found, wanted = run("W[5, lane] = twice(W[2, lane])", twice)
+    assert (found == wanted).all()
+    assert found[5, 0] == 4
+
+
 @pytest.mark.parametrize(
     "body",
     [  # rows beside each other are vectors, unless one turn needs what another wrote
