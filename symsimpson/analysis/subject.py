@@ -35,6 +35,9 @@ NEGLIGIBLE = mpmath.mpf("1e-5")
 #: Momenta that are so small a part of the largest have a size of their own, as those of a planet
 #: beside two stars: its velocities are theirs, and a displacement must be small beside them.
 LIGHT = 1e-3
+#: Coordinates that are so small a part of the others, and have a share of the motion, stand in a
+#: unit of their own, as metres in an atom beside radians.
+TINY = 1e-6
 
 
 def with_inputs(stepper: Stepper, given: Mapping[Any, float] | None) -> Stepper:
@@ -83,7 +86,9 @@ class Subject:
         q, p = (np.abs(x).max(axis=0) for x in (run.q, run.p))
         # a coordinate that hardly moves has no size of its own: that of others, in small units
         least = min(1.0, q.max() or 1.0)
-        places, most = np.maximum(q, least), p.max() or 1.0
+        shares = np.abs(run.p * run.v).max(axis=0)
+        own = (q > 0) & (q < TINY * least) & (shares > LIGHT * shares.max())
+        places, most = np.where(own, q, np.maximum(q, least)), p.max() or 1.0
         if "PASSED" in run.program.header.layout:  # retimed: v is that of another time
             return np.concatenate([places, np.full(self.n, most)])
         fastest = (np.abs(run.v) / places).max()

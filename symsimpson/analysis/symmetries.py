@@ -112,21 +112,34 @@ def linear_symmetries(precise: Precise, z: NDArray[Any]) -> list[Symmetry]:
     # energies and constraints have units of their own
     exact = np.array([row / (np.abs(row).max() or 1) for row in rows])
     matrix = exact.astype(np.float64)
-    scale = np.abs(matrix).max(axis=0)
-    scale[scale < RANK * scale.max()] = scale.max()
+    scale = _sizes_of_columns(matrix, unit, precise.sizes[:n].astype(np.float64), d)
     _, singular, basis = np.linalg.svd(matrix / scale)
     null = basis[np.count_nonzero(singular > RANK * singular[0]) :]
     names = precise.stepper.coordinates
     symmetries = []
     for row in _reduced(null, scale):
         full = _refined(row, exact, precise.context)
-        row = _rounded(full.astype(np.float64))  # many digits tell what rounding has hidden
+        row = _rounded(full.astype(np.float64), scale)  # many digits tell what rounding has hidden
         if row[n:].any():  # else it is a displacement, of any length
             row[:n], full[:n] = row[:n] * unit, full[:n] * unit
         A, exact_A = (_blocks(x[n:], n, d) for x in (row, full))
         generator = np.column_stack([exact_A, full[:n]])
         symmetries.append(Symmetry(A, row[:n], generator, _name(A, row[:n], names)))
     return symmetries
+
+
+def _sizes_of_columns(
+    matrix: NDArray[np.float64], unit: float, sizes: NDArray[np.float64], d: int
+) -> NDArray[np.float64]:
+    """Return the sizes of columns; of those that are nothing but rounding, what they might have.
+
+    Coordinates may have units of their own, as metres and radians: what b and A multiply, H_q and
+    q, is judged in these.
+    """
+    each = sizes.reshape(-1, d).max(axis=0) if d else sizes[:0]
+    units = np.concatenate([unit / sizes, np.outer(1 / each, each).ravel()])
+    scale = np.abs(matrix).max(axis=0) / units
+    return np.where(scale < RANK * scale.max(), scale.max(), scale) * units
 
 
 def _by_block(left: NDArray[Any], right: NDArray[Any], d: int) -> NDArray[Any]:
@@ -228,13 +241,19 @@ def _reduced(rows: NDArray[np.float64], scale: NDArray[np.float64]) -> NDArray[n
                 rows[other] -= rows[other, column] / rows[done, column] * rows[done]
         pivots.append(column)
     rows = rows / scale
-    return _rounded(rows / rows[np.arange(len(pivots)), pivots][:, None])
+    return _rounded(rows / rows[np.arange(len(pivots)), pivots][:, None], scale)
 
 
-def _rounded(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return halves, thirds and quarters where entries are as near to these as rounding."""
+def _rounded(rows: NDArray[np.float64], scale: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return halves, thirds and quarters where entries are as near to these as rounding.
+
+    What is small in the sizes of its columns is 0.
+    """
+    sizes = np.abs(rows) * scale
     twelfths = np.round(rows * 12) / 12
-    return np.where(np.abs(rows - twelfths) < ROUND, twelfths, rows)
+    close = (twelfths != 0) & (np.abs(rows - twelfths) < ROUND)
+    nothing = sizes < ROUND * sizes.max(axis=-1, keepdims=True)
+    return np.where(nothing, 0.0, np.where(close, twelfths, rows))
 
 
 def _name(A: NDArray[np.float64], b: NDArray[np.float64], names: Sequence[str]) -> str:

@@ -42,3 +42,21 @@ def test_constraints_and_momenta_in_small_units():
     )
     found = ss.compile(rod).certify(q0=[unit, 0.0], v0=[0.0, 0.7 * unit], h=0.1)
     assert [check.name for check in found.checks if not check.passed] == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["simpson", "gauss8"])
+def test_metres_of_an_atom_beside_radians(scheme):
+    """An electron around a proton, in polar coordinates and SI units; p_phi is Noether's."""
+    k = sp.Symbol("k", positive=True)
+    atom = ss.MechanicalSystem(
+        "atom",
+        coordinates=(x, y),
+        kinetic=m * (x.diff() ** 2 + x**2 * y.diff() ** 2) / 2,
+        potential=-k / x,
+        parameters={m: 9.109e-31, k: 2.307e-28},
+    )
+    found = ss.compile(atom, scheme).certify(q0=[5.3e-11, 0.0], v0=[0.0, 3.3e16], h=1e-18)
+    assert [check.name for check in found.checks if not check.passed] == []
+    (momenta,) = [check for check in found.checks if check.name == "momenta"]
+    assert momenta.what.startswith("change of p_y")
