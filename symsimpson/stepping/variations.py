@@ -141,7 +141,7 @@ def read_tangents(program: Program, tangents: Any) -> Reals:
         If there are too many, or the shape is another.
     """
     numbers, size = program.numbers, 2 * program.n
-    count = whole_number(tangents)
+    count = -1 if isinstance(tangents, bool) else whole_number(tangents)
     if count is not None:
         if not 0 <= count <= size:
             raise InputError(

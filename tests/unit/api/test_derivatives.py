@@ -144,6 +144,8 @@ def test_what_cannot_be_differentiated_is_refused(pendulum):
         pendulum.integrate([1.0], v0=[0.0], h=H, steps=1, tangents=3)
     with pytest.raises(ss.InputError, match="expected \\(2, k\\)"):
         pendulum.integrate([1.0], v0=[0.0], h=H, steps=1, tangents=np.eye(3))
+    with pytest.raises(ss.InputError, match="Pass tangents=2 for the whole derivative"):
+        pendulum.integrate([1.0], v0=[0.0], h=H, steps=1, tangents=True)
     with pytest.raises(ss.InputError, match="carried no derivatives of this kind"):
         _ = pendulum.integrate([1.0], v0=[0.0], h=H, steps=1).tangent
     explicit = ss.compile(ss.systems.henon_heiles(), "blanes_moan4")
