@@ -87,10 +87,11 @@ class Subject:
         # a coordinate that hardly moves has no size of its own: that of others, in small units
         least = min(1.0, q.max() or 1.0)
         shares = np.abs(run.p * run.v).max(axis=0)
-        own = (q > 0) & (q < TINY * least) & (shares > LIGHT * shares.max())
+        moving = shares > LIGHT * shares.max()
+        own = moving & (q > 0) & (q < TINY * least)
         places, most = np.where(own, q, np.maximum(q, least)), p.max() or 1.0
         if "PASSED" in run.program.header.layout:  # retimed: v is that of another time
-            return np.concatenate([places, np.full(self.n, most)])
+            return np.concatenate([places, np.where(moving & (p < TINY * most), p, most)])
         fastest = (np.abs(run.v) / places).max()
         with np.errstate(all="ignore"):  # the mass of what cannot move has no bound
             each = np.maximum(p, _masses(run, most) * places * fastest)
