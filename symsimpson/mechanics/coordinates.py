@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, NoReturn
+
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
@@ -67,8 +69,35 @@ def coordinates(names: str, *more: str, **assumed: object) -> tuple[AppliedUndef
             f"coordinates cannot be called {names!r}: {error}.\nA colon stands for a range, as in "
             "'q0:3'; write q1, q2 = symsimpson.coordinates('q1 q2')."
         ) from None
-    several = functions if isinstance(functions, (tuple, list)) else (functions,)
-    return tuple(function(time) for function in several)
+    if isinstance(functions, (tuple, list)):
+        return tuple(function(time) for function in functions)
+    return _Single((functions(time),))
+
+
+class _Single(tuple[AppliedUndef, ...]):
+    """One coordinate in its tuple, which tells those who calculate with it as if it were none."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name in ("diff", "dt", "subs"):
+            self._refuse()
+        raise AttributeError(f"a tuple has no attribute {name!r}")
+
+    def _refuse(self, *_: object) -> NoReturn:
+        name = self[0].func.__name__
+        raise ModelError(
+            f"this is the tuple ({name},) of one coordinate, not the coordinate.\n"
+            f"Write ({name},) = symsimpson.coordinates({name!r}), with brackets and a comma."
+        )
+
+    def __add__(self, other: Any) -> Any:
+        return super().__add__(other) if isinstance(other, tuple) else self._refuse()
+
+    def __mul__(self, other: Any) -> Any:
+        return super().__mul__(other) if isinstance(other, int) else self._refuse()
+
+    __rmul__ = __mul__
+    __radd__ = __neg__ = __sub__ = __rsub__ = _refuse
+    __pow__ = __rpow__ = __truediv__ = __rtruediv__ = _refuse
 
 
 @explained(ModelError)

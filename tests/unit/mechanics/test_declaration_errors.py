@@ -1,5 +1,6 @@
 """Every mistake in a declaration has its own message, with a line that says what to do."""
 
+import pickle
 from decimal import Decimal
 
 import numpy as np
@@ -253,3 +254,26 @@ def test_a_name_that_ends_with_the_time_is_refused():
     x = sp.Function("x(t)")(ss.time)
     with pytest.raises(ss.ModelError, match=r"has the time in it(.|\n)*Function\('x'\)\(t\)"):
         ss.MechanicalSystem("odd", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=x**2)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda theta, m: m * theta.diff() ** 2 / 2,
+        lambda theta, m: m * theta,
+        lambda theta, m: 2.0 * theta,
+        lambda theta, m: theta + m,
+        lambda theta, m: m - theta,
+        lambda theta, m: theta**2,
+        lambda theta, m: -theta / 2,
+    ],
+)
+def test_the_tuple_of_one_coordinate_is_not_the_coordinate(wrong):
+    theta, m = ss.coordinates("theta"), sp.Symbol("m", positive=True)
+    with pytest.raises(ss.ModelError, match=r"Write \(theta,\) = symsimpson"):
+        wrong(theta, m)
+    (angle,) = theta
+    assert theta == (angle,)
+    assert theta + theta == 2 * theta == (angle, angle)
+    assert sp.Matrix(theta) == sp.Matrix([angle])
+    assert pickle.loads(pickle.dumps(theta)) == theta
