@@ -20,8 +20,9 @@ __all__ = ["DEPENDENT", "name_dependent", "project_start"]
 
 Reals = NDArray[Any]
 #: Starts that miss constraints by more than this, relative to their slopes and to q, are refused,
-#: whatever the unit of q. Velocities are held against v, or what the forces make of rest.
-MISSED = 1e-9
+#: whatever the unit of q. Velocities are held against v, or what the forces make of rest. Each
+#: coordinate has its own size, or this part of the largest one.
+MISSED, OTHERS = 1e-9, 1e-4
 #: Constraints are dependent where INDEPENDENCE, between 0 and 1, is below this.
 DEPENDENT = 1e-10
 #: Newton's method from a start that misses by less needs so many iterations, with many digits too.
@@ -92,25 +93,31 @@ def project_start(
     rest = 0 * q
     slopes = slopes_at(q)
     size = np.linalg.norm(slopes, axis=2)
-    reach = np.abs(q.astype(np.float64)).max(axis=1)
-    beside = slopes_at(q + FLAT * reach[:, None])
-    flat = (size == 0) | (np.linalg.norm(beside - slopes, axis=2) > size)
+    reach = np.abs(q.astype(np.float64)).max(axis=1)[:, None]
+    whole, own = size * reach, _sizes(q, reach)
+    met = _scaled(slopes, own)
+    ahead = np.where(q < 0, -1.0, 1.0) * FLAT
+    apart, near = (slopes_at(q + ahead * far) - slopes for far in (reach, own))
+    # far from the origin positions have other sizes than what depends on them
+    flat = (np.linalg.norm(apart, axis=2) > size) & (_scaled(near, own) > met)
+    flat |= size == 0
     _check_rank(program, q, slopes, flat, at("INDEPENDENCE", 1, rest)[:, 0])
 
-    def missed_by(phi: Reals, noise: Reals | float = 0.0) -> Reals:
-        return _relative(np.abs(phi.astype(np.float64)) - noise, size, reach)
+    def missed_by(phi: Reals, noise: Reals | float = 0.0, scale: Reals = whole) -> Reals:
+        return _relative(np.abs(phi.astype(np.float64)) - noise, scale)
 
     def rounded() -> Reals:
         noise: Reals = CANCELLED * numbers.epsilon * size * bending_length(slopes_at, q)
         return noise
 
+    scale = np.minimum(met, whole) if given else whole
     for attempt in range(MOST):
         phi = at("CONSTRAINT", m, rest)
         off = missed_by(phi)
         if off.max() <= 4 * numbers.epsilon:
             break
-        if attempt == 0 and not off.max() <= missed:
-            off = missed_by(phi, rounded())
+        if attempt == 0 and not missed_by(phi, scale=scale).max() <= missed:
+            off = missed_by(phi, rounded(), scale)
             if not off.max() <= missed:
                 raise _violation_error(
                     program, t, q, other, given, values, off, "q0 does not satisfy"
@@ -125,27 +132,42 @@ def project_start(
     speeds = other.astype(np.float64)
     pulled = np.abs(at("VELOCITY", n, rest).astype(np.float64)).max(axis=1)
     # where the motion turns, v is a rounding: it is held against what an acceleration gains on q
-    gained = np.sqrt(np.nan_to_num(pulled * reach))[:, None]
+    gained = np.sqrt(np.nan_to_num(pulled[:, None] * reach))
+    most = np.maximum(np.abs(speeds).max(axis=1)[:, None], gained)
     if given == "v0":
         asked = at("CURVATURE", m, rest, "start").astype(np.float64)
         taken = (slopes @ speeds[..., None])[..., 0] - asked
+        scale = np.minimum(_scaled(slopes, _sizes(speeds, most)), size * most)
     else:  # what the constraints take from p is of no effect, but was surely meant otherwise
         pulls = at("MULTIPLIER", m, other, "start").astype(np.float64)
         taken = pulls * size**2
         gained = gained * at("CONSTRAINT_WEIGHT", m, rest).astype(np.float64) * size**2  # by M
-    off = _relative(np.abs(taken), size, np.maximum(np.abs(speeds).max(axis=1)[:, None], gained))
+        scale = size * np.maximum(np.abs(speeds).max(axis=1)[:, None], gained)
+    off = _relative(np.abs(taken), scale)
     if not off.max() <= missed:
         what = "v0 is not allowed by" if given == "v0" else "p0 has a part that is taken by"
         raise _violation_error(program, t, q, other, given, values, off, what)
     return q, other
 
 
-def _relative(miss: Reals, size: Reals, reach: Reals) -> Reals:
+def _sizes(x: Reals, most: Reals) -> Reals:
+    """Return the sizes of coordinates or velocities, which may have units of their own."""
+    sizes: Reals = np.maximum(np.abs(x.astype(np.float64)), OTHERS * most)
+    return sizes
+
+
+def _scaled(slopes: Reals, sizes: Reals) -> Reals:
+    """Return how large slopes are in units of what they multiply."""
+    terms: Reals = (np.abs(slopes) @ sizes[..., None])[..., 0]
+    return terms
+
+
+def _relative(miss: Reals, scale: Reals) -> Reals:
     """Return what constraints are missed by in units of their slopes and of a state.
 
     It is 0 where nothing is missed, and infinite where the state is zero and misses something.
     """
-    miss, scale = np.maximum(miss, 0.0), size * reach.reshape(len(size), -1)
+    miss = np.maximum(miss, 0.0)
     off: Reals = np.where(miss > 0, np.inf, 0.0)
     np.divide(miss, scale, out=off, where=(scale > 0) & (miss != 0))
     return off

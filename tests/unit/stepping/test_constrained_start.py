@@ -356,3 +356,34 @@ def test_the_nearest_start_is_no_whole_turns_away():
     near = np.array([1.0, 0.3257, 1.4134])
     q, _ = bars.consistent(near, [0, 0, 0], parameters={"l1": 5.0})
     assert np.abs(q - near).max() < np.pi
+
+
+def test_starts_are_judged_in_the_unit_of_what_a_constraint_is_made_of():
+    """A quaternion beside an orbit in metres, and a rod of nanometres beside radians a second."""
+    x, a, b = ss.coordinates("x a b")
+    m, l = sp.symbols("m l", positive=True)
+    craft = ss.MechanicalSystem(
+        "craft",
+        coordinates=(x, a, b),
+        kinetic=m * (x.diff() ** 2 + a.diff() ** 2 + b.diff() ** 2) / 2,
+        potential=0,
+        parameters={m: 1.0},
+        constraints={"unit": a**2 + b**2 - 1},
+    )
+    stepper = ss.compile(craft, "midpoint")
+    assert stepper.integrate([7e9, 0.6, 0.8], v0=[7e3, 0.4, -0.3], h=1e-3, steps=1).success
+    with pytest.raises(ss.InputError, match="q0 does not satisfy the constraint 'unit'"):
+        stepper.integrate([7e9, 0.61, 0.8], v0=[7e3, 0.4, -0.3], h=1e-3, steps=1)
+    rod = ss.MechanicalSystem(
+        "rod",
+        coordinates=(x, a, b),
+        kinetic=m * (x.diff() ** 2 + a.diff() ** 2 + l**2 * b.diff() ** 2) / 2,
+        potential=0,
+        parameters={m: 3e-26, l: 2e-9},
+        constraints={"across": x - l * sp.sin(b), "along": a + l * sp.cos(b)},
+    )
+    stepper = ss.compile(rod, "midpoint")
+    start, along = [0.0, -2e-9, 0.0], [1e3, 0.0, 5e11]
+    assert stepper.integrate(start, v0=along, h=1e-14, steps=1).success
+    with pytest.raises(ss.InputError, match="v0 is not allowed by the constraint 'along'"):
+        stepper.integrate(start, v0=[1e3, 4e2, 5e11], h=1e-14, steps=1)
