@@ -88,8 +88,8 @@ class Subject:
         least = min(1.0, q.max() or 1.0)
         shares = np.abs(run.p * run.v).max(axis=0)
         moving = shares > LIGHT * shares.max()
-        own = moving & (q > 0) & (q < TINY * least)
-        places, most = np.where(own, q, np.maximum(q, least)), p.max() or 1.0
+        apart = moving & (q > 0) & (q < TINY * least)
+        places, most = np.where(apart, q, np.maximum(q, least)), p.max() or 1.0
         if "PASSED" in run.program.header.layout:  # retimed: v is that of another time
             return np.concatenate([places, np.where(moving & (p < TINY * most), p, most)])
         fastest = (np.abs(run.v) / places).max()

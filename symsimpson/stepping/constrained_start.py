@@ -94,12 +94,12 @@ def project_start(
     slopes = slopes_at(q)
     size = np.linalg.norm(slopes, axis=2)
     reach = np.abs(q.astype(np.float64)).max(axis=1)[:, None]
-    whole, own = size * reach, _sizes(q, reach)
-    met = _scaled(slopes, own)
+    whole, sizes = size * reach, _sizes(q, reach)
+    met = _scaled(slopes, sizes)
     ahead = np.where(q < 0, -1.0, 1.0) * FLAT
-    apart, near = (slopes_at(q + ahead * far) - slopes for far in (reach, own))
+    apart, near = (slopes_at(q + ahead * far) - slopes for far in (reach, sizes))
     # far from the origin positions have other sizes than what depends on them
-    flat = (np.linalg.norm(apart, axis=2) > size) & (_scaled(near, own) > met)
+    flat = (np.linalg.norm(apart, axis=2) > size) & (_scaled(near, sizes) > met)
     flat |= size == 0
     _check_rank(program, q, slopes, flat, at("INDEPENDENCE", 1, rest)[:, 0])
 
