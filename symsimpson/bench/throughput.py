@@ -134,7 +134,7 @@ def _heyoka(angles: Floats, threads: int) -> list[Contender[Run]]:
 
 
 def _batches(hy: Any, angles: Floats, lanes: int, threads: int) -> list[Contender[Run]]:
-    """Return heyoka's batches of so many lanes: two loops over them, and its own."""
+    """Return heyoka's batches of so many lanes, in a loop of threads and by its own function."""
     equations = in_heyoka(hy, canonical(ss.systems.double_pendulum()))
     blocks = [
         np.vstack([part.T, np.zeros((2, lanes))])

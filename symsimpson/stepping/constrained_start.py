@@ -97,9 +97,9 @@ def project_start(
     whole, sizes = size * reach, _sizes(q, reach)
     met = _scaled(slopes, sizes)
     ahead = np.where(q < 0, -1.0, 1.0) * FLAT
-    apart, near = (slopes_at(q + ahead * far) - slopes for far in (reach, sizes))
-    # far from the origin positions have other sizes than what depends on them
-    flat = (np.linalg.norm(apart, axis=2) > size) & (_scaled(near, sizes) > met)
+    flat = np.linalg.norm(slopes_at(q + ahead * reach) - slopes, axis=2) > size
+    if flat.any():  # far from the origin positions have other sizes than what depends on them
+        flat &= _scaled(slopes_at(q + ahead * sizes) - slopes, sizes) > met
     flat |= size == 0
     _check_rank(program, q, slopes, flat, at("INDEPENDENCE", 1, rest)[:, 0])
 
@@ -133,16 +133,17 @@ def project_start(
     pulled = np.abs(at("VELOCITY", n, rest).astype(np.float64)).max(axis=1)
     # where the motion turns, v is a rounding: it is held against what an acceleration gains on q
     gained = np.sqrt(np.nan_to_num(pulled[:, None] * reach))
-    most = np.maximum(np.abs(speeds).max(axis=1)[:, None], gained)
+    fastest = np.abs(speeds).max(axis=1)[:, None]
     if given == "v0":
         asked = at("CURVATURE", m, rest, "start").astype(np.float64)
         taken = (slopes @ speeds[..., None])[..., 0] - asked
+        most = np.maximum(fastest, gained)
         scale = np.minimum(_scaled(slopes, _sizes(speeds, most)), size * most)
     else:  # what the constraints take from p is of no effect, but was surely meant otherwise
         pulls = at("MULTIPLIER", m, other, "start").astype(np.float64)
         taken = pulls * size**2
         gained = gained * at("CONSTRAINT_WEIGHT", m, rest).astype(np.float64) * size**2  # by M
-        scale = size * np.maximum(np.abs(speeds).max(axis=1)[:, None], gained)
+        scale = size * np.maximum(fastest, gained)
     off = _relative(np.abs(taken), scale)
     if not off.max() <= missed:
         what = "v0 is not allowed by" if given == "v0" else "p0 has a part that is taken by"

@@ -141,9 +141,9 @@ def read_tangents(program: Program, tangents: Any) -> Reals:
         If there are too many, or the shape is another.
     """
     numbers, size = program.numbers, 2 * program.n
-    count = -1 if isinstance(tangents, bool) else whole_number(tangents)
-    if count is not None:
-        if not 0 <= count <= size:
+    count = whole_number(tangents)
+    if count is not None or isinstance(tangents, bool):
+        if count is None or not 0 <= count <= size:
             raise InputError(
                 f"tangents={tangents!r}, but {program.system} has a state of {size} numbers.\n"
                 f"Pass tangents={size} for the whole derivative, or an array of shape ({size}, k)."
