@@ -170,7 +170,8 @@ def read_parameters(
             raise fail(
                 system,
                 f"the parameter {spell(symbol)!r} is not a SymPy symbol.",
-                "Make it with sympy.symbols('m', positive=True) and use that symbol in T and V.",
+                "Write the symbol that stands in T and V, without quotes: {m: 1.0}, after "
+                "m = sympy.Symbol('m', positive=True). Runs find it by its name, too.",
             )
         if symbol.name in names:
             raise fail(

@@ -78,8 +78,9 @@ def read_array(name: str, value: Any, numbers: Numbers) -> NDArray[Any]:
 
 
 def read_count(name: str, value: Any, least: int) -> int:
-    """Read a whole number."""
-    number = whole_number(value)
+    """Read a whole number, which may be written as 1e6."""
+    whole = isinstance(value, float) and value.is_integer()
+    number = int(value) if whole else whole_number(value)
     if number is None:
         raise InputError(f"{name} is {value!r}, not a whole number.\nPass an int.")
     if not least <= number <= MOST_STEPS:

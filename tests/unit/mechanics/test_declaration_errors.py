@@ -83,7 +83,10 @@ WRONG = {
     "boolean value": ({"parameters": {m: 1.0, k: True}}, "not a finite real number"),
     "sign": ({"parameters": {m: -1.0, k: 2.0}}, "m is declared positive and has the value -1"),
     "parameters as list": ({"parameters": [m, k]}, "not a mapping"),
-    "parameter no symbol": ({"parameters": {m: 1.0, k: 2.0, "c": 1.0}}, "not a SymPy symbol"),
+    "parameter no symbol": (
+        {"parameters": {m: 1.0, "k": 2.0}},
+        r"'k' is not a SymPy symbol.*without quotes: \{m: 1.0\}",
+    ),
     "coordinate as a parameter": (
         {"parameters": {m: 1.0, k: 2.0, x: 1.0}},
         "'x' is a coordinate.*Leave it out.*each run",

@@ -125,6 +125,7 @@ def test_forms_of_input_agree(stepper):
         {"q0": (0.5, 0.2)},
         {"h": np.float64(0.1)},
         {"steps": np.int32(3)},
+        {"steps": 3.0},
         {"q0": [sp.Rational(1, 2), sp.Rational(1, 5)]},
         {"steps": None, "t_end": 0.3},
         {"parameters": {m1: 2}},
