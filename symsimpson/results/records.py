@@ -128,10 +128,12 @@ def energies_given(run: Any) -> Floats:
             program=program,
             parameter_values=values,
             driven=None,
-        ).energy
+        )
         for q, p in sides
     )
-    total = np.concatenate([[0.0], np.cumsum(behind - before)])
+    stays = (before.q == behind.q).all(axis=1)  # and V, which may be NaN at the zero of a root
+    moved, pushed = behind.energy - before.energy, behind.kinetic_energy - before.kinetic_energy
+    total = np.concatenate([[0.0], np.cumsum(np.where(stays, pushed, moved))])
     # a step has in it what acts where it begins, but for the start and the end of a run
     states = (run.every or 1) * np.arange(len(run))
     acted = np.searchsorted(step, states, side="left")

@@ -326,6 +326,23 @@ def test_an_event_at_a_kink_of_a_force_is_found(scheme):
         assert passed.events("kink").t == pytest.approx(end.t[-1:], abs=1e-12)
 
 
+def test_energies_of_events_at_the_zero_of_a_root():
+    """V is NaN at zero, where kernels take x**2 times 1/root for |x|: so was what walls take."""
+    system = ss.MechanicalSystem(
+        "stiffer",
+        coordinates=(x,),
+        kinetic=x.diff() ** 2 / 2,
+        potential=x**2 / 2 + 3 * (x + sp.sqrt(x**2)) ** 2 / 8,
+    )
+    for action in (ss.Switch(), ss.Impact(1), ss.Impact(0.5)):
+        wall = ss.Event(x, name="wall", action=action)
+        run = ss.compile(system, "gauss8").integrate(
+            [1.0], v0=[0.0], h=0.05, steps=40, events=[wall]
+        )
+        assert len(run.events("wall").t) == 1
+        assert np.abs(run.energy_error).max() < 1e-12
+
+
 def test_two_walls_may_be_one_gap():
     ball = ss.compile(
         ss.MechanicalSystem("free", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=0 * x)
