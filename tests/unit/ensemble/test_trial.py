@@ -1,5 +1,7 @@
 """Members side by side, or one by one, as a trial tells."""
 
+import signal
+
 import numpy as np
 import pytest
 
@@ -75,3 +77,34 @@ def test_a_trial_takes_time_and_leaves_the_task_alone():
     assert trial.seconds_of_member(stepper.program, task) > 0
     assert task.members == 40
     assert task.steps == 20
+
+
+@pytest.mark.parametrize(("members", "steps"), [(40, 5000), (9, 40_000), (1000, 200), (2000, 9000)])
+def test_a_trial_takes_a_small_part_of_the_task(monkeypatch, members, steps):
+    taken = []
+
+    def run(program, task, count):
+        taken.append(task.members * task.steps)
+        return None, False
+
+    monkeypatch.setattr(trial, "run_blocks", run)
+    stepper = ss.compile(ss.systems.double_pendulum(), "gauss8")
+    starts = np.linspace([0.1, 0.2], [2.0, 1.0], members)
+    request = Request(starts, p0=[0.0, 0.0], h=0.05, steps=steps)
+    task = read_task(stepper.program, request, 1, False, on_disk=False)
+    trial.with_fastest_lanes(stepper.program, task)
+    assert len(taken) == 2 * (1 + trial.ROUNDS)
+    assert 0 < sum(taken) <= trial.PART * members * steps
+
+
+def test_ctrl_c_in_a_trial_is_heard(monkeypatch):
+    def run(program, task, count):
+        return plain(program, task, lambda done: signal.raise_signal(signal.SIGINT))
+
+    plain = trial.run_blocks
+    monkeypatch.setattr(trial, "WORTH_IT", 0)
+    monkeypatch.setattr(trial, "run_blocks", run)
+    stepper = ss.compile(ss.systems.double_pendulum(), "gauss8")
+    with pytest.raises(KeyboardInterrupt):
+        stepper.ensemble(STARTS, **ASKED)
+    assert not stepper.program.findings.lanes
