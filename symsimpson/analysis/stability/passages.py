@@ -44,6 +44,9 @@ VANISHES, ITERATIONS, DIFFERENCE = 1e-8, 40, 1e-6
 #: So many states of a box are looked at to tell that there is no pole in it: det M is larger there
 #: than where a passage is close, by so much.
 IN_BOX, LARGER = 2000, 1.5
+#: Around so many of them, where det M is least, so many others are looked at, again and again in
+#: boxes so much smaller: it may vanish in a corner alone.
+LEAST, AROUND, SMALLER = 8, 50, (0.1, 0.02, 0.004)
 #: So many passages are looked at, from so many steps before to so many behind, each so much finer.
 PASSAGES, BEFORE, BEHIND, FINER = 3, 2, 3, 16
 #: The ends may be so far apart, squared, in units of what a step moves; and so many times as far
@@ -172,13 +175,27 @@ def regular_box(
         return None
     if not depends:
         return np.full(system.n, -np.inf), np.full(system.n, np.inf)
-    q = np.tile((low + high) / 2, (IN_BOX, 1))
+    numbers, width = np.random.default_rng(2), len(depends)
+
+    def sizes_at(places: Reals) -> Reals:
+        q = np.tile((low + high) / 2, (len(places), 1))
+        q[:, depends] = low[depends] + places * (high - low)[depends]
+        return _sizes(system, np.full(len(q), t), q, values)
+
     places = np.linspace(0, 1, IN_BOX)[:, None]
-    if len(depends) > 1:
-        places = np.random.default_rng(2).uniform(size=(IN_BOX, len(depends)))
-    q[:, depends] = low[depends] + places * (high - low)[depends]
-    sizes = _sizes(system, np.full(IN_BOX, t), q, values)
-    return (low, high) if sizes.min() > LARGER * CLOSE * sizes.max() else None
+    if width > 1:
+        corners = np.indices((2,) * width).reshape(width, -1).T
+        places = np.vstack([numbers.uniform(size=(IN_BOX, width)), corners])
+    sizes = sizes_at(places)
+    bound = LARGER * CLOSE * sizes.max()
+    for part in SMALLER:
+        near = np.repeat(places[np.argsort(sizes)[:LEAST]], AROUND, axis=0)
+        moved = near + part * numbers.uniform(-1, 1, near.shape)
+        places = np.vstack([near[::AROUND], np.clip(moved, 0, 1)])
+        sizes = sizes_at(places)
+        if not sizes.min() > bound:  # nor where it has no value
+            return None
+    return low, high
 
 
 def _states(run: Trajectory) -> tuple[Reals, Reals, list[float]]:

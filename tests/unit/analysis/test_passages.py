@@ -7,6 +7,7 @@ import pytest
 import sympy as sp
 
 import symsimpson as ss
+from symsimpson.analysis.stability.passages import regular_box
 
 SYMBOLS = M, m, l, g, c, d = sp.symbols("M m l g c d")
 VALUES = dict(zip(SYMBOLS, (2.0, 1.0, 0.5, 9.81, 0.3, 0.02), strict=True))
@@ -117,3 +118,19 @@ def test_light_bodies_and_sharp_bends_are_no_singular_points():
     given = {"h": 0.01, "t_end": 6.0, "parameters": {"kappa": 80.0}}
     with pytest.warns(ss.ResolutionWarning, match=r"(?s)its inertia is small.*Take a smaller h"):
         stepper.integrate([1.0, 0.3], v0=[0, 0], **given)
+
+
+@pytest.mark.parametrize(("inertia", "regular"), [(4.0, False), (3.99, False), (5.0, True)])
+def test_no_box_is_regular_whose_corners_are_not(inertia, regular):
+    """In four coordinates, corners are a small part of a box: random states do not come there."""
+    *x, z = ss.coordinates("x1 x2 x3 x4 z")
+    system = ss.MechanicalSystem(
+        "corners",
+        coordinates=(*x, z),
+        parameters={M: inertia},
+        kinetic=sum(y.diff() ** 2 for y in x) / 2 + (M - sum(y**2 for y in x)) * z.diff() ** 2 / 2,
+        potential=sum(y**2 for y in x),
+    )
+    box = np.array([[-1.0] * 5, [1.0] * 5])
+    found = regular_box(system, [inertia], *box, 0.0)
+    assert np.array_equal(found, box) if regular else found is None
