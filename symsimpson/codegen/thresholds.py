@@ -12,6 +12,8 @@ _THRESHOLDS = """\
 # when Newton's method is done, and in doubt; relative sizes, squared
 INFINITE = real("inf")
 NEGLIGIBLE = {negligible}
+OWN_NEGLIGIBLE = 2.0**-80  # that of a single coordinate is so small a part of its increment,
+OWN_ROUNDED = 2.0**-190  # or the present one, to the fourth power, of all increments
 QUADRATIC = 1e-2  # from here on corrections shrink quadratically
 STAGNATION = 1e-20  # corrections that stop shrinking below this are round-off
 FAR = 4.0  # a velocity at the end of the path off by more is in doubt

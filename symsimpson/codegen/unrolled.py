@@ -131,6 +131,7 @@ def _newton(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
     define, names = low.graph.define, low.names.coordinates
     stores, squares, sizes = [], [], []
     degree = low.equations.scheme.degree
+    own = {a: m for m, a in reversed(changes) if m <= degree}  # those that are solved first
     for (m, a), change in changes.items():
         if m > degree:  # a multiplier, which is not measured
             old = low.impulses[m - degree - 1][a]
@@ -141,8 +142,14 @@ def _newton(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
         old = low.increments[m - 1][a]
         new = define(f"{names[a]}_X{m}_new", old + change, "update")
         stores.append(Store(Row("INCREMENT", low.equations.unknowns.place(m, a)), new, moving=True))
-        squares.append(low.mass_diagonal[a] * change**2)
-        sizes.append(low.mass_diagonal[a] * new**2)
+        square, size = low.mass_diagonal[a] * change**2, low.mass_diagonal[a] * new**2
+        if m == own[a] and len(own) > 1:
+            square = define(f"correction_{names[a]}", square, "update")
+            size = define(f"size_{names[a]}", size, "update")
+            stores.append(Store(Row("OWN_CORRECTION", a), square))
+            stores.append(Store(Row("OWN_INCREMENT", a), size))
+        squares.append(square)
+        sizes.append(size)
     for block, terms in (("CORRECTION_SQUARED", squares), ("INCREMENT_SQUARED", sizes)):
         value = define(block.lower(), low.graph.total(terms), "update")
         stores.append(Store(Row(block, 0), value))

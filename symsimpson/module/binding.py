@@ -111,6 +111,8 @@ def plain_arithmetic(
         unit = real(10) ** -digits
         checking = {
             "NEGLIGIBLE": 4 * unit**2,
+            "OWN_NEGLIGIBLE": real(10) ** -(3 * digits // 2),
+            "OWN_ROUNDED": 1e8 * unit**4,
             "STAGNATION": unit,
             "ROUNDED": 1e4 * unit**2,
             "LOST": unit**2,

@@ -98,6 +98,10 @@ TABLE = (
     Block("INCREMENT", "control points of the path less q0", unknowns, for_driver=True),
     Block("PREDICTED", "those that the iteration began with", unknowns),
     Block(
+        "OWN_CORRECTION", "size of each coordinate's correction, at one control point", coordinates
+    ),
+    Block("OWN_INCREMENT", "size of each coordinate's increment, there", coordinates),
+    Block(
         "PREVIOUS",
         "the state before the step, and the increments predicted then",
         lambda s: 4 * s.n + s.unknowns,

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from support.cases import sweep
+from support.forms import limited
 
 import symsimpson as ss
 
@@ -25,6 +26,31 @@ def test_rest_between_two_walls(scheme):
     run = ss.compile(walls, scheme).integrate([1e-13], v0=[0.0], h=0.1, t_end=50.0)
     assert np.abs(run.q).max() < 1.1e-13  # omega = 2: it swings with its amplitude
     assert run.q.min() < -0.5e-13 or scheme == "radau5"
+
+
+@pytest.mark.parametrize("loops", [False, True])
+@pytest.mark.parametrize("scheme", sweep(["simpson", "midpoint", "lobatto6"]))
+def test_what_moves_little_is_solved_beside_what_moves_far(scheme, loops, monkeypatch):
+    """A pendulum in a craft on its orbit moves by 1e-13 of what the craft does, in the metric M."""
+    if loops:
+        limited(monkeypatch, UNROLLED_UNKNOWNS=0)
+    x, y, a = ss.coordinates("x y a")
+    m, GM, w = sp.symbols("m GM w", positive=True)
+    T, V = a.diff() ** 2 / 2, -(w**2) * sp.cos(a)
+    craft = ss.MechanicalSystem(
+        "craft",
+        coordinates=(x, y, a),
+        kinetic=T + m * (x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=V - GM * m / sp.sqrt(x**2 + y**2),
+        parameters={m: 500.0, GM: 1.327e20, w: 0.4},
+    )
+    alone = ss.MechanicalSystem(
+        "alone", coordinates=(a,), kinetic=T, potential=V, parameters={w: 0.4}
+    )
+    given = {"h": 0.5, "steps": 400}
+    run = ss.compile(craft, scheme).integrate([1.5e11, 0, 1.0], v0=[0, 3e4, 0.1], **given)
+    exact = ss.compile(alone, scheme).integrate([1.0], v0=[0.1], **given)
+    assert np.abs(run.q[:, 2] - exact.q[:, 0]).max() < 1e-13
 
 
 def test_a_linear_step_is_taken_whatever_h_is():

@@ -7,6 +7,7 @@ def check_convergence(W, lane):
 
     The correction after the present one is predicted from the ratio of a correction to the square
     of the one before it, as seen of late; where it would be lost in rounding, the lane is done.
+    Increments of a coordinate may be far smaller than those of others: each is held to its own.
     All sizes are squared: RELATIVE, a correction relative to the increments, and CONTRACTION, the
     ratio.
     """
@@ -18,7 +19,15 @@ def check_convergence(W, lane):
     # where rounding enters, what is seen is too large: it is safe
     seen = max(now * (1.0 / (before * before if before > 0 else 1.0)), 0.25 * ratio)
     ratio = seen if before < QUADRATIC else ratio
-    done = (ratio * (now * now) <= NEGLIGIBLE) | ((now < STAGNATION) & (now >= 0.25 * before))
+    negligible = ratio * (now * now) <= NEGLIGIBLE
+    if DIMENSION > 1:
+        left = 0.0
+        for a in range(DIMENSION):
+            own, moved = W[OWN_CORRECTION + a, lane], W[OWN_INCREMENT + a, lane]
+            excess = ratio * (own * own) - OWN_NEGLIGIBLE * (moved * moved)
+            left += excess + abs(excess)
+        negligible = negligible & (left <= OWN_ROUNDED * (increment * increment))
+    done = negligible | ((now < STAGNATION) & (now >= 0.25 * before))
     state = (0.0 if done else 1.0) if finite else -3.0
     on = active > 0
     W[ITERATIONS, lane] += 1.0 if on else 0.0

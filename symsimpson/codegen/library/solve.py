@@ -83,8 +83,13 @@ def update_increments(W, lane):
             correction = -W[RESIDUAL + row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP, lane]
             increment = W[first + a, lane] + correction
             W[first + a, lane] = increment
-            correction_squared += W[MASS_DIAGONAL + a, lane] * correction**2
-            increment_squared += W[MASS_DIAGONAL + a, lane] * increment**2
+            change = W[MASS_DIAGONAL + a, lane] * correction**2
+            size = W[MASS_DIAGONAL + a, lane] * increment**2
+            correction_squared += change
+            increment_squared += size
+            if row == 0:
+                W[OWN_CORRECTION + a, lane] = change
+                W[OWN_INCREMENT + a, lane] = size
     W[CORRECTION_SQUARED, lane] = correction_squared
     W[INCREMENT_SQUARED, lane] = increment_squared
 

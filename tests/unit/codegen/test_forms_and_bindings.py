@@ -235,6 +235,11 @@ def test_newton_converges_quadratically(system, scheme, exploit, monkeypatch):
             for name, values in (("CORRECTION_SQUARED", new - old), ("INCREMENT_SQUARED", new)):
                 exact = (masses * values**2).sum()
                 assert abs(W[getattr(module, name), 0] - exact) <= 1e-50 * mp.sqrt(exact) + 1e-110
+                if module.NEWTON_UNKNOWNS == module.DEGREE:  # one coordinate alone
+                    continue
+                own = W[block(module, f"OWN_{name.removesuffix('_SQUARED')}", system.n), 0]
+                exact = masses * values[0] ** 2
+                assert (abs(own - exact) <= 1e-50 * exact**0.5 + 1e-110).all()
             sizes.append(mp.sqrt(W[module.CORRECTION_SQUARED, 0] / W[module.INCREMENT_SQUARED, 0]))
     assert all(after < before**2 + 1e-55 for before, after in pairwise(sizes))
 
@@ -312,6 +317,35 @@ def test_when_an_iteration_is_done(correction, increment, verdict):
         assert W[module.RELATIVE, 0] == mp.mpf("1e-4")
     module.check_convergence(W, 0)
     assert W[module.ITERATIONS, 0] == 1 + (verdict == 1)
+
+
+@pytest.mark.parametrize(
+    ("own", "moved", "ratio", "verdict"),
+    [
+        ("1e-25", "1e-13", 1, 0),  # the next correction is 1e-12 of the increment
+        ("1e-20", "1e-13", 1, 1),  # it is 1e-7 of the increment, and 3e-14 of that of the other
+        ("1e-20", "1e-13", "1e-10", 0),  # corrections shrink faster
+        ("1e-27", 0, 1, 0),  # at rest, but for rounding
+        ("1e-25", 0, 1, 1),
+    ],
+)
+def test_each_coordinate_is_solved_by_its_own_measure(own, moved, ratio, verdict):
+    """The other coordinate is done: its last correction is 1e-30 of its increment."""
+    module = bind_mpmath(source(ss.systems.double_pendulum()), checking=True)
+    W = np.full((module.ROWS, 1), mp.mpf(0), dtype=object)
+    given = {
+        "CORRECTION_SQUARED": own,
+        "INCREMENT_SQUARED": 1,
+        "ACTIVE": 1,
+        "RELATIVE": "inf",
+        "CONTRACTION": ratio,
+    }
+    for name, value in given.items():
+        W[getattr(module, name), 0] = mp.mpf(value)
+    W[block(module, "OWN_CORRECTION", 2), 0] = [mp.mpf("1e-60"), mp.mpf(own)]
+    W[block(module, "OWN_INCREMENT", 2), 0] = [mp.mpf(1), mp.mpf(moved)]
+    module.check_convergence(W, 0)
+    assert W[module.ACTIVE, 0] == verdict
 
 
 @pytest.mark.parametrize(
