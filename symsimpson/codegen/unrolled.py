@@ -129,30 +129,29 @@ def _newton(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
     for solver in solvers:
         changes |= solver.corrections()
     define, names = low.graph.define, low.names.coordinates
-    stores, squares, sizes = [], [], []
+    stores: list[Store] = []
+    sizes: dict[int, tuple[list[Expression], list[Expression]]] = {}
     degree = low.equations.scheme.degree
-    own = {a: m for m, a in reversed(changes) if m <= degree}  # those that are solved first
     for (m, a), change in changes.items():
+        place = low.equations.unknowns.place(m, a)
         if m > degree:  # a multiplier, which is not measured
             old = low.impulses[m - degree - 1][a]
             new = define(f"{old.name}_new", old + change, "update")
-            row = Row("INCREMENT", low.equations.unknowns.place(m, a))
-            stores.append(Store(row, new, moving=True))
+            stores.append(Store(Row("INCREMENT", place), new, moving=True))
             continue
-        old = low.increments[m - 1][a]
-        new = define(f"{names[a]}_X{m}_new", old + change, "update")
-        stores.append(Store(Row("INCREMENT", low.equations.unknowns.place(m, a)), new, moving=True))
-        square, size = low.mass_diagonal[a] * change**2, low.mass_diagonal[a] * new**2
-        if m == own[a] and len(own) > 1:
-            square = define(f"correction_{names[a]}", square, "update")
-            size = define(f"size_{names[a]}", size, "update")
-            stores.append(Store(Row("OWN_CORRECTION", a), square))
-            stores.append(Store(Row("OWN_INCREMENT", a), size))
-        squares.append(square)
-        sizes.append(size)
-    for block, terms in (("CORRECTION_SQUARED", squares), ("INCREMENT_SQUARED", sizes)):
-        value = define(block.lower(), low.graph.total(terms), "update")
-        stores.append(Store(Row(block, 0), value))
+        new = define(f"{names[a]}_X{m}_new", low.increments[m - 1][a] + change, "update")
+        stores.append(Store(Row("INCREMENT", place), new, moving=True))
+        corrections, squares = sizes.setdefault(a, ([], []))
+        corrections.append(low.mass_diagonal[a] * change**2)
+        squares.append(low.mass_diagonal[a] * new**2)
+    for k, block in enumerate(("CORRECTION", "INCREMENT")):
+        terms = {a: low.graph.total(of[k]) for a, of in sizes.items()}
+        if len(terms) > 1:
+            for a, term in terms.items():
+                terms[a] = define(f"{block.lower()}_{names[a]}", term, "update")
+                stores.append(Store(Row(f"OWN_{block}", a), terms[a]))
+        value = define(f"{block.lower()}_squared", low.graph.total(terms.values()), "update")
+        stores.append(Store(Row(f"{block}_SQUARED", 0), value))
     doc = "One Newton iteration for the increments X_k of the control points."
     lines = low.statements(stores, (Level.ITERATION,))
     return Kernel("newton", doc, lanes((*lines, *convergence(bool(low.multipliers)))))

@@ -97,10 +97,8 @@ TABLE = (
     Block("MOMENTUM_LOW", "what rounding has taken from p", coordinates),
     Block("INCREMENT", "control points of the path less q0", unknowns, for_driver=True),
     Block("PREDICTED", "those that the iteration began with", unknowns),
-    Block(
-        "OWN_CORRECTION", "size of each coordinate's correction, at one control point", coordinates
-    ),
-    Block("OWN_INCREMENT", "size of each coordinate's increment, there", coordinates),
+    Block("OWN_CORRECTION", "size of the last correction of each coordinate", coordinates),
+    Block("OWN_INCREMENT", "size of the increments of each coordinate", coordinates),
     Block(
         "PREVIOUS",
         "the state before the step, and the increments predicted then",

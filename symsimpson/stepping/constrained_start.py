@@ -21,7 +21,7 @@ __all__ = ["DEPENDENT", "name_dependent", "project_start"]
 Reals = NDArray[Any]
 #: Starts that miss constraints by more than this, relative to their slopes and to q, are refused,
 #: whatever the unit of q. Velocities are held against v, or what the forces make of rest. Each
-#: coordinate has its own size, or this part of the largest one.
+#: coordinate has its own size, or this part of the largest one, if a constraint bends no earlier.
 MISSED, OTHERS = 1e-9, 1e-4
 #: Constraints are dependent where INDEPENDENCE, between 0 and 1, is below this.
 DEPENDENT = 1e-10
@@ -93,7 +93,8 @@ def project_start(
     rest = 0 * q
     slopes = slopes_at(q)
     size = np.linalg.norm(slopes, axis=2)
-    reach = np.abs(q.astype(np.float64)).max(axis=1)[:, None]
+    own = np.abs(q.astype(np.float64))
+    reach = own.max(axis=1)[:, None]
     whole, sizes = size * reach, _sizes(q, reach)
     met = _scaled(slopes, sizes)
     ahead = np.where(q < 0, -1.0, 1.0) * FLAT
@@ -106,25 +107,30 @@ def project_start(
     def missed_by(phi: Reals, noise: Reals | float = 0.0, scale: Reals = whole) -> Reals:
         return _relative(np.abs(phi.astype(np.float64)) - noise, scale)
 
-    def rounded() -> Reals:
-        noise: Reals = CANCELLED * numbers.epsilon * size * bending_length(slopes_at, q)
+    def rounded(lengths: Reals) -> Reals:
+        noise: Reals = CANCELLED * numbers.epsilon * size * lengths
         return noise
 
     scale = np.minimum(met, whole) if given else whole
+    alone = np.minimum(_scaled(slopes, own), scale)
     for attempt in range(MOST):
         phi = at("CONSTRAINT", m, rest)
         off = missed_by(phi)
         if off.max() <= 4 * numbers.epsilon:
             break
-        if attempt == 0 and not missed_by(phi, scale=scale).max() <= missed:
-            off = missed_by(phi, rounded(), scale)
+        if attempt == 0 and not missed_by(phi, scale=alone).max() <= missed:
+            lengths = bending_length(slopes_at, q)
+            bent = np.where(lengths > 0, lengths, np.inf)[..., None]
+            bent = np.maximum(np.minimum(sizes[:, None], bent), own[:, None])
+            scale = np.minimum(scale, (np.abs(slopes) * bent).sum(axis=2))
+            off = missed_by(phi, rounded(lengths), scale)
             if not off.max() <= missed:
                 raise _violation_error(
                     program, t, q, other, given, values, off, "q0 does not satisfy"
                 )
         q = q + at("HELD_CHANGE", n, rest)
     else:
-        off = missed_by(phi, rounded())
+        off = missed_by(phi, rounded(bending_length(slopes_at, q)))
         if not off.max() <= max(missed**2, ROUNDED * numbers.epsilon):
             raise _violation_error(program, t, q, other, given, values, off, "q0 is not led to")
     if not given:

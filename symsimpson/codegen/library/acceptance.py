@@ -21,12 +21,11 @@ def check_convergence(W, lane):
     ratio = seen if before < QUADRATIC else ratio
     negligible = ratio * (now * now) <= NEGLIGIBLE
     if DIMENSION > 1:
-        left = 0.0
+        rounded = OWN_ROUNDED * (increment * increment)
         for a in range(DIMENSION):
             own, moved = W[OWN_CORRECTION + a, lane], W[OWN_INCREMENT + a, lane]
-            excess = ratio * (own * own) - OWN_NEGLIGIBLE * (moved * moved)
-            left += excess + abs(excess)
-        negligible = negligible & (left <= OWN_ROUNDED * (increment * increment))
+            enough = OWN_NEGLIGIBLE * (moved * moved) + rounded
+            negligible = negligible & (ratio * (own * own) <= enough)
     done = negligible | ((now < STAGNATION) & (now >= 0.25 * before))
     state = (0.0 if done else 1.0) if finite else -3.0
     on = active > 0

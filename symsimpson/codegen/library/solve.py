@@ -76,20 +76,21 @@ def update_increments(W, lane):
     """Apply the Newton correction and measure it and the increments by the diagonal of M(q0)."""
     correction_squared = real(0)
     increment_squared = real(0)
-    for row in range(BLOCKS):
-        first = INCREMENT + (SOLVE_COLUMNS[row] - 1) * DIMENSION
-        for s in range(DIMENSION):
-            a = COORDINATE[s]
-            correction = -W[RESIDUAL + row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP, lane]
-            increment = W[first + a, lane] + correction
-            W[first + a, lane] = increment
-            change = W[MASS_DIAGONAL + a, lane] * correction**2
-            size = W[MASS_DIAGONAL + a, lane] * increment**2
-            correction_squared += change
-            increment_squared += size
-            if row == 0:
-                W[OWN_CORRECTION + a, lane] = change
-                W[OWN_INCREMENT + a, lane] = size
+    for s in range(DIMENSION):
+        a = COORDINATE[s]
+        correction = real(0)
+        increment = real(0)
+        for row in range(BLOCKS):
+            unknown = INCREMENT + (SOLVE_COLUMNS[row] - 1) * DIMENSION + a
+            change = -W[RESIDUAL + row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP, lane]
+            new = W[unknown, lane] + change
+            W[unknown, lane] = new
+            correction += W[MASS_DIAGONAL + a, lane] * change**2
+            increment += W[MASS_DIAGONAL + a, lane] * new**2
+        W[OWN_CORRECTION + a, lane] = correction
+        W[OWN_INCREMENT + a, lane] = increment
+        correction_squared += correction
+        increment_squared += increment
     W[CORRECTION_SQUARED, lane] = correction_squared
     W[INCREMENT_SQUARED, lane] = increment_squared
 

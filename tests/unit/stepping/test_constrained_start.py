@@ -371,9 +371,10 @@ def test_starts_are_judged_in_the_unit_of_what_a_constraint_is_made_of():
         constraints={"unit": a**2 + b**2 - 1},
     )
     stepper = ss.compile(craft, "midpoint")
-    assert stepper.integrate([7e9, 0.6, 0.8], v0=[7e3, 0.4, -0.3], h=1e-3, steps=1).success
-    with pytest.raises(ss.InputError, match="q0 does not satisfy the constraint 'unit'"):
-        stepper.integrate([7e9, 0.61, 0.8], v0=[7e3, 0.4, -0.3], h=1e-3, steps=1)
+    for far in (7e9, 1.5e11):
+        assert stepper.integrate([far, 0.6, 0.8], v0=[7e3, 0.4, -0.3], h=1e-3, steps=1).success
+        with pytest.raises(ss.InputError, match="q0 does not satisfy the constraint 'unit'"):
+            stepper.integrate([far, 0.61, 0.8], v0=[7e3, 0.4, -0.3], h=1e-3, steps=1)
     rod = ss.MechanicalSystem(
         "rod",
         coordinates=(x, a, b),
