@@ -65,9 +65,10 @@ def held_equations_of(header: Header, run: Any, h: Any) -> tuple[NDArray[Any], N
 def slopes_of(header: Header, rows: NDArray[Any]) -> NDArray[Any]:
     """Read Phi, shape (..., m, n), from second derivatives of lambda.phi, shape (..., rows)."""
     at, n = header.layout, header.n
-    place = np.array(header.tables["HELD_PLACE"])
-    behind = place[n:, None]
+    place = np.array(header.tables["HELD_PLACE"], dtype=np.int32)
+    behind = place[n:]
     place = place[np.argsort(header.coordinate_order)]
-    near = np.abs(behind - place) <= at["HELD_BAND"]
-    entries = behind * at["HELD_STRIDE"] + at["HELD_OFFSET"] + place
-    return np.where(near, rows[..., np.where(near, entries, 0)], rows[..., :1, None] * 0)
+    c, i = np.nonzero(np.abs(behind[:, None] - place) <= at["HELD_BAND"])  # few, of long chains
+    slopes = np.zeros((*rows.shape[:-1], len(behind), len(place)), dtype=rows.dtype)
+    slopes[..., c, i] = rows[..., behind[c] * at["HELD_STRIDE"] + at["HELD_OFFSET"] + place[i]]
+    return slopes

@@ -93,8 +93,8 @@ def project_start(
     rest = 0 * q
     slopes = slopes_at(q)
     size = np.linalg.norm(slopes, axis=2)
-    own = np.abs(q.astype(np.float64))
-    reach = own.max(axis=1)[:, None]
+    extents = np.abs(q.astype(np.float64))
+    reach = extents.max(axis=1)[:, None]
     whole, sizes = size * reach, _sizes(q, reach)
     met = _scaled(slopes, sizes)
     ahead = np.where(q < 0, -1.0, 1.0) * FLAT
@@ -112,7 +112,7 @@ def project_start(
         return noise
 
     scale = np.minimum(met, whole) if given else whole
-    alone = np.minimum(_scaled(slopes, own), scale)
+    alone = np.minimum(_scaled(slopes, extents), scale)
     for attempt in range(MOST):
         phi = at("CONSTRAINT", m, rest)
         off = missed_by(phi)
@@ -121,7 +121,7 @@ def project_start(
         if attempt == 0 and not missed_by(phi, scale=alone).max() <= missed:
             lengths = bending_length(slopes_at, q)
             bent = np.where(lengths > 0, lengths, np.inf)[..., None]
-            bent = np.maximum(np.minimum(sizes[:, None], bent), own[:, None])
+            bent = np.maximum(np.minimum(sizes[:, None], bent), extents[:, None])
             scale = np.minimum(scale, (np.abs(slopes) * bent).sum(axis=2))
             off = missed_by(phi, rounded(lengths), scale)
             if not off.max() <= missed:

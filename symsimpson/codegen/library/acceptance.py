@@ -23,9 +23,9 @@ def check_convergence(W, lane):
     if DIMENSION > 1:
         rounded = OWN_ROUNDED * (increment * increment)
         for a in range(DIMENSION):
-            own, moved = W[OWN_CORRECTION + a, lane], W[OWN_INCREMENT + a, lane]
+            changed, moved = W[OWN_CORRECTION + a, lane], W[OWN_INCREMENT + a, lane]
             enough = OWN_NEGLIGIBLE * (moved * moved) + rounded
-            negligible = negligible & (ratio * (own * own) <= enough)
+            negligible = negligible & (ratio * (changed * changed) <= enough)
     done = negligible | ((now < STAGNATION) & (now >= 0.25 * before))
     state = (0.0 if done else 1.0) if finite else -3.0
     on = active > 0

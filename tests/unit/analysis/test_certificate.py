@@ -155,7 +155,9 @@ def stepper_of(text, state=PENDULUM.reference_state):
 
 def once():
     """A stepper that takes a single Newton iteration a step."""
-    return rewritten(ss.compile(PENDULUM), {"NEGLIGIBLE": 'real("inf")'})
+    return rewritten(
+        ss.compile(PENDULUM), dict.fromkeys(("NEGLIGIBLE", "OWN_NEGLIGIBLE"), 'real("inf")')
+    )
 
 
 def rounded_table():
