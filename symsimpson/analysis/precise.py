@@ -25,6 +25,8 @@ __all__ = ["Precise"]
 Vector = NDArray[Any]
 #: States that are placed on constraints may miss them by so much.
 NEARBY = 1e-3
+#: What moves by a smaller part of what moves most is displaced as if it moved by so much.
+UNMOVED = 1e-12
 
 
 class Precise:
@@ -212,13 +214,15 @@ class Precise:
                 self._iterate(run)
             rows = run.rows("INCREMENT", self.program.header.degree * self.n)
             solution = self._numbers.result(rows.copy())
-            step = self.small * max(map(abs, solution))
+            moves = abs(solution).reshape(-1, self.n).max(axis=0)
+            # what turns little beside what moves far is displaced by as little
+            steps = self.small * np.maximum(moves, UNMOVED * moves.max())
             # control points that follow from the others do so when these are known
             points = self.program.header.tables.get("SOLVE_COLUMNS", range(len(rows) + 1))
             unknown = [k for k in range(len(rows)) if k // self.n + 1 in points]
             worst = 0.0
             for k in unknown:
-                beside = solution.copy()
+                beside, step = solution.copy(), steps[k % self.n]
                 beside[k] += step
                 rows[:] = self._numbers.read(list(beside))
                 self._iterate(run)

@@ -32,6 +32,8 @@ SHORT = 50
 LOCAL, MOST = mpmath.mpf("1e-30"), 100
 #: An error of the exact motion is this part of those that are measured by it.
 NEGLIGIBLE = mpmath.mpf("1e-5")
+#: Digits of symmetries: what gravity pulls across a plane of orbits is 1e-24 of the whole there.
+FINER = 90
 #: Momenta that are so small a part of the largest have a size of their own, as those of a planet
 #: beside two stars: its velocities are theirs, and a displacement must be small beside them.
 LIGHT = 1e-3
@@ -131,7 +133,11 @@ class Subject:
     def symmetries(self) -> list[Symmetry]:
         """The linear symmetries of the system; none where forces may change their momenta."""
         conservative = self.stepper.program.header.conservative
-        return linear_symmetries(self.precise, self.z) if conservative else []
+        if not conservative:
+            return []
+        finer = Precise(self.precise.stepper, self.precise.parameters, FINER)
+        finer.sizes = self.sizes
+        return linear_symmetries(finer, self.z)
 
     def exact(self, end: Any, *, timed: bool = False, error: float = 0.0) -> list[Any]:
         """Return the state of the exact motion at a time, in many digits; ``timed``, with t.

@@ -26,8 +26,8 @@ NEARBY = 1e-4
 PIVOT = 1e-6
 #: Entries closer to a number of few digits than this are that number, in a name.
 ROUND = 1e-9
-#: What is left of the terms of a symmetry that is one, in many digits.
-EXACT = 1e-27
+#: What is left of the terms of a symmetry that is one, in many digits, and of what is zero.
+EXACT, NOTHING = 1e-27, 1e-40
 #: So many times as many points are tried as are needed.
 MOST = 20
 #: With more coordinates than this, not all linear maps are looked for: their number is squared, and
@@ -138,8 +138,9 @@ def _sizes_of_columns(
     """
     each = sizes.reshape(-1, d).max(axis=0) if d else sizes[:0]
     units = np.concatenate([unit / sizes, np.outer(1 / each, each).ravel()])
-    scale = np.abs(matrix).max(axis=0) / units
-    return np.where(scale < RANK * scale.max(), scale.max(), scale) * units
+    largest = np.abs(matrix).max(axis=0)
+    scale = largest / units
+    return np.where(largest < NOTHING, scale.max(), scale) * units
 
 
 def _by_block(left: NDArray[Any], right: NDArray[Any], d: int) -> NDArray[Any]:

@@ -42,6 +42,33 @@ def test_a_limit_that_is_missed_by_little_is_shown_in_full():
 
 
 @pytest.mark.slow
+def test_a_body_that_turns_on_its_orbit_passes():
+    """In metres, 1.5e11 from the sun and in the plane of its orbit, with a unit quaternion."""
+    (x, y, z), (a, b, c, d) = ss.coordinates("x y z"), ss.coordinates("a b c d")
+    m, GM, A, B, C, J = sp.symbols("m GM A B C J", positive=True)
+    rates = (
+        2 * (-b * a.diff() + a * b.diff() + d * c.diff() - c * d.diff()),
+        2 * (-c * a.diff() - d * b.diff() + a * c.diff() + b * d.diff()),
+        2 * (-d * a.diff() + c * b.diff() - b * c.diff() + a * d.diff()),
+    )
+    turning = sum(i * w**2 for i, w in zip((A, B, C), rates, strict=True)) / 2
+    # what the constraint keeps at zero makes M regular
+    stretch = J * (a * a.diff() + b * b.diff() + c * c.diff() + d * d.diff()) ** 2
+    craft = ss.MechanicalSystem(
+        "craft",
+        coordinates=(x, y, z, a, b, c, d),
+        kinetic=m * (x.diff() ** 2 + y.diff() ** 2 + z.diff() ** 2) / 2 + turning + stretch,
+        potential=-GM * m / sp.sqrt(x**2 + y**2 + z**2),
+        parameters={m: 500, GM: 1.327e20, A: 100, B: 150, C: 200, J: 300},
+        constraints={"unit": a**2 + b**2 + c**2 + d**2 - 1},
+    )
+    start = {"q0": [1.5e11, 0, 0, 1, 0, 0, 0], "v0": [0, 2.98e4, 0, 0, 0.005, 0.01, 0.015]}
+    certificate = ss.compile(craft).certify(**start, h=5.0)
+    assert certificate.passed, certificate
+    assert certificate["momenta"].what.count("p_") == 6 + 3 * 4
+
+
+@pytest.mark.slow
 def test_a_step_that_is_chosen_is_solved_in_few_iterations():
     """Newton's method takes long steps in a strong field; nodes are iterated in shorter ones."""
     x, y, z = q = ss.coordinates("x y z")
