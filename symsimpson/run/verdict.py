@@ -12,7 +12,7 @@ from symsimpson.errors import ResolutionWarning
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.folds import ended_after, first_states, look_at_folds, unknown_values
-from symsimpson.run.resolution import Sampled, look_at_energy
+from symsimpson.run.resolution import Sampled, energies_at, look_at_energy
 from symsimpson.stepping.kept import KeptStates
 from symsimpson.stepping.run import Run
 from symsimpson.support.calling import warn
@@ -44,7 +44,7 @@ def verdict(program: Program, run: Run, trajectory: Trajectory, kept: KeptStates
     where the motion was not resolved, it is warned of.
     """
     if trajectory.records or trajectory.ended_by:  # energies change with what events do
-        return trajectory
+        return _within_domain(program, run, trajectory, kept)
     judged = _by_energy(program, run, trajectory, kept)
     return look_at_folds(program, run, judged, kept)
 
@@ -54,12 +54,7 @@ def _by_energy(program: Program, run: Run, trajectory: Trajectory, kept: KeptSta
     trajectory = _at_pole(program, trajectory)
     if not trajectory.success and program.header.real_everywhere:
         return trajectory
-    if trajectory.every is None and not program.header.real_everywhere:  # the last state, too
-        numbers = program.numbers
-        with numbers.working():
-            ends = [numbers.read(x[:1]) for x in (trajectory.q, trajectory.p)]
-        q, p = (np.concatenate(parts) for parts in zip(kept[:2], ends, strict=True))
-        kept = KeptStates(q, p, *kept[2:])
+    kept = _with_last(program, trajectory, kept)
     energies = look_at_energy(program, run, trajectory, kept)
     if energies is not None and energies.first_not_real is not None:
         ended = _ended_before(program, run, trajectory, kept, energies)
@@ -72,6 +67,32 @@ def _by_energy(program: Program, run: Run, trajectory: Trajectory, kept: KeptSta
     message = f"{program.system}, {program.scheme}: {message}"
     warn(message, ResolutionWarning)
     return replace(trajectory, message=f"{trajectory.message} {message}")
+
+
+def _within_domain(
+    program: Program, run: Run, trajectory: Trajectory, kept: KeptStates
+) -> Trajectory:
+    """Judge a run on which events acted by whether its energy is a number, whatever that is."""
+    if program.header.real_everywhere:
+        return trajectory
+    kept = _with_last(program, trajectory, kept)
+    energies = energies_at(program, run, trajectory.steps, kept, np.arange(len(kept.q)))
+    if energies.first_not_real is None:
+        return trajectory
+    ended = _ended_before(program, run, trajectory, kept, energies)
+    records = tuple(record for record in ended.records if record.step < ended.steps)
+    return replace(ended, records=records, ended_by=None)
+
+
+def _with_last(program: Program, trajectory: Trajectory, kept: KeptStates) -> KeptStates:
+    """Return states that were kept with the last one, if a run stored this alone."""
+    if trajectory.every is not None or program.header.real_everywhere:
+        return kept
+    numbers = program.numbers
+    with numbers.working():
+        ends = [numbers.read(x[:1]) for x in (trajectory.q, trajectory.p)]
+    q, p = (np.concatenate(parts) for parts in zip(kept[:2], ends, strict=True))
+    return KeptStates(q, p, *kept[2:])
 
 
 def _unresolved(
@@ -201,7 +222,7 @@ def _ended_before(
         last = slice(good, good + 1)
         about |= {"q": result(q[last]), "p": result(p[last])}
         about |= run.beside(recorded[last], result)
-        about["t"] = trajectory.t - (trajectory.steps - done) * trajectory.h
+        about["t"] = result(np.array([run.t0 + run.h * done]))
         if retimed:
             about |= {
                 "t": result(recorded[last, 0]),

@@ -1,0 +1,53 @@
+"""Runs on which events act, and whose motion leaves the domain of V."""
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+
+X, Y = ss.coordinates("x y")
+WELL = ss.MechanicalSystem(  # its force is real beyond x = 0, its energy is not
+    "well_beside",
+    coordinates=(X, Y),
+    kinetic=(X.diff() ** 2 + Y.diff() ** 2) / 2,
+    potential=sp.log(X) + Y**2,
+)
+HOW = {"q0": [0.5, 0.4], "v0": [-0.5, 0.2], "h": 0.02, "steps": 24}  # 22 steps lead to x < 0
+SEEN = Y - sp.Rational(42, 100)
+
+
+@pytest.fixture(scope="module")
+def stepper():
+    return ss.compile(WELL)
+
+
+@pytest.mark.parametrize("action", [None, ss.Impact(restitution=1), ss.Switch()])
+@pytest.mark.parametrize("every", [1, None])
+def test_events_do_not_hide_that_the_energy_is_no_number(stepper, action, every):
+    events = [ss.Event(-SEEN, name="seen", action=action)]
+    run = stepper.integrate(**HOW, every=every, events=events, on_failure="return")
+    assert run.status == ss.Status.NOT_FINITE
+    assert np.isfinite(run.energy).all()
+    assert run.t[-1] == pytest.approx(0.02 * run.steps, rel=1e-15)
+    assert 18 < run.steps < 22
+    assert len(run.events("seen")) == 1 + (action is None or isinstance(action, ss.Switch))
+    with pytest.raises(ss.ConvergenceError, match="energy is no finite number"):
+        stepper.integrate(**HOW, every=every, events=events)
+
+
+@pytest.mark.parametrize("every", [1, None])
+def test_an_event_out_of_the_domain_did_not_end_the_run(stepper, every):
+    end = ss.Event(X + sp.Rational(1, 50), name="end", terminal=True)
+    run = stepper.integrate(**HOW, every=every, events=[end], on_failure="return")
+    assert run.status == ss.Status.NOT_FINITE
+    assert run.ended_by is None
+    assert len(run.events("end")) == 0
+    assert np.isfinite(run.energy).all()
+
+
+def test_members_do_not_hide_it(stepper):
+    many = stepper.ensemble(
+        [HOW["q0"]] * 2, v0=HOW["v0"], h=0.02, steps=24, events=[ss.Event(SEEN, name="seen")]
+    )
+    assert (many.status == ss.Status.NOT_FINITE).all()
