@@ -8,7 +8,7 @@ the same bits.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isqrt
 from typing import TYPE_CHECKING, Any
 
@@ -16,11 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.derivatives.state_costs import Measured, StateCost, pull_velocities
+from symsimpson.program.evaluating import evaluate
 from symsimpson.program.recorders import tape
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import workspace
 from symsimpson.run.ended import raise_failure, trajectory_of
+from symsimpson.run.integrate import integrate
 from symsimpson.run.start import started
+from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec
 
 if TYPE_CHECKING:
@@ -119,15 +122,19 @@ class Way:
         self._run = run = started(program, spec, 1, self.piece + 1, recorders=(recorder,))
         self.q0, self.p0 = run.begun[1]
         self._places: list[tuple[list[int], Reals]] = []
+        left = False
         with run.watched(count, progress):
             while run.step < count and run.alive:
                 if run.step:
                     run.forget()
                 self._places.append((run.position(), run.W[:, 0].copy()))
                 run.advance(min(run.step + self.piece, count))
+                left = left or _leaves_domain(program, run)
         if run.status is not Status.SUCCESS:
             trajectory = trajectory_of(program, run, count, run.status, spec, run.stored(), 0)
             raise_failure(run, trajectory, trajectory)
+        if left:  # a run of the same steps tells after which of them, with the states before
+            integrate(program, replace(spec, every=1))
         self.q1, self.p1 = (run.rows(x, program.n).copy() for x in ("POSITION", "MOMENTUM"))
 
     def segments(self) -> Iterator[tuple[int, Reals, Reals, Reals]]:
@@ -141,6 +148,16 @@ class Way:
                 run.store(0)
                 run.advance(last)
             yield first, run.recorded[: last - first + 1], *run.stored()[:2]
+
+
+def _leaves_domain(program: Program, run: Run) -> bool:
+    """Return whether the energy is no finite number at one of the states in the arrays of a run."""
+    if program.header.real_everywhere:
+        return False
+    q, p, *_ = run.stored()
+    t = run.t0 + run.h * program.numbers.counted(run.step + 1 - len(q), run.step + 1, 1)
+    energies = evaluate(program, "energy", "ENERGY", 1, (t, q, p), run.parameters)
+    return not np.isfinite(np.asarray(energies, dtype=np.float64)).all()
 
 
 class _Back:
