@@ -11,8 +11,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
+import numpy as np
 import sympy as sp
+from numpy.typing import NDArray
 
+from symsimpson.errors import InputError
 from symsimpson.graph.nodes import Graph, Value
 from symsimpson.mechanics.checks import fail, spell
 from symsimpson.mechanics.expression_checks import read_expression
@@ -109,6 +112,18 @@ class RetimedSystem(MechanicalSystem):
         """The state to start from, if the system is of the catalogue."""
         state: Mapping[str, Any] | None = getattr(self.original, "reference_state", None)
         return state
+
+    def linearise(self, *_: Any, **__: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Refuse: equations in tau are those of one energy, and states nearby have another.
+
+        Raises
+        ------
+        InputError
+        """
+        raise InputError(
+            f"{self.name} keeps a time of its own, in which its equations hold for one energy.\n"
+            "Linearise those in t: system.original.linearise(...)."
+        )
 
     @cached_property
     def retiming(self) -> Retiming:

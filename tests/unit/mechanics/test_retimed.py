@@ -127,3 +127,11 @@ def test_quarter_powers_are_square_roots():
     body = text[text.index("def newton(") :]
     assert "sqrt(sqrt(" in text
     assert "**(" not in body
+
+
+def test_equations_of_one_energy_are_not_linearised():
+    """E0 stands in them, which belongs to the state: at a default of 0 they are other ones."""
+    with pytest.raises(ss.InputError, match=r"system\.original\.linearise"):
+        system().retimed("encounters").linearise([1.0, 0.0], [0.0, 1.0])
+    A, _ = system().retimed("encounters").original.linearise([1.0, 0.0], [0.0, 1.0])
+    assert A.shape == (4, 4)
