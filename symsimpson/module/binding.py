@@ -117,6 +117,7 @@ def plain_arithmetic(
             "ROUNDED": 1e4 * unit**2,
             "LOST": unit**2,
             "ROUNDING": unit**2,
+            "STALLED": 1e4 * unit**2,
         }
     return {
         "pi": math.pi,

@@ -45,6 +45,8 @@ def check_stage_convergence(W, lane):
 
     Corrections shrink by a factor each time; the next one is predicted by the largest factor seen
     of late, and where it would be lost in rounding, the step is done. All sizes are squared.
+    That one is as large as the one before tells of rounding only where both are small: of slow
+    iterations corrections turn, and grow for once long before they are solved.
     Convergence is not checked before the iteration in which the step is expected to be nearly done.
     """
     W[ITERATIONS, lane] += 1.0
@@ -56,7 +58,7 @@ def check_stage_convergence(W, lane):
         now = correction / (increment if increment != 0 else 1.0)
         factor = max(now / before, 0.25 * factor) if before < INFINITE else factor
         negligible = (factor < 1) & (now * factor <= LOST * (1 - factor) * (1 - factor))
-        done = negligible | (now <= ROUNDING) | ((now < STAGNATION) & (now >= 0.25 * before))
+        done = negligible | (now <= ROUNDING) | ((now < STALLED) & (now >= before))
         finite = (correction < INFINITE) & (increment < INFINITE)
         W[CORRECTION_SQUARED, lane] = correction
         W[INCREMENT_SQUARED, lane] = increment
