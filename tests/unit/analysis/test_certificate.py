@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import warnings
 from dataclasses import replace
 
 import pytest
@@ -9,9 +10,12 @@ import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
+from symsimpson.analysis.certificate import Check
+from symsimpson.analysis.certify import _constraints
 from symsimpson.analysis.energy_checks import drift
 from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.solver_checks import starts
+from symsimpson.analysis.subject import Subject
 from symsimpson.analysis.variants import rewritten
 from symsimpson.api.compiling import TOOLS
 from symsimpson.api.stepper import Stepper
@@ -276,6 +280,52 @@ def test_chaotic_motions_with_coarse_steps_change_their_level():
     certificate = ss.compile(charge, "lobatto6").certify(start[0], p0=start[1], h=0.5)
     assert certificate.passed, certificate
     assert "h/" in certificate["drift"].what
+
+
+def test_runs_with_a_step_that_nobody_gave_warn_of_nothing(monkeypatch):
+    def coarse(subject):
+        warnings.warn("take a smaller h", ss.ResolutionWarning, stacklevel=1)
+        yield Check.at_most("coarse", 0.0, 1.0, "what", "why")
+
+    monkeypatch.setattr("symsimpson.analysis.certify.CHECKS", (coarse,))
+    stepper = ss.compile(PENDULUM)
+    assert stepper.certify().passed
+    with pytest.warns(ss.ResolutionWarning, match="smaller h"):
+        stepper.certify(h=0.1)
+
+
+@pytest.mark.slow
+def test_constraints_are_measured_by_what_they_contain(monkeypatch):
+    """A unit vector that is off by 1e-13, 7e6 m away."""
+    monkeypatch.setattr("symsimpson.analysis.certify.CHECKS", (_constraints,))
+    x, a, b = ss.coordinates("x a b")
+    craft = ss.MechanicalSystem(
+        "craft",
+        coordinates=(x, a, b),
+        kinetic=(x.diff() ** 2 + a.diff() ** 2 + b.diff() ** 2) / 2,
+        potential=0,
+        constraints={"unit": a**2 + b**2 - 1},
+    )
+    start = {"q0": [7e6, 0.6, 0.8], "v0": [7e3, 0.4, -0.3], "h": 0.1}
+    stepper = ss.compile(craft, "midpoint")
+    plain = Subject.compiled
+
+    def off(position, pull):
+        def compiled(subject, *steps, **given):
+            run = plain(subject, *steps, **given)
+            vars(run)["constraint_error"] = run.constraint_error + position
+            evaluated = run._evaluated
+            vars(run)["_evaluated"] = lambda kernel, block, *rest, **named: (
+                evaluated(kernel, block, *rest, **named) + (pull if block == "MULTIPLIER" else 0)
+            )
+            return run
+
+        monkeypatch.setattr(Subject, "compiled", compiled)
+        return [row.name for row in stepper.certify(**start).checks if not row.passed]
+
+    assert off(0.0, 0.0) == []
+    assert off(1e-13, 0.0) == ["constraints"]
+    assert off(0.0, 1e-11) == ["velocities"]
 
 
 @pytest.mark.slow
