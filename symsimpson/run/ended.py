@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from symsimpson.results.events import Events
     from symsimpson.results.sampled import Sampled, Saved
 
-__all__ = ["raise_failure", "trajectory_of"]
+__all__ = ["out_of_domain", "raise_failure", "trajectory_of"]
 
 
 def trajectory_of(
@@ -111,6 +111,17 @@ def _with_end(
     given = program, spec.reductions, run.parameters[None]
     (row,) = reduced_at_ends(*given, before, after, known).tolist()
     return tuple(zip(names, row, strict=True))
+
+
+def out_of_domain(program: Program, run: Run, t: Any, step: int) -> dict[str, Any]:
+    """Return the status and the message of a run whose energy is no number after a step."""
+    message = (
+        f"{program.system}, {program.scheme}: the energy is no finite number at t={float(t):g}, "
+        f"after step {step} with h={float(run.h):g}: T or V has no real value there, or too large "
+        "a one. The motion left their domain or ran to infinity, or a step jumped across a "
+        "singular point: check the state before and the sign of the potential, or try a smaller h."
+    )
+    return {"status": Status.NOT_FINITE, "message": message}
 
 
 def raise_failure(

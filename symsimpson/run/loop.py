@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import MOST_STEPS
 from symsimpson.program.numbers import NOTHING
-from symsimpson.run.ended import raise_failure, trajectory_of
+from symsimpson.run.ended import out_of_domain, raise_failure, trajectory_of
 from symsimpson.run.start import started
 from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.request import of_a_step
@@ -97,10 +98,16 @@ class ControlLoop:
             before = run.step
             if run.arrived:
                 raise InputError(f"the loop is at its end: {run.reason}\nBegin another one.")
+            here = None if program.header.real_everywhere else (run.position(), run.W[:, 0].copy())
             with NOTHING if self._at_once else undisturbed():
                 run.advance(before + 1)
             if not (run.alive or run.arrived):
                 ended = self._trajectory(before + 1)
+                raise_failure(run, ended, ended)
+            if here is not None and self._has_no_energy():
+                about = out_of_domain(program, run, run.now, before + 1)
+                run.put_back(*here)
+                ended = replace(self._trajectory(before + 1), **about)
                 raise_failure(run, ended, ended)
 
     def _trajectory(self, steps: int) -> Trajectory:
@@ -153,14 +160,22 @@ class ControlLoop:
     def v(self) -> Reals:
         """Velocities, shape (n,)."""
         from symsimpson.module.quantity import velocities_by
+
+        return self._evaluated(velocities_by(self._run.header), "VELOCITY", self.program.n)
+
+    def _has_no_energy(self) -> bool:
+        """Return whether T or V has no value here; an event may end the loop at their bound."""
+        ended = self._run.end_within is not None
+        return not ended and not np.isfinite(float(self._evaluated("energy", "ENERGY", 1)[0]))
+
+    def _evaluated(self, kernel: str, block: str, count: int) -> Reals:
+        """Evaluate rows of a kernel at the state."""
         from symsimpson.program.evaluating import evaluate
 
-        program, run = self.program, self._run
-        numbers = program.numbers
+        program, numbers = self.program, self.program.numbers
         with numbers.working():
             t, q, p = (numbers.read(x)[None] for x in (self.t, self.q, self.p))
-            kernel = velocities_by(run.header)
-            return evaluate(program, kernel, "VELOCITY", program.n, (t, q, p), run.parameters)[0]
+            return evaluate(program, kernel, block, count, (t, q, p), self._run.parameters)[0]
 
     def _state(self, block: str) -> Reals:
         if self._run.end_within is not None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import ResolutionWarning
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
+from symsimpson.run.ended import out_of_domain
 from symsimpson.run.folds import ended_after, first_states, look_at_folds, unknown_values
 from symsimpson.run.resolution import Sampled, energies_at, look_at_energy
 from symsimpson.stepping.kept import KeptStates
@@ -230,12 +231,5 @@ def _ended_before(
             }
     else:
         about |= first_states(trajectory, done // trajectory.every + 1)
-    message = (
-        f"{program.system}, {program.scheme}: the energy is no finite number at "
-        f"t={float(where):g}, after step {at} with h={float(run.h):g}: T or V has no real value "
-        "there, or too large a one. The motion left their domain or ran to infinity, or a step "
-        "jumped across a singular point: check the state before and the sign of the potential, or "
-        "try a smaller h."
-    )
-    about |= ended_after(trajectory, done)
-    return Trajectory(**about | {"status": Status.NOT_FINITE, "message": message})
+    about |= ended_after(trajectory, done) | out_of_domain(program, run, where, at)
+    return Trajectory(**about)

@@ -51,3 +51,32 @@ def test_members_do_not_hide_it(stepper):
         [HOW["q0"]] * 2, v0=HOW["v0"], h=0.02, steps=24, events=[ss.Event(SEEN, name="seen")]
     )
     assert (many.status == ss.Status.NOT_FINITE).all()
+
+
+@pytest.mark.parametrize("events", [None, [ss.Event(SEEN, name="seen")]])
+def test_a_loop_stays_where_its_energy_is_a_number(stepper, events):
+    loop = stepper.start(HOW["q0"], v0=HOW["v0"], h=HOW["h"], events=events)
+    run = stepper.integrate(**HOW, events=events, on_failure="return")
+    for _ in range(run.steps):
+        loop.step()
+    for _ in range(2):
+        with pytest.raises(ss.ConvergenceError, match="energy is no finite number") as told:
+            loop.step()
+        assert told.value.status == run.status
+        assert loop.steps == run.steps
+        assert np.array_equal(loop.q, run.q[-1])
+
+
+def test_a_loop_may_end_where_a_root_is_zero():
+    """V is NaN there, where kernels take x**2 times 1/root for |x|."""
+    walled = ss.MechanicalSystem(
+        "walled",
+        coordinates=(X,),
+        kinetic=X.diff() ** 2 / 2,
+        potential=X**2 / 2 + 3 * (X + sp.sqrt(X**2)) ** 2 / 8,
+    )
+    wall = ss.Event(X, name="wall", terminal=True)
+    loop = ss.compile(walled, "gauss8").start([1.0], v0=[0.0], h=0.05, events=[wall])
+    while loop.ended_by is None:
+        loop.step()
+    assert abs(loop.q[0]) < 1e-15
