@@ -90,12 +90,16 @@ def read_energies(
                 f"A velocity is the derivative of a coordinate: write {s.back[s.v[0]].expr}.diff() "
                 f"for that of {s.back[s.v[0]].expr}.",
             )
+        there, moving = (s.graph.nodes[n].symbols for _, n in (leftover, kinetic))
+        places = zip(s.v, s.numbers(s.q), s.numbers(s.v), strict=True)
+        still = [s.back[v].expr for v, q, rate in places if q in there and rate not in moving]
+        meant = f"Did you mean {' or '.join(f'{x.func}.diff()' for x in still)}? " if still else ""
         raise fail(
             name,
             f"the kinetic energy is not a quadratic form in the velocities: it contains "
             f"{spell(s.restored(leftover))}.",
-            "Move terms without velocities to the potential (with the opposite sign) and linear "
-            "ones to a Lagrangian: MechanicalSystem.from_lagrangian(name, L, ...).",
+            f"{meant}Move terms without velocities to the potential (with the opposite sign) and "
+            "linear ones to a Lagrangian: MechanicalSystem.from_lagrangian(name, L, ...).",
         )
     gyroscopic = polynomial(name, "gyroscopic term", linear, s)
     constraints = read_constraints(name, given.constraints, s, read)

@@ -72,7 +72,11 @@ WRONG = {
     "quartic T": ({"kinetic": T + x.diff() ** 4}, "not quadratic in the velocities"),
     "root in T": ({"kinetic": m * sp.sqrt(1 + x.diff() ** 2)}, "not quadratic in the velocities"),
     "linear in T": ({"kinetic": T + x * x.diff()}, "not a quadratic form.*x.*x'"),
-    "constant in T": ({"kinetic": T + x**2}, "not a quadratic form"),
+    "constant in T": ({"kinetic": T + x**2}, r"not a quadratic form.*\nMove terms"),
+    "a velocity forgotten": (
+        {"coordinates": (x, y), "kinetic": T + y**2},
+        r"not a quadratic form.*\nDid you mean y.diff\(\)\? Move terms",
+    ),
     "missing mass": ({"coordinates": (x, y)}, "does not depend on y'.*zero row"),
     "singular mass": ({"coordinates": (x, y), "kinetic": T2}, "singular for every configuration"),
     "no value": ({"parameters": {m: 1.0, k: None}}, "parameter k has no value"),
