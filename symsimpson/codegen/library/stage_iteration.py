@@ -45,8 +45,8 @@ def check_stage_convergence(W, lane):
 
     Corrections shrink by a factor each time; the next one is predicted by the largest factor seen
     of late, and where it would be lost in rounding, the step is done. All sizes are squared.
-    That one is as large as the one before tells of rounding only where both are small: of slow
-    iterations corrections turn, and grow for once long before they are solved.
+    A correction that is no smaller than the one before is rounding only where both are small: those
+    of slow iterations may grow for once, long before the step is solved.
     Convergence is not checked before the iteration in which the step is expected to be nearly done.
     """
     W[ITERATIONS, lane] += 1.0
