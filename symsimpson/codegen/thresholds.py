@@ -34,7 +34,8 @@ _STAGE_THRESHOLDS = """\
 MANY = 10  # after more iterations what nodes have is extrapolated with care
 LOST = 2.0**-150  # what is left at nodes has a sign and adds up: in 1e9 steps below rounding
 ROUNDING = 2.0**-132  # corrections below this are made of rounding
-STALLED = 2.0**-92  # and below this where they shrink no more
+STALLED = 2.0**-92  # and below this where they shrink no more,
+NOISE = 2.0**-100  # or below this where they hardly do
 """
 _TURN_THRESHOLDS = """\
 FRESH = 2  # iterations that compute sines and cosines; later ones turn them by what angles change

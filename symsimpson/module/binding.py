@@ -118,6 +118,7 @@ def plain_arithmetic(
             "LOST": unit**2,
             "ROUNDING": unit**2,
             "STALLED": 1e4 * unit**2,
+            "NOISE": 40 * unit**2,
         }
     return {
         "pi": math.pi,

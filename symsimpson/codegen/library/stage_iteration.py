@@ -58,7 +58,8 @@ def check_stage_convergence(W, lane):
         now = correction / (increment if increment != 0 else 1.0)
         factor = max(now / before, 0.25 * factor) if before < INFINITE else factor
         negligible = (factor < 1) & (now * factor <= LOST * (1 - factor) * (1 - factor))
-        done = negligible | (now <= ROUNDING) | ((now < STALLED) & (now >= before))
+        stalled = (now < STALLED) & (now >= (0.25 if now < NOISE else 1.0) * before)
+        done = negligible | (now <= ROUNDING) | stalled
         finite = (correction < INFINITE) & (increment < INFINITE)
         W[CORRECTION_SQUARED, lane] = correction
         W[INCREMENT_SQUARED, lane] = increment

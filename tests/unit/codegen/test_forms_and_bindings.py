@@ -359,6 +359,8 @@ def test_each_coordinate_is_solved_by_its_own_measure(own, moved, ratio, verdict
         ("1e-26", "2e-26", "1e-3", "0.5", 1),  # it may be slow
         ("1e-26", "5e-27", "1e-3", "2", 1),  # it may have grown for once
         ("1e-28", "5e-29", "1e-3", "2", 0),  # it shrinks no more
+        ("1e-28", "2e-28", "1e-3", "0.5", 1),
+        ("2e-29", "4e-29", "1e-3", "0.5", 0),  # as small as rounding, it hardly does
         (0, "1e-20", "1e-3", "0.25e-3", 0),
         ("nan", "1e-20", "1e-3", None, -3),
     ],
