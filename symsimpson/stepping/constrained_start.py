@@ -112,7 +112,7 @@ def project_start(
         return noise
 
     scale = np.minimum(met, whole) if given else whole
-    alone = np.minimum(_scaled(slopes, extents), scale)
+    alone = np.minimum(_scaled(slopes, extents), scale) if given else whole
     for attempt in range(MOST):
         phi = at("CONSTRAINT", m, rest)
         off = missed_by(phi)
@@ -122,7 +122,8 @@ def project_start(
             lengths = bending_length(slopes_at, q)
             bent = np.where(lengths > 0, lengths, np.inf)[..., None]
             bent = np.maximum(np.minimum(sizes[:, None], bent), extents[:, None])
-            scale = np.minimum(scale, (np.abs(slopes) * bent).sum(axis=2))
+            if given:
+                scale = np.minimum(scale, (np.abs(slopes) * bent).sum(axis=2))
             off = missed_by(phi, rounded(lengths), scale)
             if not off.max() <= missed:
                 raise _violation_error(
