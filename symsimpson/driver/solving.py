@@ -12,8 +12,7 @@ from symsimpson.module.interface import *
 #: Lanes of a block; known here, their loops cost nothing for a single trajectory (a third of the
 #: time of a small step). This text is compiled with other numbers too.
 LANES = 1
-#: Those over nodes may be slow, and are solved where Newton's method is not sure of its solution.
-MOST_ITERATIONS = 80
+MOST_ITERATIONS = 40
 #: What is no status: a step that is not solved yet.
 UNSOLVED = -1
 #: After so many iterations it is asked whether corrections are made of rounding.

@@ -216,7 +216,7 @@ class Digits(Numbers):
             "types": _Anything(),
             "call": self._call,
             "AT_ONCE": 1,  # balls of python-flint grow in a call
-            "MOST_ITERATIONS": max(80, 5 * self.digits // 2),
+            "MOST_ITERATIONS": max(40, 5 * self.digits // 2),
             "FEW_ITERATIONS": max(16, self.digits),
             "ROUND_OFF": self._inner(self.context.mpf(10) ** (4 - 2 * self.digits)),
             "np": SimpleNamespace(
