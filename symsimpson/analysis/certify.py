@@ -303,18 +303,18 @@ def _constraints(s: Subject) -> Iterator[Check]:
     slopes, m = run._slopes(), run.constraint_error.shape[1]
     size = np.linalg.norm(slopes, axis=2)
     contained = (slopes != 0).any(axis=0)  # coordinates beside have units of their own
-    for what, name, error, states in (
-        ("constraints", "phi(q)", run.constraint_error / size[:, :m], "q"),
-        ("rolling", "A v - b", run.velocity_constraint_error / size[:, m:], "v"),
+    positions, velocities = slice(m), slice(m, None)
+    for what, name, error, states, some in (
+        ("constraints", "phi(q)", run.constraint_error, "q", positions),
+        ("rolling", "A v - b", run.velocity_constraint_error, "v", velocities),
     ):
         if error.size:
-            here = contained[:m] if states == "q" else contained[m:]
-            reach = _largest(here, getattr(run, states))
+            reach = _largest(contained[some], getattr(run, states))
             reach = np.maximum(reach, np.minimum(1.0, reach.max(axis=0)))
             reach[reach == 0] = 1.0
             yield Check.at_most(
                 what,
-                float((np.abs(error) / reach).max()),
+                float((np.abs(error / size[:, some]) / reach).max()),
                 4 * FLOAT64.epsilon,
                 f"{name} in 1000 steps, relative to its slope and to {states}",
                 "Imposed anew in each step: a rounding, and no drift.",

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.derivatives.state_costs import Measured, StateCost, pull_velocities
-from symsimpson.program.evaluating import evaluate
 from symsimpson.program.recorders import tape
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import workspace
 from symsimpson.run.ended import raise_failure, trajectory_of
 from symsimpson.run.integrate import integrate
+from symsimpson.run.resolution import has_energy
 from symsimpson.run.start import started
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec
@@ -156,8 +156,7 @@ def _leaves_domain(program: Program, run: Run) -> bool:
         return False
     q, p, *_ = run.stored()
     t = run.t0 + run.h * program.numbers.counted(run.step + 1 - len(q), run.step + 1, 1)
-    energies = evaluate(program, "energy", "ENERGY", 1, (t, q, p), run.parameters)
-    return not np.isfinite(np.asarray(energies, dtype=np.float64)).all()
+    return not has_energy(program, t, q, p, run.parameters)
 
 
 class _Back:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import MOST_STEPS
 from symsimpson.program.numbers import NOTHING
 from symsimpson.run.ended import out_of_domain, raise_failure, trajectory_of
+from symsimpson.run.resolution import has_energy
 from symsimpson.run.start import started
 from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.request import of_a_step
@@ -160,22 +160,24 @@ class ControlLoop:
     def v(self) -> Reals:
         """Velocities, shape (n,)."""
         from symsimpson.module.quantity import velocities_by
+        from symsimpson.program.evaluating import evaluate
 
-        return self._evaluated(velocities_by(self._run.header), "VELOCITY", self.program.n)
+        program, run = self.program, self._run
+        with program.numbers.working():
+            kernel = velocities_by(run.header)
+            return evaluate(program, kernel, "VELOCITY", program.n, self._here(), run.parameters)[0]
 
     def _has_no_energy(self) -> bool:
         """Return whether T or V has no value here; an event may end the loop at their bound."""
-        ended = self._run.end_within is not None
-        return not ended and not np.isfinite(float(self._evaluated("energy", "ENERGY", 1)[0]))
+        run = self._run
+        return run.end_within is None and not has_energy(
+            self.program, *self._here(), run.parameters
+        )
 
-    def _evaluated(self, kernel: str, block: str, count: int) -> Reals:
-        """Evaluate rows of a kernel at the state."""
-        from symsimpson.program.evaluating import evaluate
-
-        program, numbers = self.program, self.program.numbers
-        with numbers.working():
-            t, q, p = (numbers.read(x)[None] for x in (self.t, self.q, self.p))
-            return evaluate(program, kernel, block, count, (t, q, p), self._run.parameters)[0]
+    def _here(self) -> tuple[Reals, Reals, Reals]:
+        """Return the time and the state, as arrays of one row."""
+        read = self.program.numbers.read
+        return read(self.t)[None], read(self.q)[None], read(self.p)[None]
 
     def _state(self, block: str) -> Reals:
         if self._run.end_within is not None:

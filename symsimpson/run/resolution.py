@@ -37,6 +37,7 @@ __all__ = [
     "each",
     "energies_at",
     "finer_stride",
+    "has_energy",
     "look_at_energy",
     "sampling_stride",
 ]
@@ -191,6 +192,12 @@ def energies_at(
     return Sampled(total, kinetic, places, nothing, nothing, standing)
 
 
+def has_energy(program: Program, t: Reals, q: Reals, p: Reals, values: Reals) -> bool:
+    """Return whether the energy is a finite real number at all of some states."""
+    energies = evaluate(program, "energy", "ENERGY", 1, (t, q, p), values)
+    return bool(np.isfinite(np.asarray(energies, dtype=np.float64)).all())
+
+
 def check_start(program: Program, t: Any, q: Reals, p: Reals, values: Reals) -> None:
     """Refuse a state at which the energy is not a finite real number.
 
@@ -199,8 +206,7 @@ def check_start(program: Program, t: Any, q: Reals, p: Reals, values: Reals) -> 
     InputError
     """
     times = np.full(1, t, dtype=q.dtype)
-    (energy,) = evaluate(program, "energy", "ENERGY", 1, (times, q[None], p[None]), values)[0]
-    if not np.isfinite(float(energy)):
+    if not has_energy(program, times, q[None], p[None], values):
         raise InputError(
             f"{program.system}: the energy is not a finite real number at q0 = "
             f"({', '.join(f'{float(x):g}' for x in q)}): T or V has no value there "

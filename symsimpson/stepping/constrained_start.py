@@ -120,9 +120,9 @@ def project_start(
             break
         if attempt == 0 and not missed_by(phi, scale=alone).max() <= missed:
             lengths = bending_length(slopes_at, q)
-            bent = np.where(lengths > 0, lengths, np.inf)[..., None]
-            bent = np.maximum(np.minimum(sizes[:, None], bent), extents[:, None])
             if given:
+                bent = np.where(lengths > 0, lengths, np.inf)[..., None]
+                bent = np.maximum(np.minimum(sizes[:, None], bent), extents[:, None])
                 scale = np.minimum(scale, (np.abs(slopes) * bent).sum(axis=2))
             off = missed_by(phi, rounded(lengths), scale)
             if not off.max() <= missed:

@@ -12,7 +12,6 @@ from support.cases import sweep
 import symsimpson as ss
 from symsimpson.analysis.certificate import Check
 from symsimpson.analysis.certify import _constraints
-from symsimpson.analysis.energy_checks import drift
 from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.solver_checks import starts
 from symsimpson.analysis.subject import Subject
@@ -326,36 +325,6 @@ def test_constraints_are_measured_by_what_they_contain(monkeypatch):
     assert off(0.0, 0.0) == []
     assert off(1e-13, 0.0) == ["constraints"]
     assert off(0.0, 1e-11) == ["velocities"]
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::symsimpson.errors.ResolutionWarning")
-def test_violent_motions_change_their_level_with_half_the_step_too(monkeypatch):
-    """The energy of three pendulums wanders by 3e-1 with h, by 3e-3 with h/2."""
-    monkeypatch.setattr("symsimpson.analysis.certify.CHECKS", (drift,))
-    chain = ss.systems.n_pendulum(3)
-    certificate = ss.compile(chain, "gauss8").certify([2.0, 1.0, 0.0], v0=[0.0] * 3, h=1 / 64)
-    assert certificate.passed, certificate
-
-
-@pytest.mark.slow
-def test_the_energy_of_what_rolls_is_watched(monkeypatch):
-    """A coin turns through 2e5 rad: the rounding of its angles turns the constraints, too."""
-    monkeypatch.setattr("symsimpson.analysis.certify.CHECKS", (drift,))
-    x, y, roll, turn = ss.coordinates("x y roll turn")
-    coin = ss.MechanicalSystem(
-        "coin",
-        coordinates=(x, y, roll, turn),
-        kinetic=(x.diff() ** 2 + y.diff() ** 2 + (roll.diff() ** 2 + turn.diff() ** 2) / 50) / 2,
-        potential=0,
-        velocity_constraints={
-            "along": x.diff() - sp.cos(turn) * roll.diff() / 5,
-            "aside": y.diff() - sp.sin(turn) * roll.diff() / 5,
-        },
-    )
-    certificate = ss.compile(coin, "gauss4").certify([0.0] * 4, v0=[0.4, 0.0, 2.0, 1.0], h=4.0)
-    assert certificate.passed, certificate
-    assert [row.name for row in certificate.checks] == ["watched"]
 
 
 @pytest.mark.slow
