@@ -15,7 +15,7 @@ from symsimpson.codegen.coupled import (
     node_point,
 )
 from symsimpson.codegen.expression import Expression
-from symsimpson.codegen.linear_solve import solve_symmetric, solve_unpivoted
+from symsimpson.codegen.linear_solve import solve_in_pairs, solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.discrete.reductions import Constrained
@@ -91,7 +91,7 @@ class ConstrainedSolver:
                 right.append(-entry(m, "phi", c) / h)
         hints = correction_names(low, self.increments)
         hints += [f"d_mu_{k}_{c}" for k, c in self.multipliers]
-        corrections = solve_unpivoted(low.graph, matrix, right, hints, "elimination")
+        corrections = solve_in_pairs(low.graph, matrix, right, hints, "elimination")
         return dict(zip([*self.increments, *self.multipliers], corrections, strict=True))
 
     def _stiffness(self) -> Mapping[tuple[int, int], Expression]:

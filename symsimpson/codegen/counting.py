@@ -35,6 +35,10 @@ class Cost:
     closing: int
 
 
+#: Operations that vanish where one of the numbers is a 0 of the text, or of its tables.
+FOLDED = (operator.add, operator.sub, operator.mul)
+
+
 class _Counted:
     """A number whose operations are counted."""
 
@@ -72,8 +76,12 @@ def _products(exponent: Any) -> int:
     return n.bit_length() - 1 + n.bit_count() - 1 if n > 1 else 1
 
 
-def _binary(operate: Callable[[Any, Any], Any]) -> Callable[[Any, Any], _Counted]:
-    def counted(a: Any, b: Any) -> _Counted:
+def _binary(operate: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    def counted(a: Any, b: Any) -> Any:
+        if operate in FOLDED and not (isinstance(a, _Counted) and isinstance(b, _Counted)):
+            number, other = (b, a) if isinstance(a, _Counted) else (a, b)
+            if number == 0:
+                return 0.0 if operate is operator.mul else other
         _Counted.count += _products(b) if operate is operator.pow else 1
         try:
             return _Counted(operate(float(a), float(b)))
@@ -122,7 +130,7 @@ def cost(source: str) -> Cost:
         _Counted.count += 1
         return _Counted(0.6), _Counted(0.8)
 
-    arithmetic = plain_arithmetic(any_function, _Counted) | {"sincos": sincos}
+    arithmetic = plain_arithmetic(any_function, float) | {"sincos": sincos}
     module = bind(source, arithmetic)
     W = np.empty((module.ROWS, module.LANES), dtype=object)
     # any numbers will do, because no branch depends on them

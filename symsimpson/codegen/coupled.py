@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from symsimpson.codegen.expression import Expression
-from symsimpson.codegen.linear_solve import solve_blocks, solve_symmetric
+from symsimpson.codegen.linear_solve import solve_in_pairs, solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.weighted import Increments, WeightedRows, bend, unit_row, weighted_residual
@@ -221,7 +221,7 @@ def newton_correction(
     """Return what Newton's method adds to increments, from the points of a path at its nodes."""
     matrix, right = newton_rows(low, points, rows, increments, group)
     hints = correction_names(low, increments)
-    corrections = solve_blocks(low.graph, matrix, right, len(group), hints, "elimination")
+    corrections = solve_in_pairs(low.graph, matrix, right, hints, "elimination")
     return dict(zip(increments, corrections, strict=True))
 
 

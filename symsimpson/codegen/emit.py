@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from decimal import Context, Decimal
 from itertools import groupby
+from typing import Any
 
 import sympy as sp
 
@@ -42,9 +43,10 @@ ON_A_LINE, WIDTH = 3, 100
 _LONG = 16
 #: Fractions with larger denominators are finite decimals.
 _LARGE = 10**6
+_WORD = re.compile(r"\w+")
 #: What stands over groups of functions.
 _STEP = "The step: kernels that a run calls."
-_AT_NODE = "L at a node: functions that loops call."
+_OF_SYSTEM = "The system: functions that kernels call."
 _SHARED = "Loops and solvers: the same text in all modules."
 
 
@@ -64,13 +66,14 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
         A module that imports only numba, math and numpy's array.
     """
     printer = Printer()
-    tables = _tables(equations, module, printer)
     kernels = [_kernel(kernel, printer) for kernel in module.kernels]
     functions = [_function(function, printer) for function in module.functions]
     constants = _constants(module, printer)
     limits = thresholds(equations, module)
     computed_tables = _computed_tables(equations, module)
     library = [*_library("\n".join([*kernels, *functions, computed_tables]))]
+    texts = [*kernels, *functions, *library]
+    tables = _tables(equations, module, printer, set(_WORD.findall("\n".join(texts))))
     numbers = "\n".join(
         part
         for part in (
@@ -89,7 +92,7 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
             "compiled = njit(**OPTIONS)",
         ]
     )
-    groups = [(_STEP, kernels), (_AT_NODE, functions), (_SHARED, library)]
+    groups = [(_STEP, kernels), (_OF_SYSTEM, functions), (_SHARED, library)]
     parts = [head, *(_group(*group) for group in groups if group[1]), computed_tables]
     text = "\n\n\n".join(part.rstrip("\n") for part in parts if part) + "\n"
     documented = f'"""{docstring(equations, module)}"""\n\n{text}'
@@ -170,7 +173,8 @@ def _layout(module: Module) -> str:
     return "\n".join([*lines, f"ROWS = {module.rows}", ""])
 
 
-def _tables(equations: DiscreteEquations, module: Module, printer: Printer) -> str:
+def _tables(equations: DiscreteEquations, module: Module, printer: Printer, used: Set[str]) -> str:
+    """Write numbers of the scheme, tables of it that are used, and what loops must know."""
     scheme = equations.scheme
     exact, numbers = Printer(exact=True), Expressions()
 
@@ -184,8 +188,9 @@ def _tables(equations: DiscreteEquations, module: Module, printer: Printer) -> s
         return _literal_tuple(number(value) for value in values)
 
     d, n = scheme.degree, equations.system.n
+    tables = {name: table for name, table in equations.tables.items() if name in used}
     lines = [
-        f"# the scheme: {scheme.legend}",
+        f"# the scheme: {scheme.legend}" if tables else "# the scheme",
         f"DIMENSION = {n}",
         f"DEGREE = {d}",
         f"UNKNOWNS = {equations.unknowns.size}",
@@ -194,24 +199,22 @@ def _tables(equations: DiscreteEquations, module: Module, printer: Printer) -> s
         f"ROW_ORDER = {_literal(equations.rows)}",
         f"COLUMN_ORDER = {_literal(equations.columns)}",
     ]
-    lines += _scheme_tables(equations, row)
+    lines += _scheme_tables(tables, row)
     lines += ["", "# how loops go over coordinates, unknowns and matrix entries"]
     for name, value in module.tables.items():
         lines += folded(f"{name} = ", _table(value, number), "    ")
     straight = tuple(kernel.name for kernel in module.kernels if kernel.straight)
     if straight:
-        lines += ["", "# kernels without choices: their loops are worth to be unrolled"]
+        lines += ["", "# kernels without choices, whose loops are unrolled"]
         lines += [f"STRAIGHT = {_literal(straight)}"]
     printer.used |= exact.used
     return "\n".join([*lines, ""])
 
 
-def _scheme_tables(
-    equations: DiscreteEquations, row: Callable[[Iterable[sp.Expr]], str]
-) -> list[str]:
+def _scheme_tables(tables: Mapping[str, Any], row: Callable[[Iterable[sp.Expr]], str]) -> list[str]:
     """Write the tables of a scheme as arrays: an index into a tuple compiles to branches."""
     lines = []
-    for name, table in equations.tables.items():
+    for name, table in tables.items():
         if isinstance(table[0], sp.Expr):
             lines += folded(f"{name} = ", f"array({row(table)})", "    ")
             continue
@@ -275,9 +278,8 @@ def _library(body: str) -> Iterator[str]:
 
 def _function(function: Function, printer: Printer) -> str:
     lines = _statements(function.body, printer, 1)
-    return "\n".join(
-        ["@compiled", f"def {function.name}(W, lane):", f'    """{function.doc}"""', *lines]
-    )
+    head = f"def {function.name}({', '.join(function.arguments)}):"
+    return "\n".join(["@compiled", head, f'    """{function.doc}"""', *lines])
 
 
 def _kernel(kernel: Kernel, printer: Printer) -> str:

@@ -122,11 +122,17 @@ Statement = Load | Store | Index | Assign | Call | Section | Loop | IfActive | I
 
 @dataclass(frozen=True)
 class Function:
-    """A part of kernels: a function ``(W, lane)`` on one lane."""
+    """A part of kernels: a function on one lane of the workspace."""
 
     name: str
     doc: str
     body: tuple[Statement, ...]
+    arguments: tuple[str, ...] = ("W", "lane")
+
+    @property
+    def call(self) -> Call:
+        """The call of it where its arguments have the names that they have in it."""
+        return Call(self.name, self.arguments)
 
 
 @dataclass(frozen=True)

@@ -7,34 +7,28 @@ from collections.abc import Sequence
 from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.levels import Definitions, Level
 
-__all__ = ["solve_blocks", "solve_symmetric", "solve_unpivoted"]
+__all__ = ["solve_in_pairs", "solve_symmetric"]
 
 Matrix = Sequence[Sequence[Expression]]
 Block = list[list[Expression]]
 Vector = Sequence[Expression]
 
 
-#: Blocks up to this size are inverted in closed form.
-CLOSED_FORM = 2
+#: Systems of so many equations have one division.
+PAIR = 2
 
 
-def solve_blocks(
-    graph: Definitions, matrix: Matrix, right: Vector, size: int, hints: Sequence[str], section: str
+def solve_in_pairs(
+    graph: Definitions, matrix: Matrix, right: Vector, hints: Sequence[str], section: str
 ) -> list[Expression]:
-    """Solve by block elimination in the given order, blocks of ``size`` inverted by adjugates.
+    """Solve by elimination in the given order, two rows at a time, without pivoting.
 
-    One division a block instead of one a row: divisions wait for each other, so a step of the
-    double pendulum became a tenth faster. Larger blocks are eliminated row by row.
+    A block on the diagonal is inverted by its adjugate, with one division for both rows: divisions
+    wait for each other, so a step of the double pendulum became a tenth faster. Entries that are
+    zero for all values stay out of the code. Returns the unknowns, defined under ``hints``.
     """
-    if size < len(right) <= CLOSED_FORM:
-        size = len(right)
-    if size > CLOSED_FORM:
-        return solve_unpivoted(graph, matrix, right, hints, section)
-    count = len(right) // size
-
-    def block(i: int, j: int) -> Block:
-        rows, columns = (range(k * size, (k + 1) * size) for k in (i, j))
-        return [[matrix[a][b] for b in columns] for a in rows]
+    rows = [range(k, min(k + PAIR, len(right))) for k in range(0, len(right), PAIR)]
+    count = range(len(rows))
 
     def named(hint: str, value: Block) -> Block:
         return [
@@ -45,7 +39,7 @@ def solve_blocks(
     def less(value: Block, products: Sequence[tuple[Block, Block]]) -> Block:
         return [
             [
-                _minus(x, [(left[a][k], right[k][b]) for left, right in products for k in each])
+                _minus(x, [(L[a][k], y[b]) for L, U in products for k, y in enumerate(U)])
                 for b, x in enumerate(row)
             ]
             for a, row in enumerate(value)
@@ -53,18 +47,18 @@ def solve_blocks(
 
     def times(left: Block, right: Block) -> Block:
         return [
-            [graph.total(row[k] * right[k][b] for k in each) for b in range(len(right[0]))]
+            [graph.total(x * right[k][b] for k, x in enumerate(row)) for b in range(len(right[0]))]
             for row in left
         ]
 
-    each = range(size)
     upper: dict[tuple[int, int], Block] = {}
     lower: dict[tuple[int, int], Block] = {}
     inverse: list[Block] = []
     forward: list[Block] = []
-    for i in range(count):
-        for j in range(count):
-            rest = less(block(i, j), [(lower[i, k], upper[k, j]) for k in range(min(i, j))])
+    for i in count:
+        for j in count:
+            block = [[matrix[a][b] for b in rows[j]] for a in rows[i]]
+            rest = less(block, [(lower[i, k], upper[k, j]) for k in range(min(i, j))])
             if j < i:
                 lower[i, j] = named(f"L_{i}{j}", times(named(f"B_{i}{j}", rest), inverse[j]))
             else:
@@ -72,14 +66,16 @@ def solve_blocks(
         determinant, adjugate = _adjugate(upper[i, i])
         scale = graph.define(f"inv_det_{i}", 1 / determinant, section)
         inverse.append(named(f"inv_{i}", [[x * scale for x in row] for row in adjugate]))
-        column = [[x] for x in right[i * size : (i + 1) * size]]
+        column = [[right[a]] for a in rows[i]]
         forward.append(named(f"y_{i}", less(column, [(lower[i, k], forward[k]) for k in range(i)])))
     unknowns: dict[int, Block] = {}
-    for i in reversed(range(count)):
-        rest = less(forward[i], [(upper[i, j], unknowns[j]) for j in range(i + 1, count)])
+    for i in reversed(count):
+        rest = less(forward[i], [(upper[i, j], unknowns[j]) for j in count[i + 1 :]])
         value = times(inverse[i], named(f"z_{i}", rest))
-        unknowns[i] = [[graph.define(hints[i * size + a], value[a][0], section)] for a in each]
-    return [unknowns[i][a][0] for i in range(count) for a in each]
+        unknowns[i] = [
+            [graph.define(hints[a], x, section)] for a, (x,) in zip(rows[i], value, strict=True)
+        ]
+    return [x for i in count for (x,) in unknowns[i]]
 
 
 def _adjugate(block: Block) -> tuple[Expression, Block]:
@@ -90,32 +86,6 @@ def _adjugate(block: Block) -> tuple[Expression, Block]:
     return a * d - b * c, [[d, -b], [-c, a]]
 
 
-def solve_unpivoted(
-    graph: Definitions, matrix: Matrix, right: Vector, hints: Sequence[str], section: str
-) -> list[Expression]:
-    """Solve by LU factors (Doolittle) in the given order, without pivoting.
-
-    Entries that are zero for all values stay out of the code, so the fill pattern is fixed here.
-    Returns the unknowns, defined under ``hints``.
-    """
-    size = len(right)
-    upper: list[list[Expression]] = [[graph.of(0)] * size for _ in range(size)]
-    lower: list[list[Expression]] = [[graph.of(0)] * size for _ in range(size)]
-    inverse: list[Expression] = []
-    forward: list[Expression] = []
-    for i in range(size):
-        for j in range(i):
-            rest = _minus(matrix[i][j], [(lower[i][k], upper[k][j]) for k in range(j)])
-            lower[i][j] = graph.define(f"lu_{i}_{j}", rest * inverse[j], section)
-        for j in range(i, size):
-            rest = _minus(matrix[i][j], [(lower[i][k], upper[k][j]) for k in range(i)])
-            upper[i][j] = graph.define(f"lu_{i}_{j}", rest, section)
-        inverse.append(graph.define(f"pivot_{i}", 1 / upper[i][i], section))
-        rest = _minus(right[i], [(lower[i][k], forward[k]) for k in range(i)])
-        forward.append(graph.define(f"y_{i}", rest, section))
-    return _back(graph, upper, forward, inverse, hints, section)
-
-
 def solve_symmetric(
     graph: Definitions, matrix: Matrix, right: Vector, hints: Sequence[str], section: str
 ) -> tuple[list[Expression], list[Expression]]:
@@ -124,7 +94,7 @@ def solve_symmetric(
     Returns the unknowns and the pivots D, all positive if and only if the matrix is.
     """
     size = len(right)
-    if size == CLOSED_FORM:
+    if size == PAIR:
         return _solve_two(graph, matrix, right, hints, section)
     scaled: list[list[Expression]] = [[graph.of(0)] * size for _ in range(size)]
     lower: list[list[Expression]] = [[graph.of(0)] * size for _ in range(size)]
@@ -165,22 +135,6 @@ def _solve_two(
     first = graph.define(hints[0], (d * x - b * y) * scale, section)
     second = graph.define(hints[1], (a * y - b * x) * scale, section)
     return [first, second], [pivot, determinant]
-
-
-def _back(
-    graph: Definitions,
-    upper: Matrix,
-    forward: Sequence[Expression],
-    inverse: Sequence[Expression],
-    hints: Sequence[str],
-    section: str,
-) -> list[Expression]:
-    size = len(forward)
-    unknowns: list[Expression] = [graph.of(0)] * size
-    for i in reversed(range(size)):
-        rest = _minus(forward[i], [(upper[i][j], unknowns[j]) for j in range(i + 1, size)])
-        unknowns[i] = graph.define(hints[i], rest * inverse[i], section)
-    return unknowns
 
 
 def _minus(value: Expression, products: Sequence[tuple[Expression, Expression]]) -> Expression:

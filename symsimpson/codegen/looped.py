@@ -46,6 +46,8 @@ class LoopKernels:
         Whether Newton's method needs no exchange of rows, but for a few steps.
     carried : bool
         Whether velocity constraints do work.
+    written : Call, optional
+        What assembles the equations, where they are written out.
     """
 
     storage: Storage
@@ -58,6 +60,7 @@ class LoopKernels:
     constant_mass: bool
     in_order: bool = False
     carried: bool = False
+    written: Call | None = None
 
     @property
     def rolling(self) -> bool:
@@ -120,6 +123,8 @@ class LoopKernels:
 
     def all_rows(self) -> tuple[Statement, ...]:
         """Assemble the equations: residual and Jacobian."""
+        if self.written is not None:
+            return (self.written,)
         return (
             _call("clear_residual"),
             *self.matrix(_call("assemble_rows", *_NODE)),

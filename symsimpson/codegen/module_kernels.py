@@ -1,4 +1,4 @@
-"""The kernels of a module, and which of the two forms a system gets."""
+"""The kernels of a module, written out or as loops."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from symsimpson.codegen.constraint_functions import (
 )
 from symsimpson.codegen.constraint_order import Held, dense, smaller
 from symsimpson.codegen.differentials import few_columns
+from symsimpson.codegen.forms import few_equations, part_unknowns, unrolled
 from symsimpson.codegen.ir import Function, Kernel, Module, Row, Statement, Store
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.loop_tables import equation_constants, solve_constants, solve_tables
@@ -38,35 +39,19 @@ from symsimpson.codegen.unrolled import (
     increments,
     lanes,
     part_solvers,
+    solves_all,
+    step_equations,
     unrolled_kernels,
     velocity,
 )
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.families import Family, constraint_families, families
-from symsimpson.discrete.reductions import (
-    Affine,
-    Composed,
-    Constrained,
-    Linear,
-    Part,
-    Routh,
-    Separable,
-)
+from symsimpson.discrete.reductions import Composed, Constrained, Separable
 from symsimpson.module.interface import PIVOTED
 from symsimpson.module.workspace_layout import layout
 
-__all__ = ["UNROLLED_UNKNOWNS", "lower", "unrolled"]
+__all__ = ["lower"]
 
-#: Straight lines are written up to about so many: each takes some 3 ms to compile, and loops, of
-#: which each is a function of its own, 12 s in all. They run two to five times as fast.
-MOST_LINES = 4000
-#: Parts with more unknowns are not written out, whatever they are made of.
-UNROLLED_UNKNOWNS = 16
-#: Those with constraints are sparse, and longer unrolled than others are: their loops take 18 s to
-#: compile, and five times as long to run.
-CONSTRAINED_UNKNOWNS, CONSTRAINED_LINES = 32, 5000
-#: Nor are explicit steps with more forces, one for each kick and coordinate.
-UNROLLED_FORCES = 270
 #: Loops over families of terms are worth their indices from so many members on, on average.
 FAMILY_MEMBERS = 2
 #: With more coordinates than this, nodes are not taken as lanes: a solve at each takes n^3/6.
@@ -88,48 +73,25 @@ def lower(equations: DiscreteEquations) -> Module:
     return _unrolled_module(equations) if unrolled(equations) else _looped_module(equations)
 
 
-def unrolled(equations: DiscreteEquations) -> bool:
-    """Return whether the equations are written as straight-line code instead of loops."""
-    few = all(_size(part) <= UNROLLED_UNKNOWNS for part in equations.parts)
-    if equations.plain.velocity_constraints:  # a walk through loops unrolls them
-        return False
-    if equations.plain.constraints:  # drifts of these are loops
-        few = equations.unknowns.size <= CONSTRAINED_UNKNOWNS and not drifting(equations)
-    most = CONSTRAINED_LINES if equations.plain.constraints else MOST_LINES
-    return equations.scheme.exact and few and _lines(equations) <= most
-
-
-def _lines(equations: DiscreteEquations) -> float:
-    """Estimate how many lines all kernels have, from operations that are known before.
-
-    Two kernels evaluate the jet at all nodes and eliminate, others parts of it once.
-    """
-    operations, stages = equations.jet.operations, equations.scheme.stages
-    if drifting(equations):
-        return operations + equations.jet.force_operations * stages
-    if equations.plain.constraints:  # half of the matrix is zero
-        size = equations.unknowns.size
-        return (2 * stages + 1.5) * operations + size**2 + size**3 / 12
-    unknowns = [part_unknowns(part) for part in equations.parts]
-    elimination = sum(u**2 + u**3 / 12 for u in unknowns)
-    return (2 * stages + 1.5) * operations + 2 * elimination
-
-
 def _unrolled_module(equations: DiscreteEquations) -> Module:
     low = Lowering(equations)
     storage, held = dense(low.n, len(low.multipliers))
     degree = equations.scheme.degree
-    loops = _loops(low, storage, held, constant_mass=False)
-    kernels = [*unrolled_kernels(low), _energy(low)]
+    written = step_equations(low, (Level.ITERATION,)) if solves_all(low) else None
+    kernels = [*unrolled_kernels(low, written), _energy(low)]
     if equations.plain.invariants:
         kernels.append(_invariants(low))
     kernels += [_power(low, low.template, _state(low))] if equations.plain.powers else []
+    if written is None and few_equations(equations):
+        written = step_equations(low, tuple(Level))
     unknowns = sum(part_unknowns(part) for part in equations.parts) + equations.unknowns.behind
-    functions: list[Function] = []
+    functions = [] if written is None else [written]
+    loops = _loops(low, storage, held, constant_mass=False, written=written)
     tables: dict[str, object] = {}
     follow = False
     if equations.rows:
-        functions = unrolled_functions(low, ("jet",))
+        if written is None or equations.varied is not None:
+            functions += unrolled_functions(low, ("jet",))
         if held:
             functions = unrolled_functions(low, ("jet", "mass"))
             functions += constraint_functions(low, held, range(low.n), drifting=False)
@@ -248,7 +210,12 @@ def _many(groups: Sequence[Family]) -> bool:
 
 
 def _loops(
-    low: Lowering, storage: Storage, held: Held | None, *, constant_mass: bool
+    low: Lowering,
+    storage: Storage,
+    held: Held | None,
+    *,
+    constant_mass: bool,
+    written: Function | None = None,
 ) -> LoopKernels:
     plain = low.equations.plain
     return LoopKernels(
@@ -263,6 +230,7 @@ def _loops(
         # in a band rows are exchanged, as those of positions are
         bool(plain.velocity_constraints) and not (low.stiffened or storage.banded),
         plain.carried,
+        None if written is None else written.call,
     )
 
 
@@ -322,24 +290,6 @@ def _finish_module(
         unknowns,
         tables,
     )
-
-
-def _size(part: Part) -> int:
-    """Measure a part by its unknowns or multipliers, or by an equivalent length of its text."""
-    if isinstance(part, Linear):
-        return 2 * len(part.coordinates)
-    if isinstance(part, Affine):
-        return len(part.coordinates) * len(part.solved)
-    if isinstance(part, Composed):
-        forces = len(part.coordinates) * len(part.drifts)
-        return UNROLLED_UNKNOWNS * forces // UNROLLED_FORCES
-    multipliers = len(part.cyclic) * len(part.annihilator) if isinstance(part, Routh) else 0
-    return max(part_unknowns(part), multipliers)
-
-
-def part_unknowns(part: Part) -> int:
-    """Count the unknowns that a part solves for together."""
-    return len(part.coordinates) * len(part.columns)
 
 
 def _energy(low: Lowering) -> Kernel:

@@ -10,7 +10,8 @@ import sympy as sp
 
 from symsimpson.codegen.emit import emit
 from symsimpson.codegen.emitted_names import NameTable
-from symsimpson.codegen.module_kernels import lower, unrolled
+from symsimpson.codegen.forms import unrolled
+from symsimpson.codegen.module_kernels import lower
 from symsimpson.discrete.equations import discretise
 from symsimpson.discrete.node_derivatives import Cost
 from symsimpson.discrete.reductions import read_exploit

@@ -16,7 +16,7 @@ from symsimpson.codegen.coupled import (
 )
 from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.levels import Level
-from symsimpson.codegen.linear_solve import solve_blocks, solve_symmetric
+from symsimpson.codegen.linear_solve import solve_in_pairs, solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.weighted import WeightedRows, weighted_residual
@@ -86,9 +86,7 @@ class RouthSolver:
                     row.append(define(name, value, "Jacobian at constant momenta"))
                 matrix.append(row)
         hints = correction_names(low, self.increments)
-        corrections = solve_blocks(
-            low.graph, matrix, right, len(part.coordinates), hints, "elimination"
-        )
+        corrections = solve_in_pairs(low.graph, matrix, right, hints, "elimination")
         return dict(zip(self.increments, corrections, strict=True))
 
     def close(self) -> Closing:

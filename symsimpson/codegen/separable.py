@@ -14,7 +14,7 @@ from symsimpson.codegen.coupled import (
     node_point,
 )
 from symsimpson.codegen.expression import Expression
-from symsimpson.codegen.linear_solve import solve_blocks
+from symsimpson.codegen.linear_solve import solve_in_pairs
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.weighted import WeightedRows, bend
@@ -67,7 +67,7 @@ class SeparableSolver:
                     row.append(define(name, total(terms), "Jacobian"))
                 matrix.append(row)
         hints = correction_names(low, self._unknowns)
-        corrections = solve_blocks(low.graph, matrix, right, len(group), hints, "elimination")
+        corrections = solve_in_pairs(low.graph, matrix, right, hints, "elimination")
         changes = dict(zip(self._unknowns, corrections, strict=True))
         return changes | self._end_of_path(changes) if self._carried else changes
 

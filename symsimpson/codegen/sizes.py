@@ -27,6 +27,7 @@ def sizes(
     """Return what the sizes of all blocks follow from."""
     storage, held, plain = loops.storage, loops.held, low.equations.plain
     unknowns, scheme = low.equations.unknowns, low.equations.scheme
+    looped = low.equations.varied is not None or loops.written is None
     jacobian = [part.size(unknowns.control_points) for part in (storage, *_bordered(held))]
     return Sizes(
         n=low.n,
@@ -45,7 +46,8 @@ def sizes(
         hoisted=len(low.hoisted),
         coefficients=len(low.coefficients),
         stride=node_stride(scheme),
-        assembled=bool(low.equations.rows),
+        by_nodes=looped or bool(plain.powers) or low.equations.system.retiming is not None,
+        assembled=bool(low.equations.rows) and looped,
         constant_mass=loops.constant_mass,
         dragged=plain.dragged,
         timed=not plain.autonomous or cost_of_time(low),

@@ -7,9 +7,17 @@ from collections.abc import Callable, Iterable, Sequence
 from symsimpson.codegen.affine import AffineSolver
 from symsimpson.codegen.composed import ComposedSolver
 from symsimpson.codegen.constrained import ConstrainedSolver, held_velocities
-from symsimpson.codegen.coupled import CoupledSolver, Increment, Solver, end_of, end_slope
+from symsimpson.codegen.coupled import (
+    CoupledSolver,
+    Increment,
+    Solver,
+    end_of,
+    end_slope,
+    newton_rows,
+    node_point,
+)
 from symsimpson.codegen.expression import Expression
-from symsimpson.codegen.ir import Call, Kernel, Loop, Row, Statement, Store
+from symsimpson.codegen.ir import Call, Function, IfActive, Kernel, Loop, Row, Statement, Store
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.linear import LinearSolver
 from symsimpson.codegen.linear_solve import solve_symmetric
@@ -38,6 +46,8 @@ __all__ = [
     "legendre",
     "momentum_stores",
     "part_solvers",
+    "solves_all",
+    "step_equations",
     "unrolled_kernels",
     "velocity",
 ]
@@ -46,6 +56,8 @@ __all__ = [
 KEEP_STEP = Call("keep_step")
 #: Levels that a kernel computes which is called on a bare state (q, p).
 STATE = (Level.STEP, Level.ITERATION)
+
+ITERATION = "One Newton iteration for the increments X_k of the control points."
 
 #: Which solver a kind of part has.
 SOLVERS: dict[type, Callable[..., Solver]] = {
@@ -59,12 +71,45 @@ SOLVERS: dict[type, Callable[..., Solver]] = {
 }
 
 
-def unrolled_kernels(low: Lowering) -> list[Kernel]:
-    """Make the kernels of a step: start, legendre, newton, advance."""
+def unrolled_kernels(low: Lowering, equations: Function | None) -> list[Kernel]:
+    """Make the kernels of a step: start, legendre, newton, advance.
+
+    Newton's method solves these equations, if they are given; else those of each part.
+    """
     solvers = part_solvers(low)
-    step = [*([_newton(low, solvers)] if increments(solvers) else []), _advance(low, solvers)]
+    newton = []
+    if equations is not None:
+        newton = [_newton_of(equations)]
+    elif increments(solvers):
+        newton = [_newton(low, solvers)]
+    step = [*newton, _advance(low, solvers)]
     # what they need of the left node is known before them: it is kept from step to step
     return [_start(low, solvers, low.hoisted_at(Level.STEP)), legendre(low), *step]
+
+
+def solves_all(low: Lowering) -> bool:
+    """Return whether Newton's method solves the equations of a step as they are."""
+    first, *others = low.equations.parts
+    return isinstance(first, Coupled) and not others
+
+
+def step_equations(low: Lowering, computed: Iterable[Level]) -> Function:
+    """Write out the equations of a step; values of other levels are known before."""
+    eqs, every = low.equations, range(low.n)
+    points = [node_point(low, i, every, moving=True) for i in range(eqs.scheme.stages)]
+    unknowns = [(m, a) for m in eqs.columns for a in every]
+    matrix, right = newton_rows(low, points, eqs.rows, unknowns, every)
+    size = len(unknowns)
+    stores = [Store(Row("RESIDUAL", i), -value) for i, value in enumerate(right)]
+    stores += [
+        Store(Row("JACOBIAN", i * size + j), value)
+        for i, row in enumerate(matrix)
+        for j, value in enumerate(row)
+    ]
+    doc = "Residual and Jacobian of the step, rows in the order of elimination."
+    time = () if eqs.plain.autonomous else ("t",)
+    lines = low.statements(stores, computed)
+    return Function("step_equations", doc, lines, ("W", "h", *time, "lane"))
 
 
 def part_solvers(low: Lowering) -> list[Solver]:
@@ -123,6 +168,14 @@ def _velocities(
     return dict(zip(group, v, strict=True)), pivots
 
 
+def _newton_of(equations: Function) -> Kernel:
+    """One Newton iteration for all equations of a step."""
+    update = IfActive((Call("update_increments"),))
+    body: tuple[Statement, ...] = (equations.call, Call("solve_in_pairs"), update)
+    body += convergence(False)
+    return Kernel("newton", ITERATION, lanes(body), straight=True)
+
+
 def _newton(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
     """One Newton iteration for the increments of the control points."""
     changes: dict[Increment, Expression] = {}
@@ -152,9 +205,8 @@ def _newton(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
                 stores.append(Store(Row(f"OWN_{block}", a), terms[a]))
         value = define(f"{block.lower()}_squared", low.graph.total(terms.values()), "update")
         stores.append(Store(Row(f"{block}_SQUARED", 0), value))
-    doc = "One Newton iteration for the increments X_k of the control points."
     lines = low.statements(stores, (Level.ITERATION,))
-    return Kernel("newton", doc, lanes((*lines, *convergence(bool(low.multipliers)))))
+    return Kernel("newton", ITERATION, lanes((*lines, *convergence(bool(low.multipliers)))))
 
 
 def convergence(held: bool) -> tuple[Call, ...]:

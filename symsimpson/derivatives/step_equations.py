@@ -180,16 +180,20 @@ class _Step:
     def evaluate(self, kernel: str, p: Reals) -> None:
         """Call a kernel for it, with a momentum at its start."""
         program, run = self.program, self.run
-        numbers, layout = program.numbers, program.header.layout
+        numbers, header = program.numbers, program.header
+        unknowns = run.rows("INCREMENT", header.degree * (program.n + len(header.constraints)))
+        given = unknowns.copy()
         run.rows("POSITION", program.n)[:] = self.q
         run.rows("MOMENTUM", program.n)[:] = p
-        numbers.driver("evaluate")(
-            (program.kernels.address("prepare"), 0, program.kernels.address(kernel)),
-            self.h,
-            run.W,
-            program.header.driver_layout,
-            (numbers.read([self.t]), self.q[None, :], p[None, :]),
-            layout["RESIDUAL"],
-            numbers.zeros((1, 0)),
-            self.inputs,
-        )
+        for name in ("start", kernel):  # what depends on q0 alone may be known before
+            numbers.driver("evaluate")(
+                (program.kernels.address("prepare"), 0, program.kernels.address(name)),
+                self.h,
+                run.W,
+                header.driver_layout,
+                (numbers.read([self.t]), self.q[None, :], p[None, :]),
+                header.layout["RESIDUAL"],
+                numbers.zeros((1, 0)),
+                self.inputs,
+            )
+            unknowns[:] = given

@@ -23,8 +23,8 @@ class Sizes:
         Values that are computed once a run or a step, factors of the terms of L.
     stride : int
         Rows of an input: one for each node, or more.
-    assembled : bool
-        Whether there are equations of a step, with a Jacobian.
+    by_nodes, assembled : bool
+        Whether loops go over nodes, and whether they assemble the equations of a step.
     constant_mass, dragged, timed, damped, constrained, carried, drifting, retimed : bool
         Whether M is constant, forces depend on v, there is a time at nodes, momenta are damped,
         there are constraints, some do work, steps are kicks and drifts, the time is not that of
@@ -60,6 +60,7 @@ class Sizes:
     hoisted: int = 0
     coefficients: int = 0
     stride: int = 0
+    by_nodes: bool = True
     assembled: bool = False
     constant_mass: bool = False
     dragged: bool = False

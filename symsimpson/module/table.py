@@ -24,7 +24,17 @@ def none(s: Sizes) -> int:
 
 
 coordinates, constraints = attrgetter("n"), attrgetter("m")
-unknowns, entries = attrgetter("unknowns"), attrgetter("entries")
+unknowns = attrgetter("unknowns")
+
+
+def at_node(s: Sizes) -> int:
+    """Return the number of coordinates, where loops go over nodes."""
+    return s.by_nodes * s.n
+
+
+def entries(s: Sizes) -> int:
+    """Return the size of an n by n matrix at a node, where loops go over nodes."""
+    return s.by_nodes * s.entries
 
 
 @dataclass(frozen=True)
@@ -108,18 +118,18 @@ TABLE = (
     Block("SOLVED", "the increments of the step", unknowns, for_driver=True),
     Block("VELOCITY", "v", coordinates, for_driver=True),
     Block("PARAMETER", "parameters", lambda s: s.parameters, for_driver=True),
-    Block("INVARIANT", "quantities to watch", lambda s: s.invariants),
-    Block("HOISTED", "values that are computed once a run or a step", lambda s: s.hoisted),
-    Block("NODE_POSITION", "q at a node", coordinates, scratch=True),
-    Block("NODE_VELOCITY", "v at a node", coordinates, scratch=True),
-    Block("NODE_L_Q", "F at a node", coordinates),
-    Block("NODE_L_V", "P, or a, at a node", coordinates),
-    Block("NODE_L_QQ", "F_q at a node", entries, scratch=True),
-    Block("NODE_L_QV", "F_v at a node", entries, scratch=True),
-    Block("NODE_L_VV", "M at a node", entries),
+    part("INVARIANT", "quantities to watch", lambda s: s.invariants),
+    part("HOISTED", "values that are computed once a run or a step", lambda s: s.hoisted),
+    part("NODE_POSITION", "q at a node", at_node, scratch=True),
+    part("NODE_VELOCITY", "v at a node", at_node, scratch=True),
+    part("NODE_L_Q", "F at a node", at_node),
+    part("NODE_L_V", "P, or a, at a node", at_node),
+    part("NODE_L_QQ", "F_q at a node", entries, scratch=True),
+    part("NODE_L_QV", "F_v at a node", entries, scratch=True),
+    part("NODE_L_VV", "M at a node", entries),
     Block("MASS", "a constant M", lambda s: s.constant_mass * s.entries),
     Block("MASS_DIAGONAL", "diagonal of M(q0)", coordinates, for_driver=True),
-    Block("COEFFICIENT", "factors of the terms of L", lambda s: s.coefficients),
+    part("COEFFICIENT", "factors of the terms of L", lambda s: s.coefficients),
     part(
         "NODE_F_V",
         "derivatives of the forces by v at a node",

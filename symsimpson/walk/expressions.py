@@ -87,6 +87,8 @@ class Expressions(ABC):
         self._width = 0
         #: Functions that are walked for one lane after another.
         self._alone: frozenset[str] = frozenset()
+        #: Whether all loops are unrolled.
+        self._straight = False
         #: The lanes of a vector for which what is walked counts; None if all do.
         self._mask: Any = None
         #: Scratch of which each lane has rows of its own.

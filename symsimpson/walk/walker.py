@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import Any
 
 from symsimpson.errors import GenerationError
-from symsimpson.module.interface import LOOKED_AT
+from symsimpson.module.interface import LOOKED_AT, PIVOTED
 from symsimpson.walk.arrays import Array
 from symsimpson.walk.assigning import Assigning
 from symsimpson.walk.control_flow import Loop, Slot
@@ -63,9 +63,10 @@ class Walker(Assigning):
         """
         lanes, self._lanes_own, self._alone = workspace.shape[1], lane_scratch, alone
         self._side_by_side = lanes if vector else 0
-        if name not in LOOKED_AT:
+        if name not in LOOKED_AT or (name == "newton" and PIVOTED in self._text.functions):
             self._values.wanted = lambda place: self._wanted(place // lanes)
-        if name in self._text.constants.get("STRAIGHT", ()):
+        self._straight = name in self._text.constants.get("STRAIGHT", ())
+        if self._straight:
             self._few = self._weight(self._text.functions[name].body)
         env: Env = {"h": h, "t": t, "LANES": lanes}
         self._frames.append(Frame(self._text.functions[name]))
@@ -264,8 +265,11 @@ class Walker(Assigning):
         return left
 
     def _as_vector(self, node: ast.For, name: str, turns: range, env: Env) -> bool:
-        """Walk a loop with vectors, if its turns go along neighbouring rows and are independent."""
-        if self._width or len(turns) not in WIDTHS or not self._single(env):
+        """Walk a loop with vectors, if its turns go along neighbouring rows and are independent.
+
+        Rows of a kernel that is unrolled are values, which would have to be put together.
+        """
+        if self._straight or self._width or len(turns) not in WIDTHS or not self._single(env):
             return False
         constants = {key: value for key, value in env.items() if isinstance(value, int)}
         if not vectors(node, name, turns, self._text, constants):

@@ -72,6 +72,45 @@ def solve_pivoted(W, lane):
 
 
 @compiled
+def solve_in_pairs(W, lane):
+    """Solve J x = R in place without exchange of rows; x takes the place of R.
+
+    Rows are eliminated two by two, with the inverse of the 2 x 2 block on the diagonal: divisions
+    wait for each other, and this is one for both.
+    """
+    paired = SOLVE_UNKNOWNS - SOLVE_UNKNOWNS % 2
+    for k in range(0, paired, 2):
+        upper = JACOBIAN + k * SOLVE_STRIDE
+        lower = upper + SOLVE_STRIDE
+        a, b = W[upper + k, lane], W[upper + k + 1, lane]
+        c, d = W[lower + k, lane], W[lower + k + 1, lane]
+        scale = 1 / (a * d - b * c)
+        W[upper + k, lane], W[upper + k + 1, lane] = d * scale, -b * scale
+        W[lower + k, lane], W[lower + k + 1, lane] = -c * scale, a * scale
+        for i in range(k + 2, SOLVE_UNKNOWNS):
+            row = JACOBIAN + i * SOLVE_STRIDE
+            a, b = W[row + k, lane], W[row + k + 1, lane]
+            first = a * W[upper + k, lane] + b * W[lower + k, lane]
+            second = a * W[upper + k + 1, lane] + b * W[lower + k + 1, lane]
+            for j in range(k + 2, SOLVE_UNKNOWNS):
+                W[row + j, lane] -= first * W[upper + j, lane] + second * W[lower + j, lane]
+            taken = first * W[RESIDUAL + k, lane] + second * W[RESIDUAL + k + 1, lane]
+            W[RESIDUAL + i, lane] -= taken
+    if paired < SOLVE_UNKNOWNS:
+        W[RESIDUAL + paired, lane] /= W[JACOBIAN + paired * SOLVE_STRIDE + paired, lane]
+    for back in range(0, paired, 2):
+        k = paired - 2 - back
+        upper = JACOBIAN + k * SOLVE_STRIDE
+        lower = upper + SOLVE_STRIDE
+        x, y = W[RESIDUAL + k, lane], W[RESIDUAL + k + 1, lane]
+        for j in range(k + 2, SOLVE_UNKNOWNS):
+            x -= W[upper + j, lane] * W[RESIDUAL + j, lane]
+            y -= W[lower + j, lane] * W[RESIDUAL + j, lane]
+        W[RESIDUAL + k, lane] = W[upper + k, lane] * x + W[upper + k + 1, lane] * y
+        W[RESIDUAL + k + 1, lane] = W[lower + k, lane] * x + W[lower + k + 1, lane] * y
+
+
+@compiled
 def update_increments(W, lane):
     """Apply the Newton correction and measure it and the increments by the diagonal of M(q0)."""
     correction_squared = real(0)

@@ -247,7 +247,7 @@ def test_every_statement_is_walked_once_behind_what_it_needs():
 @pytest.mark.parametrize(("links", "sizes"), [(2, [4]), (3, [4, 2])])
 def test_angles_of_all_nodes_are_one_vector(links, sizes):
     text = read_text(source(ss.systems.n_pendulum(links), "simpson"))
-    assert batches(text.functions["newton"].body, text) == sizes
+    assert batches(text.functions["step_equations"].body, text) == sizes
 
 
 def test_kernels_have_the_same_bits_as_with_single_calls(monkeypatch):

@@ -32,9 +32,19 @@ def test_straight_lines_are_counted_as_their_sections_say(make, exploit):
     counted = cost(text)
     for kernel, total in (("newton", counted.iteration), ("advance", counted.closing)):
         body = kernel_of(text, kernel)
+        solved = "step_equations(" in body  # by loops, which say nothing
+        body += kernel_of(text, "step_equations") if solved else ""
         stated = sum(map(int, re.findall(r": (\d+) operations", body)))
-        pairs = sum(map(int, re.findall(r"(\d+) sincos", body)))
-        assert total <= stated + pairs <= 1.07 * total
+        stated += sum(map(int, re.findall(r"(\d+) sincos", body)))
+        assert total <= stated <= 1.07 * total or (solved and 0.5 * total < stated < total)
+
+
+def test_products_with_a_zero_of_the_text_are_not_counted():
+    text = source(ss.systems.n_pendulum(3), "midpoint")
+    solve = "        solve_in_pairs(W, lane)\n"
+    assert text.count(solve) == 1
+    sparse = text.replace(solve, f"        W[JACOBIAN + 3, lane] = 0\n{solve}")
+    assert cost(sparse).iteration < cost(text).iteration
 
 
 def test_a_direct_step_has_no_iteration():

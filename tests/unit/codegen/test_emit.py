@@ -47,5 +47,6 @@ def test_long_names_stand_alone():
 
 def test_a_text_begins_with_the_step_then_come_the_system_and_what_all_modules_share():
     text = source(ss.systems.double_pendulum(), "simpson")
-    places = [text.index(f"\ndef {name}(") for name in ("newton", "jet", "sincos", "solve_pivoted")]
+    names = ("newton", "step_equations", "sincos", "solve_pivoted")
+    places = [text.index(f"\ndef {name}(") for name in names]
     assert places == sorted(places)

@@ -11,7 +11,7 @@ from support.cases import sweep
 from support.chains import damped_chain
 from support.oracle import DIGITS, discrete_lagrangian, gradient, virtual_work
 from support.random_systems import random_state, random_system
-from support.workspace import TABLES, begin, block, new_workspace, newton_gaps, take_step
+from support.workspace import TABLES, begin, block, newton_gaps, take_step
 
 import symsimpson as ss
 from symsimpson.codegen.pipeline import source
@@ -69,9 +69,8 @@ def agrees_with_the_oracle(system, scheme, seed, exploit="all"):
     p = [0.3] * n
     increments = np.array([[H * s * (k + 1) / d + (k % 2) * 0.01 for s in slope] for k in range(d)])
     module = bind_float(source(system, scheme, exploit))
-    W = new_workspace(module, q, p, system.parameters.values())
+    W = begin(module, q, p, system.parameters.values(), H)
     W[block(module, "INCREMENT", d * n), 0] = increments.ravel()
-    module.prepare(H, 0.0, W)
     module.equations(H, 0.0, W)
     residual = W[block(module, "RESIDUAL", d * n), 0].reshape(d, n)
     jacobian = W[block(module, "JACOBIAN", (d * n) ** 2), 0].reshape(d, n, d, n)

@@ -6,7 +6,7 @@ import pytest
 from support.cases import sweep
 from support.oracle import DIGITS, discrete_lagrangian, gradient, hessian
 from support.random_systems import random_state, random_system
-from support.workspace import TABLES, begin, block, new_workspace, newton_gaps, take_step
+from support.workspace import TABLES, begin, block, newton_gaps, take_step
 
 import symsimpson as ss
 from symsimpson.codegen.pipeline import source
@@ -36,10 +36,9 @@ def check_equations(seed):
     parameters = list(system.parameters.values())
     p = [0.3] * n
     module = bind_float(source(system, scheme))
-    W = new_workspace(module, q, p, parameters)
+    W = begin(module, q, p, parameters, H)
     increments = np.array(nodes) - np.array(q)
     W[block(module, "INCREMENT", d * n), 0] = increments.ravel()
-    module.prepare(H, 0.0, W)
     module.equations(H, 0.0, W)
     residual = W[block(module, "RESIDUAL", d * n), 0].reshape(d, n)
     jacobian = W[block(module, "JACOBIAN", (d * n) ** 2), 0].reshape(d, n, d, n)
