@@ -83,7 +83,8 @@ def _unrolled_module(equations: DiscreteEquations) -> Module:
         kernels.append(_invariants(low))
     kernels += [_power(low, low.template, _state(low))] if equations.plain.powers else []
     if written is None and few_equations(equations):
-        written = step_equations(low, tuple(Level))
+        # nodes have other velocities there than where those of some coordinates follow from p
+        written = step_equations(low.of_all(equations.jet), tuple(Level))
     unknowns = sum(part_unknowns(part) for part in equations.parts) + equations.unknowns.behind
     functions = [] if written is None else [written]
     loops = _loops(low, storage, held, constant_mass=False, written=written)

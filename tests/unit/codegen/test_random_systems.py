@@ -23,6 +23,11 @@ def test_equations_agree_with_the_oracle(start):
         check_equations(seed)
 
 
+def test_equations_beside_those_of_a_part_have_values_of_their_own():
+    """A cyclic coordinate moves as its nodes say, not as its momentum does."""
+    check_equations(188)
+
+
 def check_equations(seed):
     scheme = SCHEMES[seed % 5]
     quadrature, stages, d = TABLES[scheme]
