@@ -19,8 +19,8 @@ __all__ = ["balanced"]
 
 Floats = NDArray[np.float64]
 #: With so many more nodes of Gauss, sums over nodes in the equations of steps may change by this
-#: part of what forces do. Measured: motions that no finer step has come to 0.06 to 0.4, ten steps
-#: of a swing-up to 0.01 to 0.03, a single switch in three steps to 0.03.
+#: part of what forces do. Measured: motions that no finer step has come to 0.06 to 0.9, ten steps
+#: of a swing-up to 0.01 to 0.03, a single switch in three steps to 0.04.
 MORE, OFF = 4, 0.05
 #: The cost may change by as much. Costs below LEAST are rounding, and forces below this part of
 #: momenta: none act where the best inputs are none.
@@ -41,10 +41,11 @@ def balanced(layout: Any, x: Floats) -> bool:
     places = (places + 1) / 2
     inputs = np.einsum("ij,kjm->kim", lagrange(layout.c, places), u)
     finer, _, finer_cost, finer_size = _sums(layout, functions, x, places, weights / 2, inputs)
-    # by the speeds of coordinates all are of one unit
-    speeds = np.abs(np.diff(x[layout.points], axis=1)).sum(axis=1)
-    off = (np.abs(finer - rows).max(axis=1) * speeds).sum()
-    moves = not off > OFF * (done * speeds).sum()
+    # by the ways of coordinates all are of one unit; those of whole motions, as a push where bodies
+    # hardly move tells where they go
+    ways = np.abs(np.diff(x[layout.points], axis=1)).sum(axis=(0, 1))
+    off = (np.abs(finer - rows).max(axis=1) * ways).sum()
+    moves = not off > OFF * (done * ways).sum()
     return moves and not abs(finer_cost - cost) > OFF * max(size, finer_size) + LEAST
 
 

@@ -60,6 +60,18 @@ def test_a_bead_falls_along_the_brachistochrone():
     assert found.duration == pytest.approx(1.69861, abs=2e-5)
 
 
+@pytest.mark.parametrize("scheme", sweep(["gauss4", "gauss6"]))
+def test_inputs_that_turn_a_body_at_rest_within_a_step_are_no_solution(scheme):
+    """Where a bead hardly moves a force across its path costs nothing, and turns it many times."""
+    rest = {x.diff(): 0, y.diff(): 0}
+    given = {"start": {x: 0, y: 0, **rest}, "end": {x: 2, y: -2}, "duration": (0.2, 5)}
+    problem = ss.OptimalControl(BEAD, cost=1, **given)
+    found = [problem.solve(scheme, steps=steps) for steps in (10, 20, 40)]
+    assert found[0].success
+    for one in found:
+        assert not one.success or one.duration == pytest.approx(0.8243386694, abs=3e-6)
+
+
 def test_too_few_steps_are_told():
     assert swing().solve(steps=2).status is ss.ControlStatus.NOT_RESOLVED
     found = swing().solve("gauss6", steps=3, error=1e-3)
