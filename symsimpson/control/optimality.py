@@ -17,7 +17,7 @@ from scipy.sparse.linalg import splu
 if TYPE_CHECKING:
     from symsimpson.control.ipopt import Outcome, Solvable
 
-__all__ = ["downhill", "optimal"]
+__all__ = ["creeping", "downhill", "optimal"]
 
 Floats = NDArray[np.float64]
 #: Slopes of the Lagrangian are 0 below this part of the largest one of the cost, and what rows
@@ -37,6 +37,8 @@ BENT, SHIFTS, CURVATURES, FLAT = 1e-3, (1.0, 1e-2, 1e-4), 40, 1e-2
 FEW = 6
 #: Solvers begin again this far aside, in units of sizes.
 ASIDE = 0.1
+#: Where the last of so many matrices are bent, and rows satisfied within NEAR, a solver creeps.
+SLOW = 100
 #: Rows that depend on one another keep so much of a matrix that has an inverse; bounds more, so
 #: that multipliers are those of equations.
 SOFT, SOFTER = 1e-12, 1e-6
@@ -97,6 +99,20 @@ def _left(multipliers: Floats, values: Floats, limits: Any) -> Floats:
     low, high = limits
     distance = np.where(multipliers > 0, high - values, values - low)
     return np.abs(multipliers) * np.minimum(np.abs(distance), 1.0)
+
+
+def creeping(outcome: Outcome) -> bool:
+    """Return whether a search used up its iterations on the way to where the cost is flat.
+
+    There the cost falls to both sides; bent matrices keep the search between them, and it comes
+    nearer by some parts of a hundred in each iteration.
+    """
+    bent, off = (
+        np.array(outcome.history.get(name, [])[-SLOW:])
+        for name in ("regularization_size", "inf_pr")
+    )
+    limited = outcome.ipopt_status == "Maximum_Iterations_Exceeded" and len(bent) == SLOW
+    return bool(limited and (bent > 0).all() and (off < NEAR).all())
 
 
 def downhill(programme: Solvable, outcome: Outcome, bounds: Any, limits: Any) -> Floats | None:

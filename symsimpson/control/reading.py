@@ -11,6 +11,7 @@ from typing import Any, cast
 import mpmath
 import numpy as np
 import sympy as sp
+from sympy.logic.boolalg import Boolean
 
 from symsimpson.control.problem_parts import read_duration, read_mapping, read_pair, read_signals
 from symsimpson.errors import InputError
@@ -30,6 +31,8 @@ __all__ = ["Limits", "Reading", "read_family"]
 
 #: Functions whose slope jumps.
 KINKED = (sp.Abs, sp.Max, sp.Min, sp.sign, sp.Piecewise, sp.Heaviside, sp.floor, sp.ceiling)
+#: Relations of which numbers do not tell the strict ones from others.
+INEQUALITIES = (sp.LessThan, sp.GreaterThan, sp.StrictLessThan, sp.StrictGreaterThan)
 #: What is given of an end is 0 below this: the sine of pi.
 NOTHING = 1e-13
 
@@ -256,10 +259,15 @@ class Reading:
             if isinstance(entry, (tuple, list)) and len(entry) != 3:
                 raise InputError(f"path has {entry!r}.\nPass (low, expression, high).")
             low, expression, high = entry if isinstance(entry, (tuple, list)) else (None, entry, 0)
-            if isinstance(expression, sp.Equality):
-                low, expression = 0, expression.lhs - expression.rhs
-            elif isinstance(expression, (sp.LessThan, sp.GreaterThan)):
-                expression = expression.lts - expression.gts
+            if entry is expression and isinstance(entry, sp.Equality):
+                low, expression = 0, entry.lhs - entry.rhs
+            elif entry is expression and isinstance(entry, INEQUALITIES):
+                expression = entry.lts - entry.gts
+            elif isinstance(expression, Boolean):
+                raise InputError(
+                    f"path has {entry!r}, which is neither an expression nor one relation of two.\n"
+                    "Pass relations one by one, as x <= 2, sp.Eq(x, y), or (low, expression, high)."
+                )
             pair = read_pair(f"path {expression}", (low, high))
             self._keep_within(Limits(str(expression), self.value("path", expression), *pair))
 

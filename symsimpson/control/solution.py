@@ -17,7 +17,7 @@ from symsimpson.control.grid import Grid, read_grid
 from symsimpson.control.ipopt import Outcome, run_ipopt
 from symsimpson.control.judged import result_of
 from symsimpson.control.layout import Layout
-from symsimpson.control.optimality import downhill, optimal
+from symsimpson.control.optimality import creeping, downhill, optimal
 from symsimpson.control.point_functions import PointFunctions
 from symsimpson.control.problem_parts import read_mapping, read_reals
 from symsimpson.control.reading import read_family
@@ -124,7 +124,7 @@ def _solved(
 
     def escape_step(outcome: Outcome) -> Floats | None:
         """Return a step along which the cost falls, where a search ended at no minimum."""
-        ended = STATUSES.get(outcome.ipopt_status) in FOUND
+        ended = STATUSES.get(outcome.ipopt_status) in FOUND or creeping(outcome)
         return downhill(form, outcome, bounds, limits) if ended else None
 
     def to_result(outcome: Outcome, step: Floats | None) -> ControlResult:

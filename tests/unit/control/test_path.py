@@ -40,6 +40,12 @@ def test_relations_on_the_path_are_rows():
         same = solved(*path)
         assert same.status is ss.ControlStatus.SOLVED
         assert abs(same.cost - on_curve.cost) < 1e-9
+    strict = solved(b < a**2, a**2 < b)
+    assert abs(strict.cost - on_curve.cost) < 1e-9
     above = solved(b >= a**2 + a / 2 - sp.Rational(1, 2))
     assert above.status is ss.ControlStatus.SOLVED
     assert (above.q[:, 1] >= above.q[:, 0] ** 2 + above.q[:, 0] / 2 - 0.5 - 1e-9).all()
+
+    for entry in (sp.And(a < 2, a > -2), sp.Ne(a, 2), sp.true, (-1, sp.Eq(a, b), 1)):
+        with pytest.raises(ss.InputError, match="neither an expression nor one relation of two"):
+            solved(entry)
