@@ -132,7 +132,8 @@ def raise_failure(
         raise Interrupted(ended.message, trajectory=result)
     residual, detail = run.last_correction, ""
     met = ended.status in (Status.EVENTS_ACCUMULATE, Status.BAD_INPUT)
-    if ended.steps == run.step and not met:  # else it is what was found afterwards
+    # else it is what was found afterwards, or an event that could not act
+    if ended.steps == run.step and not met and run.last_iterations:
         detail = (
             f"The last of {run.last_iterations} iterations changed the step by a fraction of "
             f"{residual:.1e}. "

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from numbers import Integral, Real
 from typing import Any
 
+import numpy as np
+
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import whole_number
 from symsimpson.support.calling import explaining
@@ -190,7 +192,7 @@ class Event:
                 "gap, which is positive where the body is free."
             )
         count = self.terminal
-        if not isinstance(count, (Integral, bool)) or count < 0:
+        if not isinstance(count, (Integral, np.bool_)) or count < 0:
             raise InputError(
                 f"terminal is {count!r}.\nIt is True, or the number of times after which the run "
                 "ends."

@@ -154,7 +154,7 @@ def test_a_loop_bounces_as_a_run_does():
     assert np.array_equal(loop.q, again.q)
     assert loop.events("floor").t.tolist() == run.events("floor").t.tolist()
     last = ss.compile(BALL).start(
-        [1.0], v0=[0.0], h=0.01, events=[ss.Event(z, name="down", terminal=True)]
+        [1.0], v0=[0.0], h=0.01, events=[ss.Event(z, name="down", terminal=np.True_)]
     )
     while last.ended_by is None:
         last.step()
