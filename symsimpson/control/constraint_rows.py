@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from symsimpson.control.reading import Limits, Reading
 
 __all__ = [
-    *("held_blocks", "held_values", "implied", "onto", "pressed"),
-    *("projected", "resolved", "turned"),
+    *("held_blocks", "held_rates", "held_values", "implied", "onto"),
+    *("pressed", "projected", "resolved", "turned"),
 ]
 
 Floats = NDArray[np.float64]

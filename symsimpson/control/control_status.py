@@ -34,6 +34,10 @@ class ControlStatus(Enum):
         "bound do not tell: some conditions follow from others, or touch them. Leave out what "
         "follows, give in full what is known of an end, or begin at another guess."
     )
+    NO_MASS = (
+        "The equations of steps are solved, but the mass matrix is not positive definite on the "
+        "way: what has no mass follows no force. Check the masses, and bound those that are found."
+    )
     INTERRUPTED = "The search was interrupted; the last iterate is kept."
     NOT_FINITE = "An energy, force or cost had no value on the way. Bound what must not be reached."
 

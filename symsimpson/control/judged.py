@@ -9,6 +9,7 @@ import numpy as np
 from symsimpson.control.between_nodes import balanced
 from symsimpson.control.constraint_rows import resolved
 from symsimpson.control.control_status import STATUSES, ControlStatus
+from symsimpson.control.masses import massive
 from symsimpson.control.result import FOUND, ControlResult
 from symsimpson.control.scaling import sizes_at
 
@@ -21,13 +22,15 @@ __all__ = ["result_of"]
 
 def result_of(layout: Layout, outcome: Outcome, best: bool) -> ControlResult:
     """Return what a solver came to, and whether it is an optimum by its multipliers."""
-    programme, low, high = layout.programme
-    cost, rows = programme.values(outcome.x)
-    off = np.maximum(np.maximum(low - rows, rows - high), 0.0) / sizes_at(layout, outcome.x)[1]
+    x, (programme, low, high) = outcome.x, layout.programme
+    cost, rows = programme.values(x)
+    off = np.maximum(np.maximum(low - rows, rows - high), 0.0) / sizes_at(layout, x)[1]
     worst = int(np.argmax(off)) if off.size else 0
     status = STATUSES.get(outcome.ipopt_status, ControlStatus.RESTORATION_FAILED)
-    known = layout.parameter_values(outcome.x)
-    if status in FOUND and not (resolved(layout, outcome.x, known) and balanced(layout, outcome.x)):
+    known = layout.parameter_values(x)
+    if status in FOUND and not massive(layout, x):
+        status = ControlStatus.NO_MASS
+    elif status in FOUND and not (resolved(layout, x, known) and balanced(layout, x)):
         status = ControlStatus.NOT_RESOLVED
     elif status in FOUND and not best:
         status = ControlStatus.NOT_OPTIMAL
@@ -36,7 +39,7 @@ def result_of(layout: Layout, outcome: Outcome, best: bool) -> ControlResult:
         name, violation = "cost", np.nan
     return ControlResult(
         layout,
-        outcome.x,
+        x,
         outcome.multipliers,
         cost,
         status,

@@ -117,6 +117,7 @@ class Reading:
         self._read_unknowns(problem.unknowns)
         self._read_bounds(problem)
         self.phases = self._phases(problem.phases)
+        self._check_moving()
         self._check()
 
     @property
@@ -149,6 +150,8 @@ class Reading:
         if isinstance(expression, str):
             expression = self._named(what, expression, ends)
         if isinstance(expression, Real) and not isinstance(expression, (sp.Basic, bool)):
+            if isinstance(expression, np.generic):  # in its own precision there may be no size
+                expression = expression.item()
             size = cast(Any, abs(expression))
             if not size <= sys.float_info.max:  # as NaN and huge integers are not, either
                 raise InputError(f"the {what} is {shortened(expression)}.\nPass a finite number.")
@@ -314,6 +317,28 @@ class Reading:
                     )
                 phases[-1][place] = max(low, least), min(high, most)
         return phases or [{}]
+
+    def _check_moving(self) -> None:
+        """Refuse conditions on what is given."""
+        found = {*self.q, *self.v, *self.u, *(self.parameters[i] for i in self.found)}
+        timed = found | ({self.t} if self.duration[0] < self.duration[1] else set())
+        asked = [
+            (what, limit.name, [limit.value], free)
+            for what, limits, free in (
+                ("start", self.ends[0], found),
+                ("end", self.ends[1], timed),
+                ("bounds or path", self.within, timed),
+            )
+            for limit in limits
+        ]
+        asked += [("conditions", name, [*pair], timed) for name, *pair in self.tied]
+        for what, name, values, free in asked:
+            if all(self.graph.nodes[node].symbols.isdisjoint(free) for _, node in values):
+                raise InputError(
+                    f"{what} asks for something of {name}, in which nothing is free: no "
+                    "coordinate, velocity, input or parameter that is found.\nLeave it out, or "
+                    "write it with what moves."
+                )
 
     def _check(self) -> None:
         """Refuse ends that cannot be satisfied."""

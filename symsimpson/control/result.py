@@ -91,7 +91,7 @@ class ControlResult:
     @property
     def message(self) -> str:
         """The status as a sentence, with the largest violation if there is one to tell."""
-        if self.success or self.status is ControlStatus.NOT_RESOLVED:
+        if self.success or self.status in (ControlStatus.NOT_RESOLVED, ControlStatus.NO_MASS):
             return self.status.value
         if not np.isfinite(self.violation):
             return f"{self.status.value} Where the search ended, the {self.worst} has no value."

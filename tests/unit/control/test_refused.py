@@ -378,3 +378,24 @@ def test_a_parameter_that_is_given_as_one_to_be_found_is_no_unknown():
     problem = ss.OptimalControl(free, duration=1, **{**REST, "end": {x: 1}}, unknowns={k: 1})
     with pytest.raises(ss.InputError, match="more conditions than inputs can satisfy"):
         problem.solve("gauss4", steps=2)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"start": {1: 2}}, "start asks for something of 1"),
+        ({"start": {k: 2}}, "start asks for something of k"),
+        ({"end": {ss.time: 2}}, "end asks for something of t"),
+        ({"conditions": {k: 3}}, "conditions asks for something of k"),
+        ({"path": [sp.Integer(1)]}, "path asks for something of 1"),
+        ({"bounds": {k**2: (0, 1)}}, r"path asks for something of k\*\*2"),
+    ],
+)
+def test_conditions_on_what_is_given(given, told):
+    with pytest.raises(ss.InputError, match=told + ".*in which nothing is free"):
+        cart(**given)
+
+
+def test_numbers_of_every_precision():
+    given = {x: np.float32(0), x.diff(): np.float16(0)}
+    assert cart(start=given, end={x: np.float32(0.5)}).solve(steps=2).success
