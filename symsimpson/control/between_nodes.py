@@ -41,11 +41,12 @@ def balanced(layout: Any, x: Floats) -> bool:
     places = (places + 1) / 2
     inputs = np.einsum("ij,kjm->kim", lagrange(layout.c, places), u)
     finer, _, finer_cost, finer_size = _sums(layout, functions, x, places, weights / 2, inputs)
-    # by the ways of coordinates all are of one unit; those of whole motions, as a push where bodies
-    # hardly move tells where they go
-    ways = np.abs(np.diff(x[layout.points], axis=1)).sum(axis=(0, 1))
-    off = (np.abs(finer - rows).max(axis=1) * ways).sum()
-    moves = not off > OFF * (done * ways).sum()
+    # by the ways of coordinates all are of one unit: by those of steps, in which inputs do work,
+    # and by those of whole motions, as a push where bodies hardly move tells where they go
+    off, ways = np.abs(finer - rows).max(axis=1), np.abs(np.diff(x[layout.points], axis=1))
+    moves = not any(
+        (off * way).sum() > OFF * (done * way).sum() for way in (ways.sum(axis=1), ways.sum((0, 1)))
+    )
     return moves and not abs(finer_cost - cost) > OFF * max(size, finer_size) + LEAST
 
 
