@@ -76,6 +76,12 @@ class Events(States):
     def _further(self) -> dict[str, Any]:
         return {"direction": (("time",), self.direction)}
 
+    def _table(self) -> dict[str, NDArray[Any]]:
+        table = super()._table()
+        for name, (_, values) in self._further().items():
+            table.setdefault(name, values)  # what the user named comes first
+        return table
+
     def _about(self) -> dict[str, Any]:
         return super()._about() | {"zeros of": self.expression, "message": self.message}
 

@@ -178,6 +178,18 @@ def test_an_event_at_a_time_of_the_grid_acts_in_a_loop_as_in_a_run(step):
     assert loop.events("b").t.tolist() == run.events("b").t.tolist() == [0.125 * step]
 
 
+def test_tables_have_what_events_did():
+    pytest.importorskip("pandas")
+    hits = drop(floor(), t_end=1.5).events("floor")
+    table = hits.to_pandas()
+    assert table.index.tolist() == hits.t.tolist()
+    for name in ("direction", "impulse", "simultaneous"):
+        assert table[name].tolist() == getattr(hits, name).tolist()
+    crossings = drop(t_end=1.5).events(z - 0.5).to_pandas()
+    assert crossings["direction"].tolist() == [-1]
+    assert "impulse" not in crossings.columns
+
+
 def test_files_keep_what_events_did(tmp_path):
     pytest.importorskip("netCDF4")
     end = ss.Event(z, name="down", direction=-1, terminal=2)
