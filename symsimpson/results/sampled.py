@@ -35,8 +35,10 @@ class WithEvents:
     records: tuple[Record, ...]
     event_names: tuple[str, ...]
 
-    def events(self, name: str) -> Actions:
+    def events(self, name: Any) -> Actions:
         """Return the states in which an event acted on the run, by its name.
+
+        One without a name has that of its expression.
 
         Raises
         ------
@@ -55,13 +57,13 @@ class WithEvents:
         >>> run.events("floor").t.round(6).tolist()
         [0.447214, 1.341641]
         """
-        if name not in self.event_names:
+        if str(name) not in self.event_names:
             had = f"It had {', '.join(self.event_names)}. " if self.event_names else ""
             raise InputError(
                 f"the run had no event {name!r}.\n{had}Zeros of expressions are found in runs "
                 "whose steps are kept: leave out t_eval= and save=."
             )
-        return actions_of(self, name)
+        return actions_of(self, str(name))
 
     def save(self: Any, path: str | os.PathLike[str]) -> None:
         """Keep the states or quantities in a file, of the kind that its ending says.

@@ -188,7 +188,8 @@ class Trajectory(Energies, Differentiated):
             In coordinates, momenta (``p_`` and a coordinate), velocities (``v_`` and a coordinate,
             or ``q1.diff()``), parameters, ``t`` and ``energy``. ``Mod(q1, 2*pi) - pi`` finds an
             angle in all turns: the jump of ``Mod``, which should lie far from the zero, is none.
-            Or the name of an event that acted on the run: then its record, :class:`Actions`.
+            Or an event that acted on the run, by its name, or by its expression if it has none:
+            then its record, :class:`Actions`.
         direction : {0, 1, -1}
             0 for all zeros; 1 or -1 for those where it increases or decreases along the run.
         wrap : True, or names of coordinates
@@ -211,10 +212,10 @@ class Trajectory(Energies, Differentiated):
         >>> run.events("theta").t[:3].round(3), run.events("theta", direction=1).t.round(3)
         (array([0.535, 1.604, 2.674]), array([1.604, 3.743, 5.883]))
         """
-        if isinstance(expression, str) and expression in self.event_names:
+        if self.event_names and (name := str(expression)) in self.event_names:
             from symsimpson.results.records import actions_of
 
-            return actions_of(self, expression)
+            return actions_of(self, name)
         from symsimpson.results.events import find_events
 
         try:

@@ -178,6 +178,16 @@ def test_an_event_at_a_time_of_the_grid_acts_in_a_loop_as_in_a_run(step):
     assert loop.events("b").t.tolist() == run.events("b").t.tolist() == [0.125 * step]
 
 
+def test_events_without_a_name_are_found_by_their_expression():
+    """A bounce is no change of sign: zeros of the run afterwards are none."""
+    hits = [*drop(floor(), t_end=1.5).events("floor").t]
+    bare = ss.Event(z, action=ss.Impact(0.8))
+    for more in ({}, {"t_eval": [0.5, 1.0]}):
+        run = drop(bare, t_end=1.5, **more)
+        assert [*run.events(z).t] == [*run.events("z(t)").t] == hits
+    assert len(drop(floor(), t_end=1.5).events(z)) == 0
+
+
 def test_tables_have_what_events_did():
     pytest.importorskip("pandas")
     hits = drop(floor(), t_end=1.5).events("floor")
