@@ -128,7 +128,7 @@ def downhill(programme: Solvable, outcome: Outcome, bounds: Any, limits: Any) ->
     )
     if len(bent) > (FEW if barriers else 1) and not bent[-1]:
         return None
-    x, rows = outcome.x, programme.values(outcome.x)[1]
+    x, (cost, rows) = outcome.x, programme.values(outcome.x)
     gradient, entries = programme.slopes(x)
     slopes = sparse.csr_matrix((entries, programme.jacobian_places), shape=programme.shape)
     free = ~_held(gradient + slopes.T @ outcome.multipliers, x, bounds)
@@ -144,9 +144,12 @@ def downhill(programme: Solvable, outcome: Outcome, bounds: Any, limits: Any) ->
     for part in SHIFTS if largest else ():
         way = _bent_down(curved, held, part * largest)
         if way is not None:
+            way /= np.abs(way).max()
+            if not -(way @ (curved @ way)) > OF_COST * abs(cost):  # inputs of an arc without length
+                return None
             step = np.zeros(len(x))
-            step[free] = way
-            return ASIDE * step / np.abs(step).max()
+            step[free] = ASIDE * way
+            return step
     return None
 
 

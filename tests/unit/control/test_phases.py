@@ -101,6 +101,32 @@ def test_arcs_are_told_by_a_first_solution():
     assert aside(phases=(), bounds={}, cost=u**2, duration=2).solve(steps=4).arcs() == [{}]
 
 
+@pytest.mark.parametrize("scheme", sweep(["lobatto6", "gauss6"]))
+def test_an_arc_that_is_not_there_is_as_short_as_it_may_be(scheme):
+    """Its inputs do nothing: that the cost bends down along them by 1e-10 is not told."""
+    swing = ss.MechanicalSystem(
+        "swing",
+        coordinates=(x,),
+        kinetic=x.diff() ** 2 / 2,
+        potential=x**2 / 2,
+        forces={x: u},
+        inputs=(u,),
+    )
+    given = {
+        "cost": 1,
+        "start": {x: 0, x.diff(): 0},
+        "end": {x: 1, x.diff(): 0},
+        "duration": (0.1, 10),
+        "bounds": {u: (-2, 2)},
+    }
+    two = ss.OptimalControl(swing, **given, phases=[{u: 2}, {u: -2}]).solve("gauss6", steps=8)
+    three = ss.OptimalControl(swing, **given, phases=[{u: 2}, {}, {u: -2}])
+    found = three.solve(scheme, steps=12, guess=two)
+    assert found.status is ss.ControlStatus.SOLVED
+    assert np.diff(found.switches)[0] < 2e-4
+    assert found.duration == pytest.approx(two.duration, abs=1e-8)
+
+
 @pytest.mark.parametrize(
     ("part", "labels"),
     [
