@@ -158,6 +158,9 @@ class Reader:
             name = spelled(node)
             if name not in self._known:  # a text with it could be read as something else
                 raise self._refuse(f"it contains the unknown name {name!r}", name)
+            moving = node.expr if velocity else node
+            if not isinstance(moving, sp.Symbol) and [*map(type, moving.args)] != [sp.Symbol]:
+                raise self._refuse(f"it contains {moving}, which is not of the time of a state")
             if not _plain(name) or velocity or isinstance(node, AppliedUndef):
                 rules[node] = sp.Symbol(self._stand_in(name))
         return expression.xreplace(rules)

@@ -136,7 +136,7 @@ class Event:
     expression : SymPy expression, equation or str
         As for :meth:`Trajectory.events`: coordinates, velocities, momenta, parameters, t. For an
         :class:`Impact` it is a gap, a SymPy expression of positions and t, positive where the body
-        is free.
+        is free, or an inequality that holds there.
     name : str, optional
         By which ``run.events(name)`` gives its record; that of the expression unless given.
     direction : {0, 1, -1}

@@ -170,9 +170,7 @@ def read_events(program: Program, given: Any) -> RunEvents:
     for event in events:
         _check_restitution(program, event)
     watched = [
-        read_expression(
-            program, entry.expression, what=f"the expression of the event {entry.key!r}"
-        )
+        read_expression(program, _watched(entry), what=f"the expression of the event {entry.key!r}")
         for entry in events
     ]
     for event, expression in zip(events, watched, strict=True):
@@ -233,6 +231,13 @@ def _positive(condition: Any) -> Any:
     return sign * (condition.lhs - condition.rhs)
 
 
+def _watched(event: Event) -> Any:
+    """Return the expression of an event; of a gap that is an inequality, what it keeps positive."""
+    given = event.expression
+    inequality = getattr(given, "rel_op", "==") not in ("==", "!=")
+    return _positive(given) if inequality and isinstance(event.action, Impact) else given
+
+
 def _check_restitution(program: Program, event: Event) -> None:
     """Refuse a restitution of something else than parameters and the speed of approach.
 
@@ -265,11 +270,12 @@ def _of_gap(program: Program, event: Event, place: Any) -> tuple[int, int]:
         Max,
         Min,
         Piecewise,
+        Symbol,
         sign,
     )
     from sympy.core.function import AppliedUndef
 
-    gap = event.expression
+    gap = _watched(event)
     if hasattr(gap, "lhs") and hasattr(gap, "rhs"):
         gap = gap.lhs - gap.rhs
     if not hasattr(gap, "atoms"):
@@ -281,6 +287,14 @@ def _of_gap(program: Program, event: Event, place: Any) -> tuple[int, int]:
         raise InputError(
             f"the gap of an impact, {event.key!r}, contains {min(map(str, kinks), key=len)}, which "
             "has a kink, and a gap is differentiated.\nGive one event for each of the gaps."
+        )
+    symbols = sorted(gap.free_symbols - {Symbol("t")}, key=str)
+    if strange := [x for x in symbols if program.names.parameters.place(x) is None]:
+        raise InputError(
+            f"the gap of an impact, {event.key!r}, contains the symbol {strange[0]}, and a gap is "
+            "differentiated by coordinates and the time themselves.\nWrite coordinates as "
+            "symsimpson.coordinates gives them, the time as symsimpson.time, and neither "
+            "velocities nor momenta."
         )
     places = {f: program.names.coordinates.place(f) for f in gap.atoms(AppliedUndef)}
     coordinates = {place: f for f, place in places.items() if place is not None}

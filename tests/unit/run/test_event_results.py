@@ -188,6 +188,15 @@ def test_events_without_a_name_are_found_by_their_expression():
     assert len(drop(floor(), t_end=1.5).events(z)) == 0
 
 
+def test_inequalities_as_gaps_hold_where_a_body_is_free():
+    hits = drop(floor(), t_end=1.5).events("floor").t.tolist()
+    for gap in (z >= 0, z > 0, -z <= 0, sp.Eq(z, 0)):
+        bounce = ss.Event(gap, name="floor", action=ss.Impact(0.8))
+        assert drop(bounce, t_end=1.5).events("floor").t.tolist() == hits
+    with pytest.raises(ss.InputError, match="behind the wall"):
+        drop(ss.Event(z <= 0, name="floor", action=ss.Impact(0.8)), t_end=1.5)
+
+
 def test_tables_have_what_events_did():
     pytest.importorskip("pandas")
     hits = drop(floor(), t_end=1.5).events("floor")
