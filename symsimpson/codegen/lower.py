@@ -58,24 +58,18 @@ class Lowering:
             [f"mass_{q}" for q in coordinates], "MASS_DIAGONAL", Level.STEP
         )
         self.v = self._base([f"v_{q}" for q in coordinates], "VELOCITY", Level.STEP)
-        self.increments = [
-            self._base(
-                [f"{q}_X{k}" for q in coordinates],
-                "INCREMENT",
-                Level.ITERATION,
-                equations.unknowns.place(k, 0),
-            )
-            for k in range(1, equations.scheme.degree + 1)
-        ]
-        self.predicted = [
-            self._base(
-                [f"{q}_X{k}_predicted" for q in coordinates],
-                "PREDICTED",
-                Level.ITERATION,
-                equations.unknowns.place(k, 0),
-            )
-            for k in range(1, equations.scheme.degree + 1)
-        ]
+        self.increments, self.predicted = (
+            [
+                self._base(
+                    [f"{q}_X{k}{suffix}" for q in coordinates],
+                    block,
+                    Level.ITERATION,
+                    equations.unknowns.place(k, 0),
+                )
+                for k in range(1, equations.scheme.degree + 1)
+            ]
+            for block, suffix in (("INCREMENT", ""), ("PREDICTED", "_predicted"))
+        )
         self.node_q = self._base([f"{q}_i" for q in coordinates], "NODE_POSITION", Level.ITERATION)
         self.node_v = self._base(
             [f"v_{q}_i" for q in coordinates], "NODE_VELOCITY", Level.ITERATION

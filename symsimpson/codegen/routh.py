@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import prod
 
 from symsimpson.codegen.coupled import (
@@ -67,11 +68,7 @@ class RouthSolver:
         low, part, eqs, total = self._low, self._part, self._low.equations, self._total
         define, names = low.graph.define, low.names.coordinates
         nodes = self._solved_nodes(None)
-
-        def entry(i: int, what: str, *index: int) -> Expression:
-            point, section = nodes[i].point, f"node {i}, all velocities known"
-            return low.template.entry(point, section, what, *index)
-
+        entry = partial(self._entry, nodes)
         weighted = WeightedRows(low, lambda i, a: entry(i, "F", a), lambda i, a: entry(i, "P", a))
         right = weighted_residual(low, weighted, part.rows, part.coordinates)
         tangent = _Tangent(self, nodes)
@@ -95,16 +92,15 @@ class RouthSolver:
         dq = {a: low.increments[-1][a] for a in self.coordinates}
         end = end_point(low, dq)
         nodes = self._solved_nodes(end)
-
-        def entry(i: int, what: str, *index: int) -> Expression:
-            section = f"node {i}, all velocities known"
-            return low.template.entry(nodes[i].point, section, what, *index)
-
-        weighted = WeightedRows(low, lambda i, a: entry(i, "F", a))
+        weighted = WeightedRows(low, lambda i, a: self._entry(nodes, i, "F", a))
         dp = {a: weighted.impulse(a) for a in self.coordinates}
         for a in self.cyclic:
             dq[a] = self._total(h * self._weights[n.number] * _velocity(n, a) for n in nodes)
         return Closing(dq, dp, self._checks(nodes, end))
+
+    def _entry(self, nodes: list[_Node], i: int, what: str, *index: int) -> Expression:
+        section = f"node {i}, all velocities known"
+        return self._low.template.entry(nodes[i].point, section, what, *index)
 
     def _checks(self, nodes: list[_Node], end: Point) -> Mapping[str, Expression]:
         """Return h^2 d^T M_yy^-1 d, d being what L_vy at the end of the path differs from p_y by.

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from symsimpson.codegen.constraint_order import Held
 from symsimpson.codegen.differentials import cost_of_time
 from symsimpson.codegen.differentials import sizes as differential_sizes
 from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.looped_stages import LoopedStages
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.stages import StageKernels
-from symsimpson.codegen.storage import Storage, node_stride
+from symsimpson.codegen.storage import node_stride
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.reductions import Composed
 from symsimpson.module.dimensions import Sizes
@@ -28,7 +27,8 @@ def sizes(
     storage, held, plain = loops.storage, loops.held, low.equations.plain
     unknowns, scheme = low.equations.unknowns, low.equations.scheme
     looped = low.equations.varied is not None or loops.written is None
-    jacobian = [part.size(unknowns.control_points) for part in (storage, *_bordered(held))]
+    bordered = () if held is None else (held.storage,)
+    jacobian = [part.size(unknowns.control_points) for part in (storage, *bordered)]
     return Sizes(
         n=low.n,
         m=held.count if held else 0,
@@ -41,7 +41,7 @@ def sizes(
         nodes=scheme.stages,
         unknowns=unknowns.size,
         entries=storage.node_size,
-        bordered=sum(part.node_size for part in _bordered(held)),
+        bordered=sum(part.node_size for part in bordered),
         jacobian=sum(jacobian),
         hoisted=len(low.hoisted),
         coefficients=len(low.coefficients),
@@ -59,10 +59,6 @@ def sizes(
         **(stages.sizes if stages is not None else {}),
         **differential_sizes(low, by_columns=by_columns),
     )
-
-
-def _bordered(held: Held | None) -> tuple[Storage, ...]:
-    return () if held is None else (held.storage,)
 
 
 def drifting(equations: DiscreteEquations) -> bool:

@@ -124,8 +124,12 @@ class StageKernels:
             "angles": self.angles,
         }
 
-    def _place(self, a: int) -> str:
-        return f"{a * self.stride} + node" if a else "node"
+    def _place(self, k: int) -> str:
+        return f"{k * self.stride} + node" if k else "node"
+
+    def _row(self, block: str, k: int) -> Row:
+        """Return the row of a value of the node at hand, the kth in a block."""
+        return Row(block, self._place(k))
 
     def _combined(
         self, factors: Sequence[Expression], values: Sequence[Expression], hint: str, section: str
@@ -176,7 +180,7 @@ class StageKernels:
         point = Point("j", tuple(q), tuple(v), self._time(), self._inputs())
         kicks = [
             Store(
-                Row("STAGE_F", self._place(a)),
+                self._row("STAGE_F", a),
                 define(f"dp_{names[a]}_j", self._share * entry(point, "forces", "F", a), "forces"),
             )
             for a in self._forced
@@ -196,14 +200,15 @@ class StageKernels:
         closing = [
             Store(Row("STAGE_CORRECTION", "node"), define("correction", correction, "velocities")),
             Store(Row("STAGE_SIZE", "node"), define("size", size, "velocities")),
-            *(Store(Row("STAGE_V", self._place(a)), new[a]) for a in range(n)),
+            *(Store(self._row("STAGE_V", a), new[a]) for a in range(n)),
         ]
         held = [s for s in low.needed_before(closing, Level.LATE) if s not in low.rows]
         opening = low.statements(
-            [*kicks, *(Store(self._held(k), symbol) for k, symbol in enumerate(held))], FIRST
+            [*kicks, *(Store(self._row("STAGE_HELD", k), symbol) for k, symbol in enumerate(held))],
+            FIRST,
         )
         self.held = len(held)
-        low.rows |= {symbol: self._held(k) for k, symbol in enumerate(held)}
+        low.rows |= {symbol: self._row("STAGE_HELD", k) for k, symbol in enumerate(held)}
         ending = low.statements(closing, (Level.LATE,))
         for symbol in held:
             del low.rows[symbol]
@@ -221,7 +226,7 @@ class StageKernels:
 
     def _opening(self, body: Sequence[Statement]) -> list[Statement]:
         """Go over the nodes; after a while sines and cosines are turned by what angles change."""
-        turning = Turning(self._low, self.stride)
+        turning = Turning(self._low, self._row)
         fresh, turned = turning.kept(body), turning.turned(body)
         self.angles = turning.count
         if not self.angles:
@@ -232,9 +237,6 @@ class StageKernels:
     def _afresh(self) -> list[Statement]:
         """Begin the next step with sines and cosines of its own."""
         return [Index("W[STAGE_TURNED, lane]", "FRESH")] if self.angles else []
-
-    def _held(self, k: int) -> Row:
-        return Row("STAGE_HELD", f"{k * self.stride} + node" if k else "node")
 
     def _velocity(self, a: int) -> Expression:
         """Return a node's velocity: what gives its share of q1 - q0 to the last digit.
@@ -260,7 +262,7 @@ class StageKernels:
         low, names = self._low, self._low.names
         input_names = [names.fresh(f"{u}_j") for u in names.inputs]
         inputs = tuple(low.graph.declare(u, Level.ITERATION) for u in input_names)
-        low.rows |= {u: Row("INPUT", self._place(k)) for k, u in enumerate(inputs)}
+        low.rows |= {u: self._row("INPUT", k) for k, u in enumerate(inputs)}
         return inputs
 
     def _start(self) -> Kernel:
@@ -277,7 +279,7 @@ class StageKernels:
         stores += [Store(Row(f"STAGE_{name}", 0), zero) for name in ("EXPECTED", "COUNT")]
         same: list[Statement] = [Load(self._share, Row("STAGE_STEP", "node"))]
         for a in range(low.n):
-            same.append(Store(Row("STAGE_V", self._place(a)), self._share * v[a]))
+            same.append(Store(self._row("STAGE_V", a), self._share * v[a]))
         loop = Loop("node", NODES_AS_VECTOR, tuple(same))
         body = (*low.statements(stores, STATE), *self._afresh(), loop)
         doc = "Begin at (q, p): the same velocity at all nodes."
@@ -356,5 +358,5 @@ class StageKernels:
         stores = []
         for a, name in enumerate(names):
             value = self._combined(self._next, self._moves[a], f"dq_{name}_ahead", section)
-            stores.append(Store(Row("STAGE_V", self._place(a)), value))
+            stores.append(Store(self._row("STAGE_V", a), value))
         return stores

@@ -14,6 +14,9 @@ from symsimpson.graph.shared_lines import Line, Program
 
 __all__ = ["JetTemplate", "Point"]
 
+#: What a point has in place of plain symbols, by the first letter of these.
+_AT_POINT = {"q": "q", "v": "v", "u": "u", "l": "multipliers", "s": "step", "w": "weights"}
+
 
 @dataclass(frozen=True)
 class Point:
@@ -147,21 +150,12 @@ class JetTemplate:
         kind, place = name[0], int(name[2:])
         if kind == "p":
             return self._momenta[place]
-        if kind == "q":
-            return point.q[place]
-        if kind == "u":
-            return point.u[place]
-        if kind == "l":
-            return point.multipliers[place]
-        if kind == "s":
-            return point.step[place]
-        if kind == "w":
-            return point.weights[place]
         if kind == "t":
             assert point.t is not None
             return point.t
-        assert point.v is not None
-        return point.v[place]
+        values: tuple[Expression, ...] | None = getattr(point, _AT_POINT[kind])
+        assert values is not None
+        return values[place]
 
     def _angle(self, n: int, line: Line, point: Point, section: str) -> Expression:
         """Return the sine or the cosine of an angle, of which both are made at once."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 from symsimpson.codegen.expression import Expression
@@ -22,8 +22,8 @@ class Turning:
     ----------
     low : Lowering
         Gives names.
-    stride : int
-        Rows of a value that all nodes have.
+    row : function of a block and a number
+        Gives the row of that value of a node.
 
     Attributes
     ----------
@@ -31,12 +31,9 @@ class Turning:
         Pairs of sine and cosine that were found.
     """
 
-    def __init__(self, low: Lowering, stride: int) -> None:
-        self._low, self._stride = low, stride
+    def __init__(self, low: Lowering, row: Callable[[str, int], Row]) -> None:
+        self._low, self._row = low, row
         self.count = 0
-
-    def _row(self, block: str, k: int) -> Row:
-        return Row(block, f"{k * self._stride} + node" if k else "node")
 
     def kept(self, body: Iterable[Statement]) -> list[Statement]:
         """Return statements that keep their angles, sines and cosines."""
