@@ -23,7 +23,7 @@ from symsimpson.results.stored import Stored
 from symsimpson.stepping.variations import varied_program
 from symsimpson.support.derivation import LAGRANGIAN
 
-__all__ = ["shadow_energy", "step_means"]
+__all__ = ["changes", "shadow_energy"]
 
 Reals = NDArray[Any]
 #: What is summed of H and of its error at four steps: around a state, and at the first two states.
@@ -41,20 +41,15 @@ def shadow_energy(run: Stored) -> Reals:
     InputError
         If there is none, or states are missing.
     """
-    change = _changes(run)
+    change = changes(run)
     inner = [weight * change[k : len(change) - 3 + k] for k, weight in enumerate(AROUND)]
     ends = [side[:4] @ weights for side in (change, change[::-1]) for weights in (FIRST, SECOND)]
     at_states = np.concatenate([ends[:2], sum(inner), ends[:1:-1]])
     return np.asarray(run.energy + at_states)
 
 
-def step_means(run: Stored) -> Reals:
-    """Return H + dH in the mean over each step, shape (N,): to h^6 for schemes of order 4."""
-    return np.asarray((run.energy[1:] + run.energy[:-1]) / 2 + _changes(run))
-
-
-def _changes(run: Stored) -> Reals:
-    """Return dH in the mean over each step, -(L_d - S)/h."""
+def changes(run: Stored) -> Reals:
+    """Return dH in the mean over each step, -(L_d - S)/h, shape (N,)."""
     _check(run)
     program = varied_program(run.program, (), LAGRANGIAN)
     return (_actions(program, run) - _discrete_actions(program, run)) / run.h

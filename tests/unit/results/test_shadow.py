@@ -23,6 +23,11 @@ def half_swings(energies, steps=(0.04, 0.02, 0.01), scheme="simpson"):
     return np.array(found)
 
 
+def step_means(run):
+    """H + dH in the mean over each step: to h^6 for schemes of order 4."""
+    return (run.energy[1:] + run.energy[:-1]) / 2 + shadow.changes(run)
+
+
 def orders(swings):
     return np.log2(swings[:-1] / swings[1:])
 
@@ -31,7 +36,7 @@ def orders(swings):
 @pytest.mark.parametrize("scheme", sweep(["simpson", "gauss4"], 1))
 def test_orders_of_schemes_of_order_four(scheme):
     assert abs(orders(half_swings(lambda run: run.energy, scheme=scheme))[1] - 4.0) < 0.1
-    assert abs(orders(half_swings(shadow.step_means, scheme=scheme))[1] - 6.0) < 0.2
+    assert abs(orders(half_swings(step_means, scheme=scheme))[1] - 6.0) < 0.2
     assert abs(orders(half_swings(lambda run: run.shadow_energy, scheme=scheme))[1] - 8.0) < 0.3
 
 
@@ -39,7 +44,7 @@ def test_orders_of_schemes_of_order_four(scheme):
     ("scheme", "order"), sweep([("midpoint", 4.0), ("lobatto6", 8.0), ("gauss6", 8.0)], 0)
 )
 def test_orders_of_other_schemes(scheme, order):
-    swings = half_swings(shadow.step_means, (0.02, 0.01, 0.005)[: 3 if order == 4 else 2], scheme)
+    swings = half_swings(step_means, (0.02, 0.01, 0.005)[: 3 if order == 4 else 2], scheme)
     assert abs(orders(swings)[-1] - order) < 0.3
 
 
