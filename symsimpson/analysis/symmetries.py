@@ -39,22 +39,12 @@ SHOWN = 12
 
 @dataclass(frozen=True, eq=False)
 class Symmetry:
-    """The generator q -> A q + b of a symmetry.
+    """The generator q -> A q + b of a symmetry."""
 
-    Attributes
-    ----------
-    A : ndarray, shape (n, n)
-    b : ndarray, shape (n,)
-    exact : ndarray of numbers of many digits, shape (n, n + 1)
-        A and b side by side.
-    name : str
-        The momentum, written out.
-    """
-
-    A: NDArray[np.float64]
-    b: NDArray[np.float64]
-    exact: NDArray[Any]
-    name: str
+    A: NDArray[np.float64]  #: shape (n, n)
+    b: NDArray[np.float64]  #: shape (n,)
+    exact: NDArray[Any]  #: A and b side by side, shape (n, n + 1).
+    name: str  #: The momentum, written out.
 
     def momentum(self, q: ArrayLike, p: ArrayLike) -> NDArray[Any]:
         """Return p (A q + b) for states of shape (..., n), in the digits that these have."""

@@ -28,35 +28,23 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """An initial value problem of a system, with a reference solution at ``t_end``.
-
-    Attributes
-    ----------
-    system : MechanicalSystem
-    q0, v0, p0 : ndarray, shape (n,)
-    t_end : float
-    canonical, second_order : FirstOrder
-        The equations of motion in (q, p) and in (q, v), for those who need first order.
-    solution : ndarray, shape (2 n,)
-        q and p at ``t_end``.
-    solution_error : float
-        An estimate of its error, in units of ``scale``.
-    retimed : RetimedSystem or None
-        The same motion in another time, if schemes are to run in that, too.
-    scale : ndarray, shape (2 n,)
-        Errors are taken in these units: 1 or the coordinate's largest value; the largest momentum.
-    """
+    """An initial value problem of a system, with a reference solution at ``t_end``."""
 
     system: MechanicalSystem
+    #: Each of shape (n,).
     q0: Floats
     v0: Floats
     p0: Floats
     t_end: float
+    #: The equations of motion in (q, p) and in (q, v), for those who need first order.
     canonical: FirstOrder
     second_order: FirstOrder
-    solution: Floats
-    solution_error: float
+    solution: Floats  #: q and p at ``t_end``, shape (2 n,).
+    solution_error: float  #: An estimate of its error, in units of ``scale``.
+    #: Errors are taken in these units: 1 or the coordinate's largest value; the largest momentum,
+    #: shape (2 n,).
     scale: Floats
+    #: The same motion in another time, if schemes are to run in that, too.
     retimed: RetimedSystem | None = None
 
     def error(self, q: Any, p: Any) -> float:

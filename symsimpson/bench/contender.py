@@ -36,21 +36,12 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Contender(Generic[Made]):
-    """A program that solves a problem to an accuracy that can be chosen.
-
-    Attributes
-    ----------
-    name : str
-    choices : sequence of float
-        From coarse to fine; ``what`` says of what.
-    make : callable
-        Gives for a choice what runs it.
-    """
+    """A program that solves a problem to an accuracy that can be chosen."""
 
     name: str
     what: str
-    choices: Sequence[float]
-    make: Callable[[float], Made]
+    choices: Sequence[float]  #: From coarse to fine; ``what`` says of what.
+    make: Callable[[float], Made]  #: Gives for a choice what runs it.
 
 
 #: A function without arguments that runs, and one that reads the outcome of what it returns.

@@ -20,28 +20,16 @@ FORMAT = 1
 
 @dataclass(frozen=True)
 class Point:
-    """One choice of one contender.
-
-    Attributes
-    ----------
-    name : str
-    what : str
-        "steps" or "tolerance".
-    choice : float
-    error : float
-    best, median : float
-        Seconds.
-    evaluations : int
-        Newton iterations, evaluations of the right-hand side, or Taylor steps.
-    """
+    """One choice of one contender."""
 
     name: str
-    what: str
+    what: str  #: "steps" or "tolerance".
     choice: float
     error: float
+    #: Seconds.
     best: float
     median: float
-    evaluations: int
+    evaluations: int  #: Newton iterations, evaluations of the right-hand side, or Taylor steps.
 
 
 @dataclass(frozen=True, repr=False)

@@ -18,23 +18,13 @@ class Held:
 
     Each constraint stands behind all coordinates in it: a symmetric elimination then needs no
     exchange of rows.
-
-    Attributes
-    ----------
-    storage : Storage
-        Of both; the item at each place is a coordinate, or n plus a constraint.
-    place : tuple of int
-        That of the coordinate at each place of coordinates alone, then that of each constraint.
-    count : int
-        Number of constraints.
-    velocities : int
-        Number of those, the last ones, that are constraints of velocities.
     """
 
-    storage: Storage
+    storage: Storage  #: Of both; the item at each place is a coordinate, or n plus a constraint.
+    #: That of the coordinate at each place of coordinates alone, then that of each constraint.
     place: tuple[int, ...]
-    count: int
-    velocities: int = 0
+    count: int  #: Number of constraints.
+    velocities: int = 0  #: Number of those, the last ones, that are constraints of velocities.
 
     @classmethod
     def dense(cls, n: int, count: int, velocities: int = 0) -> Held:

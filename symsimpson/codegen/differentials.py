@@ -28,25 +28,13 @@ _BLOCKS = (("NODE_F_A", "F_a"), ("NODE_P_A", "P_a"))
 
 @dataclass(frozen=True)
 class Differentials:
-    """Makes the parts of such kernels.
-
-    Attributes
-    ----------
-    low : Lowering
-    loops : LoopKernels
-    places : tuple of int
-        Coordinates in the order in which they are stored.
-    following : bool
-        Whether increments of some coordinates follow from those of the others.
-    in_order : bool
-        Whether the matrix of all unknowns needs no exchange of rows.
-    """
+    """Makes the parts of such kernels."""
 
     low: Lowering
     loops: LoopKernels
-    places: tuple[int, ...]
-    following: bool
-    in_order: bool
+    places: tuple[int, ...]  #: Coordinates in the order in which they are stored.
+    following: bool  #: Whether increments of some coordinates follow from those of the others.
+    in_order: bool  #: Whether the matrix of all unknowns needs no exchange of rows.
 
     @property
     def varied(self) -> tuple[str, ...]:

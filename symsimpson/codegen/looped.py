@@ -24,43 +24,21 @@ def _call(name: str, *arguments: str) -> Call:
 
 @dataclass(frozen=True)
 class LoopKernels:
-    """Makes kernels of loops over nodes, coordinates and unknowns.
-
-    Attributes
-    ----------
-    storage : Storage
-    degree : int
-    autonomous : bool
-        Whether nothing depends on t.
-    dragged : bool
-        Whether forces depend on v.
-    driven : bool
-        Whether there are inputs.
-    damped : bool
-        Whether the weights of nodes grow.
-    held : Held or None
-        How constraints stand among the coordinates, if there are any.
-    constant_mass : bool
-        Whether M is, so that its factors may stay in their place from step to step.
-    in_order : bool
-        Whether Newton's method needs no exchange of rows, but for a few steps.
-    carried : bool
-        Whether velocity constraints do work.
-    written : Call, optional
-        What assembles the equations, where they are written out.
-    """
+    """Makes kernels of loops over nodes, coordinates and unknowns."""
 
     storage: Storage
     degree: int
-    autonomous: bool
-    dragged: bool
-    driven: bool
-    damped: bool
-    held: Held | None
+    autonomous: bool  #: Whether nothing depends on t.
+    dragged: bool  #: Whether forces depend on v.
+    driven: bool  #: Whether there are inputs.
+    damped: bool  #: Whether the weights of nodes grow.
+    held: Held | None  #: How constraints stand among the coordinates, if there are any.
+    #: Whether M is, so that its factors may stay in their place from step to step.
     constant_mass: bool
+    #: Whether Newton's method needs no exchange of rows, but for a few steps.
     in_order: bool = False
-    carried: bool = False
-    written: Call | None = None
+    carried: bool = False  #: Whether velocity constraints do work.
+    written: Call | None = None  #: What assembles the equations, where they are written out.
 
     @property
     def rolling(self) -> bool:

@@ -28,11 +28,6 @@ class LoopedStages:
     """Makes the kernels start_stages, iterate and advance_stages, for a constant M.
 
     Its factors stand where the start of a run left them.
-
-    Attributes
-    ----------
-    low : Lowering
-    loops : LoopKernels
     """
 
     low: Lowering

@@ -15,13 +15,7 @@ _OF_QUADRATURE = ("nodes", "weights")
 
 
 class SchemeNumbers:
-    """Tables of a scheme and of its quadrature, under their own names.
-
-    Attributes
-    ----------
-    A, B, stiffness, extrapolation : tuples of tuples of Expression
-    nodes, weights, points, end_slope, correction : tuples of Expression
-    """
+    """Tables of a scheme and of its quadrature, under their own names."""
 
     A: tuple[tuple[Expression, ...], ...]
     B: tuple[tuple[Expression, ...], ...]

@@ -21,22 +21,13 @@ class Storage:
     point that is solved for). Banded, coordinates are taken in another order in which those that
     meet in a term of L stand close; s is the place there, and the unknown is ``s * blocks + row``.
     Elimination with row pivoting widens a band of half-width b to b below and 2 b above.
-
-    Attributes
-    ----------
-    order : tuple of int
-        The coordinate at each place.
-    band : int
-        Largest distance of two places whose coordinates meet; n - 1 if dense.
-    banded : bool
-    by_place : bool
-        Whether blocks of a dense system stand together at each place, as in a band: elimination
-        takes all of one item before the next one.
     """
 
-    order: tuple[int, ...]
-    band: int
+    order: tuple[int, ...]  #: The coordinate at each place.
+    band: int  #: Largest distance of two places whose coordinates meet; n - 1 if dense.
     banded: bool
+    #: Whether blocks of a dense system stand together at each place, as in a band: elimination
+    #: takes all of one item before the next one.
     by_place: bool = False
 
     @classmethod

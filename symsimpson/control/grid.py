@@ -23,15 +23,9 @@ MOST_STEPS = 1_000_000
 
 @dataclass(frozen=True)
 class Grid:
-    """Phases one after the other, each in equal steps.
+    """Phases one after the other, each in equal steps."""
 
-    Attributes
-    ----------
-    steps : tuple of int
-        The number of steps of each phase.
-    """
-
-    steps: tuple[int, ...]
+    steps: tuple[int, ...]  #: The number of steps of each phase.
 
     @property
     def count(self) -> int:

@@ -30,22 +30,16 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Functions of points: the same ones of many.
-
-    Attributes
-    ----------
-    functions : PointFunctions
-    maps : list of sparse matrices, shape (K, x)
-        One for each variable: what it is at each point, as it is linear in the unknowns.
-    rows : list of sparse matrices, shape (g, K)
-        One for each function: which rows have it, and how often; the first row is the cost.
-    given : dict
-        What else stands in the functions, by node: numbers, or arrays of shape (K,).
-    """
+    """Functions of points: the same ones of many."""
 
     functions: PointFunctions
+    #: A sparse matrix for each variable, shape (K, x): what it is at each point, as it is linear
+    #: in the unknowns.
     maps: list[Any]
+    #: A sparse matrix for each function, shape (g, K): which rows have it, and how often; the
+    #: first row is the cost.
     rows: list[Any]
+    #: What else stands in the functions, by node: numbers, or arrays of shape (K,).
     given: dict[int, Any]
 
     @property

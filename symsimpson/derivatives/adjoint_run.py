@@ -38,41 +38,23 @@ RECORDED = 8_000_000
 
 @dataclass(frozen=True)
 class Objective:
-    """The objective of a run: costs of its last state and of samples on the way.
+    """The objective of a run: costs of its last state and of samples on the way."""
 
-    Attributes
-    ----------
-    end : StateCost or None
-        A cost of the last state.
-    samples : tuple of Measured
-        Each costs the sum of the squares by which the run differs from it.
-    every : int
-        Steps between samples.
-    """
-
-    end: StateCost | None
+    end: StateCost | None  #: A cost of the last state.
+    #: Each costs the sum of the squares by which the run differs from it.
     samples: tuple[Measured, ...]
-    every: int
+    every: int  #: Steps between samples.
 
 
 @dataclass
 class Backward:
-    """The cost of a run, and its derivatives.
-
-    Attributes
-    ----------
-    value : number
-    state : ndarray, shape (2 n,)
-        By q0 and p0, or by q0 and v0 where the run began with velocities.
-    parameters : ndarray, shape (k,)
-        By what is varied.
-    by_step : ndarray, shape (N, k, s), or (N, k, 1) where inputs are held
-        By what is varied, of inputs: through each step and node.
-    """
+    """The cost of a run, and its derivatives."""
 
     value: Any
+    #: By q0 and p0, or by q0 and v0 where the run began with velocities, shape (2 n,).
     state: Reals
-    parameters: Reals
+    parameters: Reals  #: By what is varied, shape (k,).
+    #: By what is varied, of inputs: through each step and node, shape (N, k, s), or (N, k, 1).
     by_step: Reals
 
 

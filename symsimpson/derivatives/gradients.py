@@ -34,23 +34,14 @@ STATE = {"q": "q", "v": "v", "p": "p", "q0": "q", "v0": "v", "p0": "p"}
 
 @dataclass(frozen=True)
 class Wanted:
-    """A cost, and what to differentiate it by.
+    """A cost, and what to differentiate it by."""
 
-    Attributes
-    ----------
-    cost, running : expression or None
-        Of the last state, and along the path.
-    samples : mapping from expression to values, or None
-    every : int
-        Steps between samples.
-    wrt : sequence of str or symbols
-    """
-
+    #: Expressions of the last state, and along the path.
     cost: Any
     running: Any
-    samples: Mapping[Any, Any] | None
-    every: Any
-    wrt: Sequence[Any]
+    samples: Mapping[Any, Any] | None  #: Values, by expression.
+    every: Any  #: Steps between samples.
+    wrt: Sequence[Any]  #: Names or symbols.
 
 
 def gradient_of(

@@ -29,20 +29,11 @@ Reals = NDArray[Any]
 
 @dataclass(frozen=True)
 class Slopes:
-    """A quantity at states, and its derivatives.
+    """A quantity at states, and its derivatives."""
 
-    Attributes
-    ----------
-    value : ndarray, shape (M,)
-    state : ndarray, shape (M, 2 n)
-        By q and p.
-    parameters : ndarray, shape (M, k)
-        By what is varied, at given q and p.
-    """
-
-    value: Reals
-    state: Reals
-    parameters: Reals
+    value: Reals  #: shape (M,)
+    state: Reals  #: By q and p, shape (M, 2 n).
+    parameters: Reals  #: By what is varied, at given q and p, shape (M, k).
 
     def times(self, factors: Reals) -> Slopes:
         """Return the slopes of a cost whose derivatives by the quantity are these."""

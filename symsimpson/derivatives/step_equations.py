@@ -28,14 +28,9 @@ Reals = NDArray[Any]
 
 
 class At(NamedTuple):
-    """A step whose control points are given, as users give them.
+    """A step whose control points are given, as users give them."""
 
-    Attributes
-    ----------
-    q0, nodes, h, parameters, t, inputs, multipliers
-        As :meth:`Stepper.residual` takes them.
-    """
-
+    #: As :meth:`Stepper.residual` takes them.
     q0: ArrayLike
     nodes: ArrayLike
     h: Any

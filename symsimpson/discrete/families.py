@@ -30,29 +30,17 @@ MANY_TERMS = 10_000
 
 @dataclass(frozen=True)
 class Family:
-    """One term in slots, and the coordinates and coefficients that fill them for each member.
+    """One term in slots, and the coordinates and coefficients that fill them for each member."""
 
-    Attributes
-    ----------
-    plain : Plain
-        The term as the Lagrangian, or a force, of a system with one coordinate for each slot; its
-        parameters are the slots of coefficients, and then those parameters that are the same for
-        all members.
-    slots : int
-        Number of coefficients that differ among members.
-    coordinates : tuple of tuple of int
-        Coordinates of each member.
-    coefficients : tuple of tuple of Value
-        Coefficients of each member in the system's graph, made of parameters.
-    constraints : tuple of int
-        The constraint that each member is, where the term is one.
-    """
-
+    #: The term as the Lagrangian, or a force, of a system with one coordinate for each slot; its
+    #: parameters are the slots of coefficients, and then those parameters that are the same for all
+    #: members.
     plain: Plain
-    slots: int
-    coordinates: tuple[tuple[int, ...], ...]
+    slots: int  #: Number of coefficients that differ among members.
+    coordinates: tuple[tuple[int, ...], ...]  #: Coordinates of each member.
+    #: Coefficients of each member in the system's graph, made of parameters.
     coefficients: tuple[tuple[Value, ...], ...]
-    constraints: tuple[int, ...] = ()
+    constraints: tuple[int, ...] = ()  #: The constraint that each member is, where the term is one.
 
 
 @dataclass

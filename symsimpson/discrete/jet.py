@@ -64,19 +64,13 @@ OTHERS = tuple(way for way in map(Way._make, product((False, True), repeat=4)) i
 
 @dataclass(frozen=True)
 class Jet:
-    """Quantities at a point, as a program.
+    """Quantities at a point, as a program."""
 
-    Attributes
-    ----------
-    program : Program
-        Outputs ``("F", i)``, ``("P", i)``, ``("F_q", i, j)``, ``("F_v", i, j)``, ``("P_q", i, j)``,
-        ``("M", i, j)``, ``("a", i)``, ``("V",)`` and ``("invariant", name)``; where forces depend
-        on v, ``("f_v", i, j)``, and of what changes the energy ``("power", name)``.
-    operations : int
-        Additions, products, quotients, powers and functions, without those on parameters alone.
-    """
-
+    #: Outputs ``("F", i)``, ``("P", i)``, ``("F_q", i, j)``, ``("F_v", i, j)``, ``("P_q", i, j)``,
+    #: ``("M", i, j)``, ``("a", i)``, ``("V",)`` and ``("invariant", name)``; where forces depend on
+    #: v, ``("f_v", i, j)``, and of what changes the energy ``("power", name)``.
     program: Program
+    #: Additions, products, quotients, powers and functions, without those on parameters alone.
     operations: int
 
     def __getitem__(self, key: Key) -> Value:

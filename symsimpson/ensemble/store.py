@@ -40,23 +40,13 @@ CHUNK_BYTES = 2**26
 
 @dataclass(frozen=True, eq=False)
 class Store:
-    """An ensemble on disk.
-
-    Attributes
-    ----------
-    path : str
-    group : zarr.Group
-    program : Program
-    task : Task
-    chunk : int
-        Members of a chunk.
-    """
+    """An ensemble on disk."""
 
     path: str
-    group: Any
+    group: Any  #: Of zarr.
     program: Program
     task: Task
-    chunk: int
+    chunk: int  #: Members of a chunk.
 
     @property
     def chunks(self) -> int:

@@ -63,25 +63,15 @@ def number(value: Any) -> str:
 
 @dataclass
 class Expressions:
-    """Writes expressions of functions, and keeps in mind what they need.
-
-    Attributes
-    ----------
-    kinds : Kinds
-    called : dict
-        Names in C of the functions of the texts.
-    renamed : dict
-        Names in C of local names, where these are taken.
-    constants : dict
-        Values of the constants that are named, by their names in C.
-    helpers : set of str
-        Functions of this package's own that are called.
-    """
+    """Writes expressions of functions, and keeps in mind what they need."""
 
     kinds: Kinds
-    called: dict[str, str]
+    called: dict[str, str]  #: Names in C of the functions of the texts.
+    #: Names in C of local names, where these are taken.
     renamed: dict[str, str] = field(default_factory=dict)
+    #: Values of the constants that are named, by their names in C.
     constants: dict[str, Any] = field(default_factory=dict)
+    #: Functions of this package's own that are called.
     helpers: set[str] = field(default_factory=set)
 
     def write(self, node: ast.expr, name: str, around: int = CHOICE) -> str:

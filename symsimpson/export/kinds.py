@@ -31,16 +31,10 @@ class Signature:
 
 @dataclass
 class Kinds:
-    """Kinds of the names of functions, found by following calls.
-
-    Attributes
-    ----------
-    functions : mapping from str to Function
-    signatures, names : dict
-        By function; ``names[function][name]`` is the kind of a local name.
-    """
+    """Kinds of the names of functions, found by following calls."""
 
     functions: Mapping[str, Function]
+    #: By function; ``names[function][name]`` is the kind of a local name.
     signatures: dict[str, Signature] = field(default_factory=dict)
     names: dict[str, dict[str, str]] = field(default_factory=dict)
 

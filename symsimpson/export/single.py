@@ -23,35 +23,17 @@ WORKSPACE, ROWS = "W", "W.shape[0]"
 
 @dataclass(frozen=True)
 class Source:
-    """Functions that name the same constants: those of a module, or those of the driver.
-
-    Attributes
-    ----------
-    functions : mapping from str to ast.FunctionDef
-    constants : mapping from str to number, tuple or ndarray
-    driver_layout : mapping from str to int
-        What ``at[NAME]`` is.
-    lines : list of str
-        Lines of the text, for its comments.
-    """
+    """Functions that name the same constants: those of a module, or those of the driver."""
 
     functions: Mapping[str, ast.FunctionDef]
-    constants: Mapping[str, Any]
-    driver_layout: Mapping[str, int]
-    lines: list[str]
+    constants: Mapping[str, Any]  #: Numbers, tuples or arrays.
+    driver_layout: Mapping[str, int]  #: What ``at[NAME]`` is.
+    lines: list[str]  #: Lines of the text, for its comments.
 
 
 @dataclass(frozen=True)
 class Function:
-    """A function with one lane.
-
-    Attributes
-    ----------
-    name, doc : str
-    arguments : tuple of str
-    body : list of ast.stmt
-    source : Source
-    """
+    """A function with one lane."""
 
     name: str
     doc: str

@@ -29,16 +29,9 @@ class Line:
 
 @dataclass
 class Program:
-    """Lines by number, and the values that are asked for.
+    """Lines by number, and the values that are asked for."""
 
-    Attributes
-    ----------
-    lines : dict from int to Line
-        Lines that outputs need, and possibly others.
-    outputs : dict from key to Value
-    """
-
-    lines: dict[int, Line]
+    lines: dict[int, Line]  #: Lines that outputs need, and possibly others.
     outputs: dict[Hashable, Value]
     known: dict[tuple[str, tuple[Any, ...]], int] = field(default_factory=dict)
 

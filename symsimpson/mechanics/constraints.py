@@ -38,24 +38,12 @@ Read = Callable[[str, Any], Value]
 
 
 class Accelerations(NamedTuple):
-    """Values that determine accelerations and multipliers.
+    """Values that determine accelerations and multipliers."""
 
-    Attributes
-    ----------
-    rows : list of lists of Value
-        W: Phi, then A.
-    push : list of Value
-        L_q + f - (d L_v/dq) v - d L_v/dt.
-    curve : list of Value
-        How Phi v and A v - b change with q and t, so that W v' = -curve.
-    rates : list of Value
-        Phi v, then A v - b.
-    """
-
-    rows: list[list[Value]]
-    push: list[Value]
-    curve: list[Value]
-    rates: list[Value]
+    rows: list[list[Value]]  #: W: Phi, then A.
+    push: list[Value]  #: L_q + f - (d L_v/dq) v - d L_v/dt.
+    curve: list[Value]  #: How Phi v and A v - b change with q and t, so that W v' = -curve.
+    rates: list[Value]  #: Phi v, then A v - b.
 
 
 def names_of(name: str, constraints: Any, taken: Sequence[str] | None = None) -> dict[str, sp.Expr]:

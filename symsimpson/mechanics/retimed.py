@@ -38,22 +38,12 @@ FINITE = (sp.sin, sp.cos, sp.sinh, sp.cosh, sp.tanh, sp.exp, sp.atan, sp.asinh, 
 
 @dataclass(frozen=True)
 class Retiming:
-    """The parts of a retimed system.
+    """The parts of a retimed system."""
 
-    Attributes
-    ----------
-    plain : Plain
-        The system in the user's time.
-    graph : Graph
-    rate : Value
-        dt/dtau in this graph, as the user gave it.
-    of_potential : sympy.Expr or None
-        The same as a function of :data:`level` in place of V, in plain symbols, if it is one.
-    """
-
-    plain: Plain
+    plain: Plain  #: The system in the user's time.
     graph: Graph
-    rate: Value
+    rate: Value  #: dt/dtau in this graph, as the user gave it.
+    #: The same as a function of :data:`level` in place of V, in plain symbols, if it is one.
     of_potential: sp.Expr | None
 
     def depends(self, symbol: sp.Symbol) -> bool:

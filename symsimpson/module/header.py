@@ -30,54 +30,32 @@ SIGNED = re.compile(r"^# sha256 of what follows: ([0-9a-f]{64})\n", re.MULTILINE
 
 @dataclass(frozen=True)
 class Header:
-    """Facts that a generated module states of itself, read without executing it.
+    """Facts that a generated module states of itself, read without executing it."""
 
-    Attributes
-    ----------
-    system, scheme, digest : str
-        Names, and the SHA-256 of the declaration.
-    order : int
-    coordinates, parameters, invariants, forces, inputs, constraints : tuple of str
-    defaults : tuple of float
-        Values of the parameters.
-    signs : tuple of str
-        "positive" or "negative" where a parameter was declared so, else "".
-    real_everywhere : bool
-        Whether the energy has a value at each state.
-    autonomous, conformal, retimed : bool
-        Whether nothing depends on t, momenta are damped, steps are those of another time.
-    input_places : tuple of str
-        Nodes at which inputs are given, with fifty digits.
-    varied_by : tuple of str or None
-        What steps are differentiated by, besides the state.
-    layout : mapping from str to int
-        Constants of the module: first rows of blocks, sizes, strides.
-    tables : mapping from str to tuple
-        Its lists of numbers.
-    functions : tuple of str
-    """
-
+    #: Names, and the SHA-256 of the declaration.
     system: str
     scheme: str
     digest: str
     order: int
     coordinates: tuple[str, ...]
     parameters: tuple[str, ...]
-    defaults: tuple[float, ...]
-    signs: tuple[str, ...]
-    real_everywhere: bool
-    layout: Mapping[str, int]
-    tables: Mapping[str, tuple[Any, ...]]
+    defaults: tuple[float, ...]  #: Values of the parameters.
+    signs: tuple[str, ...]  #: "positive" or "negative" where a parameter was declared so, else "".
+    real_everywhere: bool  #: Whether the energy has a value at each state.
+    layout: Mapping[str, int]  #: Constants of the module: first rows of blocks, sizes, strides.
+    tables: Mapping[str, tuple[Any, ...]]  #: Its lists of numbers.
     functions: tuple[str, ...]
     invariants: tuple[str, ...] = ()
     forces: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
-    input_places: tuple[str, ...] = ()
+    input_places: tuple[str, ...] = ()  #: Nodes at which inputs are given, with fifty digits.
     constraints: tuple[str, ...] = ()
     carried: bool = False
+    #: Whether nothing depends on t, momenta are damped, steps are those of another time.
     autonomous: bool = True
     conformal: bool = False
     retimed: bool = False
+    #: What steps are differentiated by, besides the state.
     varied_by: tuple[str, ...] | None = None
 
     @property

@@ -28,41 +28,22 @@ def by(kernel: str) -> Callable[[Header], str]:
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity of states.
+    """A quantity of states."""
 
-    Attributes
-    ----------
-    name : str
-        Of the attribute, of variables in files, and in ``run[name]`` if it is one number.
-    doc : str
-        In words, as figures and files say it.
-    block : str
-        Where it stands in the workspace.
-    kernel : callable or None
-        Takes a header, and returns the kernel that computes it; None for the state itself.
-    axis : {"", "coordinates", "constraints"}
-        What it has a number for each of; "" for a single number. Tables and files have single
-        numbers, and those of coordinates.
-    prefix : str
-        Stands before a name of these in the names of its numbers.
-    symbol : str
-        Stands for it in kernels that observe expressions, with a number behind it if there is an
-        axis; "" if no expression may contain it.
-    like : str
-        The quantity whose unit it has, unless it is given one.
-    driven : bool
-        Whether it depends on the inputs at the state.
-    """
-
-    name: str
-    doc: str
-    block: str
+    name: str  #: Of the attribute, of variables in files, and in ``run[name]`` if it is one number.
+    doc: str  #: In words, as figures and files say it.
+    block: str  #: Where it stands in the workspace.
+    #: Takes a header, and returns the kernel that computes it; None for the state itself.
     kernel: Callable[[Header], str] | None = None
+    #: What it has a number for each of; "" for a single number. Tables and files have single
+    #: numbers, and those of coordinates.
     axis: str = ""
-    prefix: str = ""
+    prefix: str = ""  #: Stands before a name of these in the names of its numbers.
+    #: Stands for it in kernels that observe expressions, with a number behind it if there is an
+    #: axis; "" if no expression may contain it.
     symbol: str = ""
-    like: str = ""
-    driven: bool = False
+    like: str = ""  #: The quantity whose unit it has, unless it is given one.
+    driven: bool = False  #: Whether it depends on the inputs at the state.
 
     def places(self, names: Any) -> Mapping[str, int]:
         """Return the place of each name that a user may give; of a single number there is none."""

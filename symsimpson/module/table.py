@@ -39,29 +39,14 @@ def entries(s: Sizes) -> int:
 
 @dataclass(frozen=True)
 class Block:
-    """Rows of the workspace that belong together.
+    """Rows of the workspace that belong together."""
 
-    Attributes
-    ----------
-    name : str
-        The constant of a module that holds its first row.
-    doc : str
-    size : callable
-        Gives the number of rows.
-    for_driver : bool
-        Whether the driver needs to know where it stands.
-    optional : bool
-        Whether a module has it only if it has rows in it.
-    scratch : bool
-        Whether no kernel reads what another one has left there.
-    """
-
-    name: str
+    name: str  #: The constant of a module that holds its first row.
     doc: str
-    size: Size = one
-    for_driver: bool = False
-    optional: bool = False
-    scratch: bool = False
+    size: Size = one  #: Gives the number of rows.
+    for_driver: bool = False  #: Whether the driver needs to know where it stands.
+    optional: bool = False  #: Whether a module has it only if it has rows in it.
+    scratch: bool = False  #: Whether no kernel reads what another one has left there.
 
 
 def part(

@@ -31,31 +31,17 @@ class Link:
 
 @dataclass(frozen=True)
 class Scene:
-    """Points and bodies over time.
+    """Points and bodies over time."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Those of the points.
-    fine : ndarray, shape ((N - 1) stride + 1, k, 2 or 3)
-        The points, at the times of the frames and between them.
-    bodies : tuple of ndarray, shape (N, corners + 1, 2 or 3)
-        Closed lines.
-    links : tuple of Link
-    middle : ndarray, shape (2 or 3,)
-    reach : float
-        Nothing is farther from the middle, along an axis.
-    stride : int
-        Points in ``fine`` from one frame to the next.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  #: Those of the points.
+    #: The points, at the times of the frames and between them, of shape
+    #: ((N - 1) stride + 1, k, 2 or 3).
     fine: Floats
-    bodies: tuple[Floats, ...]
+    bodies: tuple[Floats, ...]  #: Closed lines, shape (N, corners + 1, 2 or 3).
     links: tuple[Link, ...]
-    middle: Floats
-    reach: float
-    stride: int
+    middle: Floats  #: shape (2 or 3,)
+    reach: float  #: Nothing is farther from the middle, along an axis.
+    stride: int  #: Points in ``fine`` from one frame to the next.
 
     @property
     def points(self) -> Floats:

@@ -39,26 +39,14 @@ FADED = 2.0**-10
 
 @dataclass(frozen=True)
 class Observed:
-    """A quantity.
+    """A quantity."""
 
-    Attributes
-    ----------
-    expression : str
-        The quantity as it was asked for.
-    text : str
-        The quantity as a Python expression in names of the kernel.
-    energetic : bool
-        Whether it contains the energy or velocities, which come from the kernel of the energy.
-    wrapped : tuple of int
-        Coordinates of which the turn between -pi and pi is meant.
-    rest : bool
-        Whether it is a rest alone, as ``Mod(q1, 2*pi)``, which never changes its sign.
-    """
-
-    expression: str
-    text: str
+    expression: str  #: The quantity as it was asked for.
+    text: str  #: The quantity as a Python expression in names of the kernel.
+    #: Whether it contains the energy or velocities, which come from the kernel of the energy.
     energetic: bool
-    wrapped: tuple[int, ...] = ()
+    wrapped: tuple[int, ...] = ()  #: Coordinates of which the turn between -pi and pi is meant.
+    #: Whether it is a rest alone, as ``Mod(q1, 2*pi)``, which never changes its sign.
     rest: bool = False
 
     @property

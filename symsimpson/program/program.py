@@ -28,78 +28,50 @@ Reals = NDArray[Any]
 
 @dataclass(frozen=True)
 class Tools:
-    """Functions of layers above a program; it gets them from whoever makes it.
+    """Functions of layers above a program; it gets them from whoever makes it."""
 
-    Attributes
-    ----------
-    certify : callable
-        Measures whether a stepper is what it should be.
-    check_step : callable
-        Takes a program, its system, q0, parameters and h, and warns of steps that are too large.
-    force_terms : callable
-        Takes a system, q, the values of parameters and inputs, and t; returns how large the terms
-        of each force are, which may cancel.
-    changes_of_potential : callable
-        Takes a system, times, positions and values of parameters; returns how far V is from where
-        it was first, as if it were not rounded, or None.
-    at_pole : callable
-        Takes a system and a run; returns at which singular point of the coordinates that ended.
-    unresolved_pole : callable
-        Takes a program, its system and a run; returns when and where that passed a small det M
-        unresolved, and whether such a point is there.
-    kink_passed : callable
-        Takes a system, times, positions and values; returns when a force jumped at which root.
-    regular_box : callable
-        Takes a system, values, two corners and a time; returns a box without either.
-    points_of : callable
-        Takes a system, times, positions and values; returns where its points are, by name.
-    """
-
-    certify: Callable[..., Any]
+    certify: Callable[..., Any]  #: Measures whether a stepper is what it should be.
+    #: Takes a program, its system, q0, parameters and h, and warns of steps that are too large.
     check_step: Callable[..., None]
+    #: Takes a system, q, the values of parameters and inputs, and t; returns how large the terms of
+    #: each force are, which may cancel.
     force_terms: Callable[..., Any]
+    #: Takes a system, times, positions and values of parameters; returns how far V is from where it
+    #: was first, as if it were not rounded, or None.
     changes_of_potential: Callable[..., Any]
+    #: Takes a system and a run; returns at which singular point of the coordinates that ended.
     at_pole: Callable[..., str]
+    #: Takes a program, its system and a run; returns when and where that passed a small det M
+    #: unresolved, and whether such a point is there.
     unresolved_pole: Callable[..., Any]
+    #: Takes a system, times, positions and values; returns when a force jumped at which root.
     kink_passed: Callable[..., Any]
+    #: Takes a system, values, two corners and a time; returns a box without either.
     regular_box: Callable[..., Any]
+    #: Takes a system, times, positions and values; returns where its points are, by name.
     points_of: Callable[..., dict[str, Any]]
 
 
 @dataclass
 class Findings:
-    """Knowledge of a program that its runs have gathered, so that later ones need not.
+    """Knowledge of a program that its runs have gathered, so that later ones need not."""
 
-    Attributes
-    ----------
-    variants : dict
-        Programs that differentiate by these parameters and inputs, and a running cost.
-    checked_steps : set
-        Steps and values of parameters for which the limit of stability was looked at.
-    regular : dict
-        By values of parameters: a box of positions without singular points of the coordinates.
-    irregular : dict
-        How often such a box was not found.
-    prepared : list or None
-        Workspaces for short runs; None where states have to be looked at one by one.
-    long : set
-        Steps and lengths of runs that are not short, though it did not seem so.
-    wide : dict
-        By numbers of lanes: kernels for so many trajectories at a time.
-    events : dict
-        Events of runs, as they were read.
-    lanes : dict
-        By lanes that stand side by side: how many members of an ensemble are faster.
-    """
-
+    #: Programs that differentiate by these parameters and inputs, and a running cost.
     variants: dict[tuple[tuple[str, ...], Any, bool], Program] = field(default_factory=dict)
+    #: Steps and values of parameters for which the limit of stability was looked at.
     checked_steps: set[tuple[Any, bytes]] = field(default_factory=set)
+    #: By values of parameters: a box of positions without singular points of the coordinates.
     regular: dict[bytes, tuple[Any, Any]] = field(default_factory=dict)
+    #: How often such a box was not found.
     irregular: dict[bytes, int] = field(default_factory=dict)
+    #: Workspaces for short runs; None where states have to be looked at one by one.
     prepared: list[Any] | None = None
+    #: Steps and lengths of runs that are not short, though it did not seem so.
     long: set[tuple[float, float]] = field(default_factory=set)
+    #: By numbers of lanes: kernels for so many trajectories at a time.
     wide: dict[int, KernelSets] = field(default_factory=dict)
-    events: dict[Any, Any] = field(default_factory=dict)
+    events: dict[Any, Any] = field(default_factory=dict)  #: Events of runs, as they were read.
+    #: By lanes that stand side by side: how many members of an ensemble are faster.
     lanes: dict[int, int] = field(default_factory=dict)
 
     def regular_between(self, values: Reals, low: Reals, high: Reals) -> bool:
@@ -110,49 +82,25 @@ class Findings:
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Program:
-    """A module that is ready to run: what runs, ensembles, derivatives and results take.
+    """A module that is ready to run: what runs, ensembles, derivatives and results take."""
 
-    Attributes
-    ----------
-    source, where : str
-        Text of the module, and its name in messages.
-    header : Header
-    numbers : Numbers
-        What is computed with.
-    kernels : KernelSets
-    names : Names
-        What users call things.
-    defaults : ndarray, shape (m,)
-        Values of the parameters, unless others are given.
-    given_defaults : mapping or None
-        The same as they were given, by names that users may pass.
-    default_inputs : mapping or None
-        Values of the inputs in runs that are given none.
-    declared : MechanicalSystem or None
-        The system that the module was generated from.
-    derivation : Derivation or None
-        Record of its generation.
-    tools : Tools or None
-    reference_state : mapping or None
-        A state to start from: q0, and v0 or p0.
-    differentiate : callable or None
-        Returns a program that also differentiates its steps by the named parameters and inputs.
-    findings : Findings
-    """
-
+    #: Text of the module, and its name in messages.
     source: str
     where: str
     header: Header
-    numbers: Numbers
+    numbers: Numbers  #: What is computed with.
     kernels: KernelSets
-    names: Names
-    defaults: Reals
+    names: Names  #: What users call things.
+    defaults: Reals  #: Values of the parameters, unless others are given, shape (m,).
+    #: The same as they were given, by names that users may pass.
     given_defaults: Mapping[str, float] | None = None
+    #: Values of the inputs in runs that are given none.
     default_inputs: Mapping[str, float] | None = None
-    declared: Any = None
-    derivation: Derivation | None = None
+    declared: Any = None  #: The system that the module was generated from.
+    derivation: Derivation | None = None  #: Record of its generation.
     tools: Tools | None = None
-    reference_state: Mapping[str, Any] | None = None
+    reference_state: Mapping[str, Any] | None = None  #: A state to start from: q0, and v0 or p0.
+    #: Returns a program that also differentiates its steps by the named parameters and inputs.
     differentiate: Callable[..., Program] | None = None
     findings: Findings
 

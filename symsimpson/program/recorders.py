@@ -28,39 +28,21 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Recorder:
-    """A kernel that is called behind each step.
-
-    Attributes
-    ----------
-    kernel : str
-    first : int
-        The first row that it leaves to be stored with states.
-    rows : int
-        Number of these rows.
-    room : int
-        Rows of the workspace that it needs behind those of the module.
-    text : str
-        The text of the kernel, where it is none of the module's.
-    of_states : bool
-        Whether it gets the time of the state, not that of the step that led there.
-    of_events : bool
-        Whether it looks for events before all others are called, and may stop the run.
-    renewed, renewal : int
-        How many variations are made orthonormal, and after how many steps.
-    name : str
-        What users call what it leaves, as in ``run.recorded[name]``.
-    """
+    """A kernel that is called behind each step."""
 
     kernel: str
-    first: int = 0
-    rows: int = 0
-    room: int = 0
-    text: str = ""
+    first: int = 0  #: The first row that it leaves to be stored with states.
+    rows: int = 0  #: Number of these rows.
+    room: int = 0  #: Rows of the workspace that it needs behind those of the module.
+    text: str = ""  #: The text of the kernel, where it is none of the module's.
+    #: Whether it gets the time of the state, not that of the step that led there.
     of_states: bool = False
+    #: Whether it looks for events before all others are called, and may stop the run.
     of_events: bool = False
+    #: How many variations are made orthonormal, and after how many steps.
     renewed: int = 0
     renewal: int = 1
-    name: str = ""
+    name: str = ""  #: What users call what it leaves, as in ``run.recorded[name]``.
 
 
 def clock(header: Header) -> Recorder:

@@ -21,19 +21,11 @@ Vector = list[Any]
 
 @dataclass(frozen=True)
 class Truth:
-    """States at some times, as numbers of mpmath.
-
-    Attributes
-    ----------
-    t : tuple
-    y : tuple of tuples
-        The state at each time.
-    errors : tuple
-        Each component's largest difference to a solution with a tolerance 1000 times as large.
-    """
+    """States at some times, as numbers of mpmath."""
 
     t: tuple[Any, ...]
-    y: tuple[tuple[Any, ...], ...]
+    y: tuple[tuple[Any, ...], ...]  #: The state at each time.
+    #: Each component's largest difference to a solution with a tolerance 1000 times as large.
     errors: tuple[Any, ...]
 
     @property

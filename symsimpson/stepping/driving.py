@@ -263,22 +263,14 @@ def at_places(program: Program, inputs: Reals, step: NDArray[np.int64], at: Real
 
 @dataclass(frozen=True)
 class Driven:
-    """Inputs by step, as a run was given them, and when its steps are.
+    """Inputs by step, as a run was given them, and when its steps are."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (1, N, s, m)
-        Of an ensemble, (K, N, s, m) where each member has its own.
-    begin, h : number
-        Time at which the first step begins, and the step.
-    steps : int
-        Number of steps, one that ended within itself included.
-    """
-
+    #: Of an ensemble, (K, N, s, m) where each member has its own, shape (1, N, s, m).
     values: Reals
+    #: Time at which the first step begins, and the step.
     begin: Any
     h: Any
-    steps: int
+    steps: int  #: Number of steps, one that ended within itself included.
 
     def of_member(self, member: int) -> Driven:
         """Return those of a member of an ensemble."""

@@ -13,21 +13,13 @@ Reals = NDArray[Any]
 
 
 class KeptStates(NamedTuple):
-    """States of a run at equal strides; the last one may stand behind a part of a stride.
+    """States of a run at equal strides; the last one may stand behind a part of a stride."""
 
-    Attributes
-    ----------
-    q, p : ndarray, shape (N, n)
-    iterations : ndarray of int, shape (N,)
-        Since the state before; or, of a run of which none is asked for, all of them, shape (1,).
-    recorded : ndarray, shape (N, k)
-        What recorders left beside them.
-    every : int
-        Steps from one to the next; 0 where none were kept.
-    """
-
+    #: Both of shape (N, n).
     q: Reals
     p: Reals
+    #: Since the state before, shape (N,); or, of a run of which none is asked for, all of them,
+    #: shape (1,).
     iterations: NDArray[np.int64]
-    recorded: Reals
-    every: int
+    recorded: Reals  #: What recorders left beside them, shape (N, k).
+    every: int  #: Steps from one to the next; 0 where none were kept.

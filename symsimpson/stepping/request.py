@@ -13,48 +13,35 @@ __all__ = ["Request", "of_a_step", "step_request"]
 
 
 class Request(NamedTuple):
-    """Arguments of a run, unread; those of :meth:`Stepper.integrate` and :meth:`Stepper.ensemble`.
+    """Arguments of a run, unread.
 
-    Attributes
-    ----------
-    q0, v0, p0
-        Where it begins; one of the last two is None.
-    h, t_end, steps, t0
-        One of ``t_end`` and ``steps`` is None.
-    parameters, inputs
-        Values by symbol or by name.
-    every
-        Steps from one stored state to the next, or None.
-    tangents, sensitivities
-        What is differentiated.
-    t_eval, save
-        Times, or quantities, that alone are kept.
-    checkpoint
-        A file to resume from.
-    record, reduce
-        What is added up over steps, and what values of states are reduced to.
-    events
-        Events that act on the run.
+    They are those of :meth:`Stepper.integrate` and :meth:`Stepper.ensemble`.
     """
 
+    #: Where it begins; one of the last two is None.
     q0: Any
     v0: Any = None
     p0: Any = None
+    #: One of ``t_end`` and ``steps`` is None.
     h: Any = None
     t_end: Any = None
     steps: Any = None
     t0: Any = 0.0
+    #: Values by symbol or by name.
     parameters: Any = None
     inputs: Any = None
-    every: Any = None
+    every: Any = None  #: Steps from one stored state to the next, or None.
+    #: What is differentiated.
     tangents: Any = None
     sensitivities: Any = None
+    #: Times, or quantities, that alone are kept.
     t_eval: Any = None
     save: Any = None
-    checkpoint: Any = None
+    checkpoint: Any = None  #: A file to resume from.
+    #: What is added up over steps, and what values of states are reduced to.
     record: Any = None
     reduce: Any = None
-    events: Any = None
+    events: Any = None  #: Events that act on the run.
 
     @property
     def varied(self) -> bool:

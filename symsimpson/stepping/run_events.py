@@ -29,30 +29,17 @@ MOST_KNOWN = 64
 
 @dataclass(frozen=True)
 class RunEvents:
-    """Events of a run, and where what they ask for stands among expressions that are evaluated.
-
-    Attributes
-    ----------
-    events : tuple of Event
-    watched : tuple of Observed
-        Expressions of events, in their order; then all others.
-    when : tuple of int or None
-        Where the condition of each event stands.
-    rate, slopes : tuples of int or None
-        Where the rate of the gap of each impact stands, and the first of its derivatives by q.
-    changes : tuple of tuples
-        What each event changes: a block of the state, a coordinate, and where its value stands.
-    sizes : tuple of int
-        Where the sizes of the terms of each expression stand.
-    """
+    """Events of a run, and where what they ask for stands among expressions that are evaluated."""
 
     events: tuple[Event, ...]
-    watched: tuple[Observed, ...]
-    when: tuple[int | None, ...]
+    watched: tuple[Observed, ...]  #: Expressions of events, in their order; then all others.
+    when: tuple[int | None, ...]  #: Where the condition of each event stands.
+    #: Where the rate of the gap of each impact stands, and the first of its derivatives by q.
     rate: tuple[int | None, ...]
     slopes: tuple[int | None, ...]
+    #: What each event changes: a block of the state, a coordinate, and where its value stands.
     changes: tuple[tuple[tuple[str, int, int], ...], ...]
-    sizes: tuple[int, ...]
+    sizes: tuple[int, ...]  #: Where the sizes of the terms of each expression stand.
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -30,47 +30,27 @@ Reals = NDArray[Any]
 
 @dataclass(frozen=True)
 class RunSpec:
-    """Where a run begins, and how far it goes; for an ensemble with one row for each member.
+    """Where a run begins, and how far it goes; for an ensemble with one row for each member."""
 
-    Attributes
-    ----------
-    q0, other0 : ndarray, shape (n,) or (K, n)
-        Positions; velocities or momenta.
-    given : {"v0", "p0"}
-        Which of them ``other0`` are.
-    parameters : ndarray, shape (m,) or (K, m)
-    h, t0 : number
-    steps : int
-    every : int
-        Each so-many-th state is stored; 0 for the last one alone.
-    inputs : ndarray, shape (K, N, s, u)
-        By member, step, node and input; an axis of one entry stands for all.
-    tangents : ndarray, shape (2 n, k), or None
-        Variations of the initial state; those of parameters begin by themselves.
-    t_end : number or None
-        Where a run of unknown length ends; ``steps`` are then the most.
-    record : tuple of str
-        What is added up over steps.
-    reductions : tuple of Reduction
-        What values of states are reduced to.
-    run_events : RunEvents or None
-        Events that act on it.
-    """
-
+    #: Positions; velocities or momenta, shape (n,) or (K, n).
     q0: Reals
     other0: Reals
-    given: Literal["v0", "p0"]
-    parameters: Reals
+    given: Literal["v0", "p0"]  #: Which of them ``other0`` are.
+    parameters: Reals  #: shape (m,) or (K, m)
     h: Any
     t0: Any
     steps: int
-    every: int
+    every: int  #: Each so-many-th state is stored; 0 for the last one alone.
+    #: By member, step, node and input; an axis of one entry stands for all, shape (K, N, s, u).
     inputs: Reals
+    #: Variations of the initial state; those of parameters begin by themselves, shape (2 n, k).
     tangents: Reals | None = field(default=None, kw_only=True)
+    #: Where a run of unknown length ends; ``steps`` are then the most.
     t_end: Any = field(default=None, kw_only=True)
-    record: tuple[str, ...] = field(default=(), kw_only=True)
+    record: tuple[str, ...] = field(default=(), kw_only=True)  #: What is added up over steps.
+    #: What values of states are reduced to.
     reductions: tuple[Reduction, ...] = field(default=(), kw_only=True)
-    run_events: RunEvents | None = field(default=None, kw_only=True)
+    run_events: RunEvents | None = field(default=None, kw_only=True)  #: Events that act on it.
 
     @property
     def velocities(self) -> bool:

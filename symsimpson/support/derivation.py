@@ -13,24 +13,14 @@ LAGRANGIAN = "the Lagrangian"
 
 @dataclass(frozen=True)
 class Derivation:
-    """The text of a module, and how it came about.
-
-    Attributes
-    ----------
-    text : str
-    seconds : mapping from str to float
-        Of the stages: reading, structure, jet, text.
-    operations : int or None
-        Of the jet at a node: forces, momenta and their derivatives; None if terms are summed up in
-        loops over families.
-    unrolled : bool
-        Whether the kernels are written out, else loops.
-    """
+    """The text of a module, and how it came about."""
 
     text: str
-    seconds: Mapping[str, float]
+    seconds: Mapping[str, float]  #: Of the stages: reading, structure, jet, text.
+    #: Of the jet at a node: forces, momenta and their derivatives; None if terms are summed up in
+    #: loops over families.
     operations: int | None
-    unrolled: bool
+    unrolled: bool  #: Whether the kernels are written out, else loops.
 
 
 @dataclass(frozen=True, repr=False)

@@ -18,20 +18,12 @@ BYTE = ir.IntType(8)
 
 @dataclass(frozen=True)
 class Array:
-    """Numbers of one kind in memory.
+    """Numbers of one kind in memory."""
 
-    Attributes
-    ----------
-    pointer : llvmlite value
-    shape, strides : tuple of whole numbers
-        Strides in numbers.
-    values : bool
-        Whether what stands in it is kept as values, as long as nobody else looks at it.
-    """
-
-    pointer: Any
+    pointer: Any  #: A value of llvmlite.
     shape: tuple[Any, ...]
-    strides: tuple[Any, ...]
+    strides: tuple[Any, ...]  #: In numbers.
+    #: Whether what stands in it is kept as values, as long as nobody else looks at it.
     values: bool = False
 
     @property

@@ -23,23 +23,14 @@ _COMPILER = ("numba", "numba.extending")
 
 @dataclass(frozen=True, eq=False)
 class Text:
-    """Functions and constants of a module.
+    """Functions and constants of a module."""
 
-    Attributes
-    ----------
-    functions : mapping from str to ast.FunctionDef
-        Kernels, and what they call.
-    constants : mapping from str to number, tuple or ndarray
-        Everything else that has a name, functions of ``math`` among it.
-    blocks : mapping from str to range
-        Rows of the blocks of the workspace.
-    scratch : mapping from str to range
-        Of those in which no kernel leaves anything to others.
-    """
-
-    functions: Mapping[str, ast.FunctionDef]
+    functions: Mapping[str, ast.FunctionDef]  #: Kernels, and what they call.
+    #: Everything else that has a name, functions of ``math`` among it.
     constants: Mapping[str, Any]
+    #: Rows of the blocks of the workspace.
     blocks: Mapping[str, range] = field(default_factory=dict)
+    #: Of those in which no kernel leaves anything to others.
     scratch: Mapping[str, range] = field(default_factory=dict)
 
 

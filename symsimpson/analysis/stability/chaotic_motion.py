@@ -18,23 +18,12 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Reversal:
-    """A run with h and back with -h.
-
-    Attributes
-    ----------
-    steps : int
-    error : float
-        Distance from the start, relative to the state's size.
-    growth : float
-        By how much a displacement of 1e-9 grew on the way there.
-    shadow : float
-        Largest relative energy error on the way.
-    """
+    """A run with h and back with -h."""
 
     steps: int
-    error: float
-    growth: float
-    shadow: float
+    error: float  #: Distance from the start, relative to the state's size.
+    growth: float  #: By how much a displacement of 1e-9 grew on the way there.
+    shadow: float  #: Largest relative energy error on the way.
 
     @property
     def rounding(self) -> float:
@@ -60,19 +49,10 @@ def reversal(stepper: Stepper, h: float, steps: int, *, state: Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Mixing:
-    """Whether two steppers give a quantity the same distribution.
+    """Whether two steppers give a quantity the same distribution."""
 
-    Attributes
-    ----------
-    distance : float
-        Largest distance of the two distribution functions (Kolmogorov and Smirnov).
-    threshold : float
-        Exceeded by chance once in a thousand.
-    members : int
-    """
-
-    distance: float
-    threshold: float
+    distance: float  #: Largest distance of the two distribution functions (Kolmogorov and Smirnov).
+    threshold: float  #: Exceeded by chance once in a thousand.
     members: int
 
     @property

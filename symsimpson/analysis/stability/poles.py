@@ -37,30 +37,17 @@ SPIN = 252.0
 
 @dataclass(frozen=True)
 class PolePass:
-    """One run past a pole.
-
-    Attributes
-    ----------
-    system, scheme : str
-    distance : float
-        Of the closest approach, in radians.
-    status : Status
-    error : float
-        Largest difference of the axis to the motion in space at the end of the run, or before the
-        step at which it stopped.
-    energy_error : float
-        Largest relative energy error.
-    warned : bool
-        Whether the run warned that its steps did not resolve the pass.
-    """
+    """One run past a pole."""
 
     system: str
     scheme: str
-    distance: float
+    distance: float  #: Of the closest approach, in radians.
     status: Status
+    #: Largest difference of the axis to the motion in space at the end of the run, or before the
+    #: step at which it stopped.
     error: float
-    energy_error: float
-    warned: bool
+    energy_error: float  #: Largest relative energy error.
+    warned: bool  #: Whether the run warned that its steps did not resolve the pass.
 
 
 @dataclass(frozen=True)
