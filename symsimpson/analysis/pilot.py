@@ -41,10 +41,7 @@ def choose_state(
 
     A state is q0, and v0 or p0; what is None is not asked for.
 
-    Raises
-    ------
-    InputError
-        If the state makes no sense, or no random one can begin.
+    Raises InputError if the state makes no sense, or no random one can begin.
     """
     if not isinstance(state, Mapping | None):
         raise InputError(
@@ -94,10 +91,7 @@ def choose_step(
     The first that will do is taken, of ``first`` and its halves, if that is given; longer ones are
     looked at up to ``longest`` alone.
 
-    Raises
-    ------
-    InputError
-        If there is none.
+    Raises InputError if there is none.
     """
     first = first or _first_step(stepper, q, p, parameters, longest)
     for halvings in range(60):

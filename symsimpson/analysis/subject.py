@@ -45,10 +45,7 @@ TINY = 1e-6
 def with_inputs(stepper: Stepper, given: Mapping[Any, float] | None) -> Stepper:
     """Return a stepper whose inputs have these values, 1 unless given, in all its runs.
 
-    Raises
-    ------
-    InputError
-        If one is unknown or no finite number.
+    Raises InputError if one is unknown or no finite number.
     """
     if not stepper.inputs and given is None:
         return stepper

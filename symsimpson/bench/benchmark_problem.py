@@ -66,12 +66,8 @@ def make_problem(
 ) -> Problem:
     """Solve a problem in many digits, with an estimate of the error.
 
-    Raises
-    ------
-    InputError
-        If there is no state to start from.
-    ArithmeticError
-        If the solution has a singularity before ``t_end``.
+    Raises InputError if there is no state to start from; ArithmeticError if the solution has a
+    singularity before ``t_end``.
     """
     retimed = system if isinstance(system, RetimedSystem) else None
     system = system if retimed is None else retimed.original

@@ -70,10 +70,7 @@ def peers(
 ) -> Iterator[Contender[Runnable]]:
     """Return the other programs: those named, or all that are installed.
 
-    Raises
-    ------
-    InputError
-        If one is unknown, or named and not installed.
+    Raises InputError if one is unknown, or named and not installed.
     """
     for name in read_peers(names):
         try:

@@ -25,9 +25,7 @@ FIGURES = (".png", ".pdf", ".svg")
 def check_figure(option: str, path: str) -> None:
     """Refuse a figure's file that has an unknown format or no folder, before any computation.
 
-    Raises
-    ------
-    InputError, StorageError
+    Raises InputError or StorageError.
     """
     if Path(path).suffix not in FIGURES:
         raise InputError(
@@ -40,10 +38,7 @@ def check_figure(option: str, path: str) -> None:
 def state_of(system: MechanicalSystem, options: argparse.Namespace) -> dict[str, Any]:
     """Return the state that is asked for, or the one that the catalogue names.
 
-    Raises
-    ------
-    InputError
-        If there is none.
+    Raises InputError if there is none.
     """
     given = {k: getattr(options, k) for k in ("q0", "v0", "p0")}
     asked = {k: x for k, x in given.items() if x is not None}

@@ -81,10 +81,7 @@ def derive(
 def _cost(system: MechanicalSystem, running: Any) -> Cost | None:
     """Read a running cost g(t, q, v, u) in the user's symbols.
 
-    Raises
-    ------
-    ModelError
-        If it contains something else.
+    Raises ModelError if it contains something else.
     """
     if running is None:
         return None
@@ -99,10 +96,7 @@ def _cost(system: MechanicalSystem, running: Any) -> Cost | None:
 def _varied(system: MechanicalSystem, names: Iterable[str]) -> tuple[sp.Symbol, ...]:
     """Return the plain symbols of parameters and inputs, by the user's names or the module's.
 
-    Raises
-    ------
-    GenerationError
-        If there is no such parameter or input.
+    Raises GenerationError if there is no such parameter or input.
     """
     plain, table = system.plain, NameTable(system)
     symbols = (*plain.parameters, *plain.u)

@@ -40,10 +40,7 @@ class Printer:
     def text(self, expression: Expression) -> str:
         """Write an expression.
 
-        Raises
-        ------
-        GenerationError
-            If a number in it is larger than doubles can be.
+        Raises GenerationError if a number in it is larger than doubles can be.
         """
         return self._value(expression.graph, expression.coefficient, expression.node)[0]
 

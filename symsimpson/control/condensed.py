@@ -199,10 +199,7 @@ class Condensed:
 def at_start(layout: Layout, x: Floats) -> Floats:
     """Return the unknowns of a guess, with a start that has what is given of it by numbers.
 
-    Raises
-    ------
-    InputError
-        If the system has constraints.
+    Raises InputError if the system has constraints.
     """
     read, x = layout.read, x.copy()
     if read.constraints:
@@ -225,10 +222,7 @@ def at_start(layout: Layout, x: Floats) -> Floats:
 def moved(layout: Layout, x: Floats) -> Floats:
     """Return unknowns with states that move from the start as the inputs say.
 
-    Raises
-    ------
-    InputError
-        If the motion ends early.
+    Raises InputError if the motion ends early.
     """
     x = x.copy()
     start = x[layout.points[0, 0]], x[layout.momenta[0]]

@@ -49,10 +49,7 @@ class Following(NamedTuple):
 def following(read: Reading) -> Following:
     """Return which rows follow from those before them; constraints stand behind all conditions.
 
-    Raises
-    ------
-    InputError
-        If conditions contradict a constraint, or touch it.
+    Raises InputError if conditions contradict a constraint, or touch it.
     """
     positions = len(read.held.phi)
     held = held_values(read)

@@ -25,10 +25,7 @@ SLACK = 1e-12
 def read_function(what: str, given: Any, whole: float) -> Any:
     """Return a function of an array of times; arrays reach over a whole duration.
 
-    Raises
-    ------
-    InputError
-        If it is none; ``what`` names it.
+    Raises InputError if it is none; ``what`` names it.
     """
     if isinstance(given, sp.Expr) and not isinstance(given, sp.Lambda):  # symbols can be called
         return _of_expression(what, given)
@@ -61,10 +58,7 @@ def _of_expression(what: str, given: sp.Expr) -> Any:
 def times_within(t: ArrayLike, whole: float) -> Floats:
     """Read times of a motion from 0 to a duration.
 
-    Raises
-    ------
-    InputError
-        If they are no real numbers, or one lies outside of the motion.
+    Raises InputError if they are no real numbers, or one lies outside of the motion.
     """
     times = read_reals("t", t, "Pass a number, or an array of times.")
     outside = times[~((times >= -SLACK * whole) & (times <= (1 + SLACK) * whole))]  # NaN, too
@@ -79,10 +73,7 @@ def times_within(t: ArrayLike, whole: float) -> Floats:
 def values_at(what: str, function: Any, times: Floats) -> Floats:
     """Evaluate a function at an array of times of any shape; it gets them in one row.
 
-    Raises
-    ------
-    InputError
-        If it cannot be, or gives another shape.
+    Raises InputError if it cannot be, or gives another shape.
     """
     row = times.ravel()
     try:

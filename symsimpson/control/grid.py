@@ -72,10 +72,7 @@ class Grid:
 def read_grid(steps: Any, phases: int, most: int = MOST_STEPS) -> Grid:
     """Read a number of steps, ``most`` in all, or one for each phase.
 
-    Raises
-    ------
-    InputError
-        If it is neither.
+    Raises InputError if it is neither.
     """
     several = isinstance(steps, (tuple, list)) or (isinstance(steps, np.ndarray) and steps.ndim > 0)
     given = [whole_number(n) or 0 for n in (steps if several else [steps])]

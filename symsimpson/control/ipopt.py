@@ -66,10 +66,7 @@ def run_ipopt(
 ) -> Outcome:
     """Solve a programme from a guess; ``stopped`` gets the cost of each iterate.
 
-    Raises
-    ------
-    InputError
-        If casadi is not installed.
+    Raises InputError if casadi is not installed.
     """
     ca = library("casadi", "optimal control", "control")
     rows, size = programme.shape

@@ -20,10 +20,7 @@ __all__ = ["read_duration", "read_mapping", "read_pair", "read_reals", "read_sig
 def read_mapping(what: str, given: Any, how: str) -> list[tuple[str, Any, Any]]:
     """Read a mapping: the name of each key, the key, and its value.
 
-    Raises
-    ------
-    InputError
-        If it is none, or if two keys have one name.
+    Raises InputError if it is none, or if two keys have one name.
     """
     if not isinstance(given, Mapping):
         shown = None if given is None else type(given).__name__
@@ -45,10 +42,8 @@ def read_pair(
 ) -> tuple[float, float]:
     """Read a number, or bounds (low, high) with None for no bound.
 
-    Raises
-    ------
-    InputError
-        If it is neither, or if no number lies between the bounds; ``how`` says what to pass.
+    Raises InputError if it is neither, or if no number lies between the bounds; ``how`` says what
+    to pass.
     """
     low, high = given if isinstance(given, (tuple, list)) and len(given) == 2 else (given, given)
     try:
@@ -69,10 +64,7 @@ def read_pair(
 def read_duration(given: Any) -> tuple[float, float]:
     """Read a duration, or bounds between which it is found.
 
-    Raises
-    ------
-    InputError
-        If it is missing, not positive or not finite.
+    Raises InputError if it is missing, not positive or not finite.
     """
     how = "a positive number, duration=2.0, or bounds of it, duration=(0.5, 4.0)"
     if given is None:
@@ -95,10 +87,7 @@ def read_duration(given: Any) -> tuple[float, float]:
 def read_signals(system: Any, given: Any) -> dict[sp.Symbol, Any]:
     """Read functions of the time by symbols that the system does not have.
 
-    Raises
-    ------
-    InputError
-        If a key is something else.
+    Raises InputError if a key is something else.
     """
     taken = {*map(spelled, (*system.coordinates, *system.parameters, *system.inputs)), "t"}
     signals = {}
@@ -117,11 +106,8 @@ def read_signals(system: Any, given: Any) -> dict[sp.Symbol, Any]:
 def read_reals(what: str, given: Any, how: str) -> NDArray[np.float64]:
     """Read real numbers in an array of any shape.
 
-    Raises
-    ------
-    InputError
-        If they are none: text, nothing, rows of unequal lengths, complex numbers, of which NumPy
-        would drop a part; ``how`` says what to do.
+    Raises InputError if they are none: text, nothing, rows of unequal lengths, complex numbers, of
+    which NumPy would drop a part; ``how`` says what to do.
     """
     try:
         array = np.asarray(given)

@@ -370,12 +370,7 @@ class Reading:
 def read_family(scheme: Any) -> Scheme:
     """Read a scheme whose steps have control points.
 
-    Raises
-    ------
-    SchemeError
-        If no scheme has this name.
-    InputError
-        If it is a composition.
+    Raises SchemeError if no scheme has this name; InputError if it is a composition.
     """
     candidate: Any = read_scheme(scheme)
     if isinstance(candidate, Composition):

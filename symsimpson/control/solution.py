@@ -65,10 +65,8 @@ def solve(
 ) -> ControlResult:
     """Solve a problem; halve the steps until the relative error of the cost is at most ``error``.
 
-    Raises
-    ------
-    InputError
-        If the guess does not fit, conditions are too many, or casadi is not installed.
+    Raises InputError if the guess does not fit, conditions are too many, or casadi is not
+    installed.
     """
     _warn_of_undetermined_inputs(read, scheme)
     result = _solved(Layout(read, scheme, grid), guess, options, progress, condensed)
@@ -169,12 +167,8 @@ def _solved(
 def opened(read: Reading, path: str | os.PathLike[str], scheme: Any) -> ControlResult:
     """Read a solution of a problem from a file; its cost and conditions are computed again.
 
-    Raises
-    ------
-    StorageError
-        If the file holds no solution, or is damaged.
-    InputError
-        If it is the solution of another problem.
+    Raises StorageError if the file holds no solution, or is damaged; InputError if it is the
+    solution of another problem.
     """
     place, saved, x, multipliers = read_solution(path, {**SAVED, "scheme": str, "steps": _as_grid})
     name, grid = saved.pop("scheme"), saved.pop("steps")
@@ -236,10 +230,7 @@ def initial_point(layout: Layout, guess: Any) -> Floats:
 
     Without a guess, straight lines between the ends.
 
-    Raises
-    ------
-    InputError
-        If the guess has other names or shapes, or momenta are not finite.
+    Raises InputError if the guess has other names or shapes, or momenta are not finite.
     """
     read, N = layout.read, layout.steps
     low, high = read.duration

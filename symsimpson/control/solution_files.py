@@ -30,12 +30,7 @@ def write_solution(
 ) -> None:
     """Write a solution to a file of NumPy's kind ``.npz``, and what is saved of it as JSON.
 
-    Raises
-    ------
-    StorageError
-        If it cannot be written.
-    InputError
-        If the name ends otherwise.
+    Raises StorageError if it cannot be written; InputError if the name ends otherwise.
     """
     place, text = read_path("path", path), np.array(json.dumps(saved))
     if place.suffix != ".npz":
@@ -52,10 +47,7 @@ def read_solution(
 ) -> tuple[Path, dict[str, Any], Floats, Floats]:
     """Read what :func:`write_solution` wrote, each part of what is saved by a function of its kind.
 
-    Raises
-    ------
-    StorageError
-        If the file is none of these, or is damaged.
+    Raises StorageError if the file is none of these, or is damaged.
     """
     place = read_path("path", path)
     try:

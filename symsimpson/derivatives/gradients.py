@@ -49,9 +49,7 @@ def gradient_of(
 ) -> Gradient:
     """Return the cost of a run and its derivatives.
 
-    Raises
-    ------
-    InputError, ConvergenceError, Interrupted
+    Raises InputError, ConvergenceError or Interrupted.
     """
     refuse_retimed(program, "gradients of costs")
     several = isinstance(wanted.wrt, (tuple, list, set, frozenset))

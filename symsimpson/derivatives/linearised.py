@@ -27,9 +27,7 @@ Reals = NDArray[Any]
 def linearise(program: Program, request: Request, wrt: Any, progress: bool | None) -> Linearisation:
     """Run, and differentiate each step by its initial state and by ``wrt``.
 
-    Raises
-    ------
-    InputError, SchemeError, ConvergenceError, Interrupted
+    Raises InputError, SchemeError, ConvergenceError or Interrupted.
     """
     refuse_retimed(program, "linearisations")
     asked: Sequence[Any] = wrt if isinstance(wrt, (tuple, list)) else (wrt,)

@@ -69,9 +69,7 @@ def run_lyapunov(
 ) -> Chaos:
     """Find Lyapunov exponents from variations made orthonormal after each ``every`` steps.
 
-    Raises
-    ------
-    InputError, ConvergenceError, Interrupted
+    Raises InputError, ConvergenceError or Interrupted.
     """
     header = program.header
     size = 2 * (program.n - len(header.constraints)) + len(header.velocity_constraints)

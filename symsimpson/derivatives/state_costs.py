@@ -196,10 +196,7 @@ def read_samples(
 ) -> tuple[Measured, ...]:
     """Read samples by the expressions that they are of.
 
-    Raises
-    ------
-    InputError
-        If their number is not that of the states, or none is a number.
+    Raises InputError if their number is not that of the states, or none is a number.
     """
     numbers, measured = program.numbers, []
     count = steps // every + 1

@@ -43,10 +43,7 @@ class At(NamedTuple):
 def evaluate_equations(program: Program, at: At, p0: ArrayLike) -> tuple[Reals, Reals]:
     """Evaluate residual and Jacobian of a step at given nodes, and multipliers if they are given.
 
-    Raises
-    ------
-    InputError
-        If there are no equations, or arrays of other shapes.
+    Raises InputError if there are no equations, or arrays of other shapes.
     """
     header, numbers = program.header, program.numbers
     _check_equations(program)
@@ -68,10 +65,7 @@ def evaluate_curvature(
 ) -> Reals:
     """Evaluate second derivatives of weighted rows of a step.
 
-    Raises
-    ------
-    InputError
-        If there are no equations, or arrays of other shapes.
+    Raises InputError if there are no equations, or arrays of other shapes.
     """
     _check_equations(program)
     names = read_varied(program, wrt, of_steps=True)
@@ -102,9 +96,7 @@ def evaluate_curvature(
 def _check_equations(program: Program) -> None:
     """Refuse steps that are explicit.
 
-    Raises
-    ------
-    InputError
+    Raises InputError.
     """
     if "equations" not in program.header.functions:
         raise InputError(
@@ -116,9 +108,7 @@ def _check_equations(program: Program) -> None:
 def _shaped(name: str, value: ArrayLike, shape: tuple[int, int], numbers: Numbers) -> Reals:
     """Read an array of this shape.
 
-    Raises
-    ------
-    InputError
+    Raises InputError.
     """
     array = read_array(name, value, numbers)
     if array.shape != shape:
@@ -144,9 +134,7 @@ class _Step:
     def read(cls, program: Program, at: At) -> _Step:
         """Read a step, and put its path into a workspace.
 
-        Raises
-        ------
-        InputError
+        Raises InputError.
         """
         header, n, numbers = program.header, program.n, program.numbers
         d, m = header.degree, len(header.constraints)

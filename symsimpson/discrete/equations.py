@@ -251,10 +251,8 @@ def _composed_in_time(
 ) -> DiscreteEquations:
     """Return kicks of f(c - V) and drifts of f(T + c - E0), f' = g: both are solved exactly.
 
-    Raises
-    ------
-    SchemeError
-        If g is no function of V, M is not constant, or the order rests on a quadratic T.
+    Raises SchemeError if g is no function of V, M is not constant, or the order rests on a
+    quadratic T.
     """
     original, every = system.original, tuple(range(system.n))
     if varied is not None:

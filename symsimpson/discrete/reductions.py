@@ -187,10 +187,7 @@ Part = Coupled | Separable | Routh | Linear | Affine | Constrained | Composed
 def read_exploit(exploit: str | Iterable[str]) -> frozenset[str]:
     """Read what is to be exploited: some of :data:`EXPLOITABLE`; "all" stands for those of ALL.
 
-    Raises
-    ------
-    GenerationError
-        If something else is named.
+    Raises GenerationError if something else is named.
     """
     if isinstance(exploit, str):
         exploit = (exploit,)

@@ -36,9 +36,7 @@ AHEAD = 4
 def check_client(client: Any, store: object) -> None:
     """Refuse what is no client of dask.distributed, or a client without a store.
 
-    Raises
-    ------
-    InputError
+    Raises InputError.
     """
     known = library("distributed", "client=", "cluster").Client
     if not isinstance(client, known) or client.asynchronous:
@@ -61,10 +59,7 @@ def check_client(client: Any, store: object) -> None:
 def run_on_cluster(store: Store, client: Any) -> bool:
     """Let the workers of a client compute what a store lacks; tells whether Ctrl-C stopped it.
 
-    Raises
-    ------
-    StorageError
-        If a task fails on the workers.
+    Raises StorageError if a task fails on the workers.
     """
     import distributed
 

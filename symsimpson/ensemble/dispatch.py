@@ -38,12 +38,8 @@ def run_ensemble(
 ) -> Ensemble:
     """Run an ensemble as requested; arguments are those of :meth:`Stepper.ensemble`.
 
-    Raises
-    ------
-    InputError
-        If no member could begin, or it cannot be kept or computed there.
-    Interrupted
-        At Ctrl-C, with what is done.
+    Raises InputError if no member could begin, or it cannot be kept or computed there; Interrupted
+    at Ctrl-C, with what is done.
     """
     read_failure(on_failure)
     read_progress(progress)
@@ -62,10 +58,7 @@ def run_ensemble(
 def _telling(program: Program, request: Request) -> Program:
     """Return the program whose ensembles carry along what they are asked for.
 
-    Raises
-    ------
-    InputError
-        If both are asked for.
+    Raises InputError if both are asked for.
     """
     telling = any(reduction.of_variations for reduction in read_reductions(program, request.reduce))
     if request.varied or telling:

@@ -34,10 +34,7 @@ def read_task(
 ) -> Task:
     """Read the arguments of ``ensemble``.
 
-    Raises
-    ------
-    InputError
-        If they make no sense, or what is to be stored does not fit into memory.
+    Raises InputError if they make no sense, or what is to be stored does not fit into memory.
     """
     if not program.numbers.compiled:
         raise InputError(

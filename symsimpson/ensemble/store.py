@@ -118,12 +118,8 @@ def members_of(chunk: int, size: int, members: int) -> slice:
 def open_store(path: object, program: Program, task: Task) -> Store:
     """Make a store for an ensemble, or open the one that was begun.
 
-    Raises
-    ------
-    InputError
-        If zarr or xarray is missing, or the folder holds something else.
-    StorageError
-        If it cannot be read or written.
+    Raises InputError if zarr or xarray is missing, or the folder holds something else; StorageError
+    if it cannot be read or written.
     """
     library("xarray", "store=", "data")  # the store is laid out as a dataset
     zarr = library("zarr", "store=", "data")

@@ -26,9 +26,7 @@ FEW, ROUNDS = 16, 3
 def seconds_of_member(program: Program, task: Task) -> float:
     """Estimate the time of one member on one thread, by a trial with a block of them.
 
-    Raises
-    ------
-    KeyboardInterrupt
+    Raises KeyboardInterrupt.
     """
     return _seconds(program, task, task.lanes, rounds=1)
 
@@ -40,10 +38,7 @@ def with_fastest_lanes(program: Program, task: Task) -> Task:
     side wait for each other, and need more of the cache; one by one, each waits for itself. Both
     leave the same bits.
 
-    Raises
-    ------
-    KeyboardInterrupt
-        At Ctrl-C; no member has been run by then.
+    Raises KeyboardInterrupt at Ctrl-C; no member has been run by then.
     """
     small = task.members * task.steps < WORTH_IT or task.lanes == 1
     if small or task.retimed or not program.kernels_for(task.lanes).by_stages:

@@ -78,10 +78,8 @@ def written_c(program: Program, prefix: str) -> tuple[str, str]:
 
     ``prefix`` begins all names that other files see.
 
-    Raises
-    ------
-    InputError
-        If it computes with many digits, keeps a time of its own, or is too large for loops of C.
+    Raises InputError if it computes with many digits, keeps a time of its own, or is too large for
+    loops of C.
     """
     header = program.header
     if not program.numbers.compiled:

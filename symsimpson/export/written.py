@@ -21,9 +21,7 @@ NAME = re.compile("[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 def write_files(program: Program, path: str | os.PathLike[str]) -> tuple[Path, Path]:
     """Write the header and the source file of a stepper.
 
-    Raises
-    ------
-    InputError, StorageError
+    Raises InputError or StorageError.
     """
     place = read_path("path", path)
     name = place.name.removesuffix(".c").removesuffix(".h")

@@ -47,10 +47,7 @@ class Arithmetic(Protocol):
     def inverse(self, x: Element) -> Element:
         """Return 1/x.
 
-        Raises
-        ------
-        ZeroDivisionError
-            If x is zero.
+        Raises ZeroDivisionError if x is zero.
         """
         ...
 

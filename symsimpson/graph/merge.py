@@ -22,10 +22,7 @@ def evaluations(
 ) -> list[Evaluation]:
     """Evaluate nodes at several points of the field.
 
-    Raises
-    ------
-    ZeroDivisionError
-        If something is divided by zero wherever one looks.
+    Raises ZeroDivisionError if something is divided by zero wherever one looks.
     """
     if opaque is None:
         opaque = dependent_radicands(graph, roots)

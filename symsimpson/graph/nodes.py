@@ -161,10 +161,7 @@ class Graph:
     def power(self, value: Value, exponent: Exact) -> Value:
         """Raise a value to a rational power.
 
-        Raises
-        ------
-        ZeroDivisionError
-            For a negative power of zero.
+        Raises ZeroDivisionError for a negative power of zero.
         """
         coefficient, n = value
         exponent = exact(exponent)

@@ -161,10 +161,7 @@ def is_float(value: int | Fraction) -> bool:
 def in_doubles(value: int | Fraction) -> int | Fraction:
     """Return a number, rounded where its numerator or denominator is far too large for a double.
 
-    Raises
-    ------
-    GenerationError
-        If the number itself is.
+    Raises GenerationError if the number itself is.
     """
     if magnitude(value) > sys.float_info.max:
         raise GenerationError(

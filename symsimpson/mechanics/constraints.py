@@ -51,10 +51,8 @@ def names_of(name: str, constraints: Any, taken: Sequence[str] | None = None) ->
 
     Those of velocities are told by the names that are ``taken`` by others, which they leave out.
 
-    Raises
-    ------
-    ModelError
-        If they are no mapping from texts to expressions, and no sequence of expressions.
+    Raises ModelError if they are no mapping from texts to expressions, and no sequence of
+    expressions.
     """
     if constraints is None:
         return {}
@@ -95,10 +93,7 @@ def read_constraints(
 ) -> dict[str, Value]:
     """Check constraints and read them into the graph.
 
-    Raises
-    ------
-    ModelError
-        If one is not an equation of positions.
+    Raises ModelError if one is not an equation of positions.
     """
     graph = symbols.graph
     values: dict[str, Value] = {}
@@ -209,9 +204,7 @@ def check_held_mass(
 ) -> None:
     """Refuse kinetic energies that vanish for velocities which the constraints leave free.
 
-    Raises
-    ------
-    ModelError
+    Raises ModelError.
     """
     n = len(symbols.q)
     mass = [[M.get((max(i, j), min(i, j)), ZERO) for j in range(n)] for i in range(n)]

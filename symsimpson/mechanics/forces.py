@@ -105,9 +105,7 @@ def read_inputs(
 ) -> tuple[sp.Expr, ...]:
     """Check that inputs are distinct symbols, or functions of time, with names of their own.
 
-    Raises
-    ------
-    ModelError
+    Raises ModelError.
     """
     if isinstance(inputs, (sp.Symbol, AppliedUndef)):
         inputs = (inputs,)
@@ -151,9 +149,7 @@ def check_used(
 ) -> None:
     """Refuse an input that stands in no force.
 
-    Raises
-    ------
-    ModelError
+    Raises ModelError.
     """
     nodes = symbols.graph.nodes
     used = {s for force in forces.values() for _, n in force for s in nodes[n].symbols}

@@ -18,9 +18,7 @@ __all__ = ["read_values", "read_vector"]
 def read_vector(system: Declared, name: str, given: Any) -> NDArray[np.float64]:
     """Read a number for each coordinate, in order or by name.
 
-    Raises
-    ------
-    InputError
+    Raises InputError.
     """
     table = Named("coordinate", [spelled(q) for q in system.coordinates])
     try:
@@ -40,9 +38,7 @@ def read_values(
 ) -> list[float]:
     """Read values by symbol or by name, in place of defaults, in their order.
 
-    Raises
-    ------
-    InputError
+    Raises InputError.
     """
     table = Named(what, [spelled(key) for key in defaults])
     values = [float(x) for x in defaults.values()]

@@ -21,10 +21,7 @@ def read_method(
 ) -> tuple[sp.Expr, tuple[Any, ...], dict[Any, Any], list[sp.Expr], list[sp.Expr]]:
     """Return L, the coordinates, the forces by name, and the constraints of both kinds.
 
-    Raises
-    ------
-    ModelError
-        If it is no LagrangesMethod and no KanesMethod, or one that lacks something.
+    Raises ModelError if it is no LagrangesMethod and no KanesMethod, or one that lacks something.
     """
     driven = read_inputs(name, inputs, (), ())
     if hasattr(method, "kindiffdict"):

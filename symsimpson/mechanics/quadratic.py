@@ -62,10 +62,8 @@ def quadratic_form(graph: Graph, M: Mapping[tuple[int, int], Value], v: Sequence
 def polynomial(system: str, what: str, energy: Value, symbols: Symbols) -> QuadraticInVelocities:
     """Split an energy by its powers of the velocities; refuse what is not of degree two at most.
 
-    Raises
-    ------
-    ModelError
-        If the second derivatives depend on a velocity, or there is no value at rest, or nowhere.
+    Raises ModelError if the second derivatives depend on a velocity, or there is no value at rest,
+    or nowhere.
     """
     graph, v = symbols.graph, symbols.numbers(symbols.v)
     momenta = gradient(graph, energy, v)
@@ -118,10 +116,7 @@ def _simplified(
 ) -> Value:
     """Remove velocities that only seem to be in a second derivative, by SymPy.
 
-    Raises
-    ------
-    ModelError
-        If they stay, or the expression is too long.
+    Raises ModelError if they stay, or the expression is too long.
     """
     graph, moving = symbols.graph, set(symbols.numbers(symbols.v))
     short = tree_size(graph, entry) <= TOO_LONG
@@ -147,10 +142,7 @@ def check_degenerate(system: str, lagrangian: QuadraticInVelocities, symbols: Sy
 
     So are those that have no velocity in L, and stand in terms of first order of others.
 
-    Raises
-    ------
-    ModelError
-        With the coordinate.
+    Raises ModelError with the coordinate.
     """
     graph = symbols.graph
     coupled = frozenset().union(*(graph.nodes[n].symbols for c, n in lagrangian.a if c))
@@ -173,10 +165,7 @@ def check_mass_matrix(system: str, M: Mapping[tuple[int, int], Value], symbols: 
 
     Whether it is positive definite depends on q, and is looked at where a run begins.
 
-    Raises
-    ------
-    ModelError
-        With the coordinate that has no mass, where there is one.
+    Raises ModelError with the coordinate that has no mass, where there is one.
     """
     massive = {i for place in M for i in place}
     for i, (q, v) in enumerate(zip(symbols.q, symbols.v, strict=True)):

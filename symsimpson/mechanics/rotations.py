@@ -29,10 +29,7 @@ __all__ = [
 def read_scalar(what: str, given: Any) -> sp.Expr:
     """Read a number or an expression; text is not evaluated.
 
-    Raises
-    ------
-    ModelError
-        If it is neither.
+    Raises ModelError if it is neither.
     """
     try:
         scalar = sp.sympify(given, strict=True)

@@ -54,10 +54,7 @@ def definitions(text: str) -> Mapping[str, tuple[int, int]]:
 
     Decorators belong to functions. Lines are counted from 0.
 
-    Raises
-    ------
-    SyntaxError, ValueError, RecursionError, MemoryError
-        If the text is no Python.
+    Raises SyntaxError, ValueError, RecursionError or MemoryError if the text is no Python.
     """
     spans = {}
     for node in outline(text).body:

@@ -152,10 +152,8 @@ class Header:
 def read_header(text: str, where: str) -> Header:
     """Read the constants of a generated module from its syntax tree.
 
-    Raises
-    ------
-    StaleKernelError
-        If the text is not a module that this version's generator wrote, unchanged.
+    Raises StaleKernelError if the text is not a module that this version's generator wrote,
+    unchanged.
     """
     _check_digest(text, where)
     constants: dict[str, Any] = {}

@@ -13,10 +13,7 @@ __all__ = ["axes", "colours"]
 def axes(ax: Any, size: tuple[float, float], **how: Any) -> Any:
     """Return the axes that are there, or new ones; ``how`` they are made.
 
-    Raises
-    ------
-    InputError
-        If matplotlib is not installed, or what is there are no axes.
+    Raises InputError if matplotlib is not installed, or what is there are no axes.
     """
     plt = library("matplotlib.pyplot", "a figure", "plot")
     if ax is None:

@@ -57,10 +57,7 @@ def write_film(
 ) -> None:
     """Write a film, or one frame of it, as files of its kind are.
 
-    Raises
-    ------
-    InputError
-        If what writes this kind is not installed.
+    Raises InputError if what writes this kind is not installed.
     """
     film = library("matplotlib.animation", "an animation", "plot")
     if kind == ".mp4" and not film.writers.is_available("ffmpeg"):

@@ -35,10 +35,7 @@ def with_unit(name: Any, units: Mapping[str, str]) -> str:
 def read_names(given: Any, default: Sequence[Any]) -> list[Any]:
     """Read which quantities to draw: one, or several in a row; all of a default for None.
 
-    Raises
-    ------
-    InputError
-        If numbers are given, as to matplotlib.
+    Raises InputError if numbers are given, as to matplotlib.
     """
     if given is None:
         return list(default)

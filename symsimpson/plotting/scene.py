@@ -66,10 +66,7 @@ class Scene:
 def scene_of(some: Any, stride: int = 1) -> Scene:
     """Evaluate the positions that were declared with a system; each ``stride``-th state is a frame.
 
-    Raises
-    ------
-    InputError
-        If there are none.
+    Raises InputError if there are none.
     """
     declared = some.program.declared
     positions = getattr(declared, "positions", None)

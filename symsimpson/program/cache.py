@@ -54,10 +54,7 @@ def cache_folder() -> Path:
 
     ``$SYMSIMPSON_CACHE_DIR``, else ``$XDG_CACHE_HOME/symsimpson``, else ``~/.cache/symsimpson``.
 
-    Raises
-    ------
-    GenerationError
-        If others may write there: its files are executed.
+    Raises GenerationError if others may write there: its files are executed.
     """
     base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     folder = Path(os.environ.get(_VARIABLE) or Path(base) / "symsimpson")

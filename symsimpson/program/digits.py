@@ -46,10 +46,7 @@ def _numbers(digits: int, arithmetic: str) -> Digits:
 def read_precision(precision: Any, arithmetic: Any) -> Digits:
     """Return the numbers of so many decimal digits.
 
-    Raises
-    ------
-    InputError
-        If there is no such precision or arithmetic, or python-flint is not installed.
+    Raises InputError if there is no such precision or arithmetic, or python-flint is not installed.
     """
     if arithmetic not in ARITHMETICS:
         raise InputError(

@@ -112,10 +112,7 @@ def observer(
 ) -> tuple[tuple[int, int, int], Reals]:
     """Return what evaluates expressions: prepare, the energy and a kernel; and their workspace.
 
-    Raises
-    ------
-    InputError
-        If the stepper has many digits.
+    Raises InputError if the stepper has many digits.
     """
     header, numbers, kernels = program.header, program.numbers, program.kernels
     kernel = kernels.compile_observer(observing_kernel(header, observed), len(observed))
@@ -128,10 +125,7 @@ def watching(
 ) -> Callable[[Reals, Reals, Reals], Reals]:
     """Return what evaluates expressions at many states (t, q, p); shape (len(q), len(observed)).
 
-    Raises
-    ------
-    InputError
-        If the stepper has many digits.
+    Raises InputError if the stepper has many digits.
     """
     header, numbers = program.header, program.numbers
     (prepare, energy, kernel), W = observer(program, observed, values)

@@ -28,10 +28,7 @@ MANY, FEW_ROWS = 1024, 256
 def vector_bits() -> int:
     """Return the bits of a vector: the most that this machine has, or fewer if that is wanted.
 
-    Raises
-    ------
-    InputError
-        If the environment asks for what no machine has.
+    Raises InputError if the environment asks for what no machine has.
     """
     wanted = os.environ.get(VARIABLE)
     if wanted is None:

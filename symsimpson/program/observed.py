@@ -104,11 +104,8 @@ def read_expression(
 
     Errors tell ``what`` it is.
 
-    Raises
-    ------
-    InputError
-        If it contains something else than arithmetic, functions and the names of coordinates,
-        momenta, velocities, parameters, t, energy and kinetic_energy.
+    Raises InputError if it contains something else than arithmetic, functions and the names of
+    coordinates, momenta, velocities, parameters, t, energy and kinetic_energy.
     """
     reader = Reader(program, what)
     text = reader.read_any(expression)
@@ -118,9 +115,7 @@ def read_expression(
 def refuse_constant(observed: Observed, what: str) -> None:
     """Refuse an expression that never changes its sign, as nothing that changes stands in it.
 
-    Raises
-    ------
-    InputError
+    Raises InputError.
     """
     if observed.constant:
         raise InputError(
@@ -134,12 +129,9 @@ def read_reductions(
 ) -> tuple[Reduction, ...]:
     """Read a mapping from names to pairs of a kind and an expression, or the name of an event.
 
-    Raises
-    ------
-    InputError
-        If a kind is unknown, or an expression contains something else than arithmetic, functions
-        and the names of coordinates, momenta, parameters, t, energy and kinetic_energy; or if none
-        of the ``event_names`` has the name.
+    Raises InputError if a kind is unknown, or an expression contains something else than
+    arithmetic, functions and the names of coordinates, momenta, parameters, t, energy and
+    kinetic_energy; or if none of the ``event_names`` has the name.
     """
     if given is None:
         return ()

@@ -178,10 +178,7 @@ class Program:
 
         They are of use to the system, or to what is asked for ``beside`` it.
 
-        Raises
-        ------
-        InputError
-            If one is unknown, or not as it was declared.
+        Raises InputError if one is unknown, or not as it was declared.
         """
         if given is None:
             return self.defaults.copy()
@@ -205,9 +202,7 @@ class Program:
     def check_given(self, given: Mapping[Any, Any] | None) -> None:
         """Refuse values of parameters that follow from the start of a run.
 
-        Raises
-        ------
-        InputError
+        Raises InputError.
         """
         keys = self.header.from_start
         if keys and isinstance(given, Mapping) and not keys.isdisjoint(map(spelled, given)):
@@ -272,10 +267,7 @@ def read_program(
 
     ``users`` are the names that stand beside it there: those that a user gave.
 
-    Raises
-    ------
-    StaleKernelError
-        If it is not a module that this version generated.
+    Raises StaleKernelError if it is not a module that this version generated.
     """
     header = read_header(text, where)  # compares the digest, executes nothing
     check_structure(text, where)

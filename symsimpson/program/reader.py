@@ -303,10 +303,7 @@ class Reader:
 def _value(node: ast.expr) -> Any:
     """Return the value of what is written of numbers alone; None where a name stands in it.
 
-    Raises
-    ------
-    ArithmeticError
-        If numbers in it have no value, as 1/0; with the text of these.
+    Raises ArithmeticError if numbers in it have no value, as 1/0; with the text of these.
     """
     key: type[ast.AST] | str
     match node:

@@ -77,10 +77,7 @@ def work(header: Header, first: int = 0) -> Recorder | None:
 
     The module has rows for it: the ``first`` free row is not used.
 
-    Raises
-    ------
-    InputError
-        If the scheme is explicit: its steps have no nodes.
+    Raises InputError if the scheme is explicit: its steps have no nodes.
     """
     if header.conservative:
         return None

@@ -103,10 +103,7 @@ class KernelSets(ABC):
 
         The workspace has so many more rows, from what was ROWS on.
 
-        Raises
-        ------
-        InputError
-            If nothing is compiled here.
+        Raises InputError if nothing is compiled here.
         """
         raise InputError(
             "expressions are evaluated in double precision, and this stepper has many digits.\n"

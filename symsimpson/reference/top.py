@@ -187,10 +187,7 @@ class ExactTop:
     def nutation(self, t: ArrayLike) -> NDArray[np.float64]:
         """Return theta at many times in double precision.
 
-        Raises
-        ------
-        InputError
-            If SciPy is not installed (the extra ``notebooks``).
+        Raises InputError if SciPy is not installed (the extra ``notebooks``).
         """
         ellipj = library("scipy.special", "the nutation at many times", "notebooks").ellipj
         u1, u2, _ = self.roots

@@ -68,10 +68,7 @@ class Energies(Stored):
     def _beginning(self) -> States:
         """The state at the start, where the last one alone is stored.
 
-        Raises
-        ------
-        InputError
-            If a file does not hold it.
+        Raises InputError if a file does not hold it.
         """
         if self.begun is None:
             raise InputError(

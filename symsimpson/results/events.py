@@ -89,9 +89,7 @@ class Events(States):
 def read_zeros(program: Program, expression: Any, direction: int, wrap: Any) -> Zeros:
     """Read which zeros are wanted.
 
-    Raises
-    ------
-    InputError
+    Raises InputError.
     """
     if whole_number(direction) not in (-1, 0, 1):
         raise InputError(

@@ -31,10 +31,7 @@ class Quantities:
     ) -> NDArray[Any]:
         """Return a block of rows at all states, shape (..., count).
 
-        Raises
-        ------
-        InputError
-            If it is ``driven`` by inputs, and those at the states are not known.
+        Raises InputError if it is ``driven`` by inputs, and those at the states are not known.
         """
         raise NotImplementedError
 
@@ -155,10 +152,7 @@ class Quantities:
     def _named(self, key: Any) -> NDArray[Any]:
         """Return a quantity by its name, a user's names first.
 
-        Raises
-        ------
-        UnknownNameError
-            With the names that there are.
+        Raises UnknownNameError with the names that there are.
         """
         several = isinstance(key, (slice, tuple, list, np.ndarray))
         names, key = self.program.names, spelled(key)

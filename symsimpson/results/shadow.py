@@ -36,10 +36,7 @@ NODES = {3: 5, 5: 7}
 def shadow_energy(run: Stored) -> Reals:
     """Return H + dH at all states: to h^8 for schemes of order 4, to h^4 for those of order 2.
 
-    Raises
-    ------
-    InputError
-        If there is none, or states are missing.
+    Raises InputError if there is none, or states are missing.
     """
     change = changes(run)
     inner = [weight * change[k : len(change) - 3 + k] for k, weight in enumerate(AROUND)]

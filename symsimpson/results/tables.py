@@ -33,10 +33,7 @@ NEEDS = {
 def check_kind(place: Path) -> str:
     """Return the kind of a file that results are to be written to.
 
-    Raises
-    ------
-    InputError
-        If the name ends otherwise, or a library is missing.
+    Raises InputError if the name ends otherwise, or a library is missing.
     """
     if place.suffix not in KINDS:
         raise InputError(

@@ -62,10 +62,7 @@ def integrals(run: Stored) -> tuple[dict[str, Reals], Reals]:
     Each step is taken again: work is the integral h sum_i b_i f_i.v_i of the scheme, of its order.
     Behind a step that cannot be taken again they are NaN.
 
-    Raises
-    ------
-    InputError
-        If only the last state is stored, or the scheme is explicit.
+    Raises InputError if only the last state is stored, or the scheme is explicit.
     """
     program, header = run.program, run.program.header
     if header.conservative:

@@ -125,10 +125,7 @@ class Checkpoint(Keeper):
     def take(self) -> None:
         """Write a checkpoint, if there is anything new.
 
-        Raises
-        ------
-        StorageError
-            If it cannot be written.
+        Raises StorageError if it cannot be written.
         """
         done = self._run.step - self._kept
         if not done:
@@ -262,10 +259,7 @@ def _digest_of(file: Any, size: int) -> Any:
 def read_asked(path: Path) -> dict[str, Any]:
     """Read what a run was asked for; its states are not looked at.
 
-    Raises
-    ------
-    StorageError
-        If there is no whole file.
+    Raises StorageError if there is no whole file.
     """
     request: dict[str, Any] = _first_whole(path, _said)[0]["asked"]
     return request
@@ -274,10 +268,7 @@ def read_asked(path: Path) -> dict[str, Any]:
 def read_record(path: Path) -> Record:
     """Read a checkpoint, or with a warning the one before it where it is damaged.
 
-    Raises
-    ------
-    StorageError
-        If there is none, or neither is whole.
+    Raises StorageError if there is none, or neither is whole.
     """
     record, problems = _first_whole(path, _read)
     if problems:

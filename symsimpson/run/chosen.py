@@ -36,9 +36,7 @@ def chosen_run(
 ) -> Sampled | Saved:
     """Run, and keep the states at these times, or these quantities, or these there.
 
-    Raises
-    ------
-    InputError, ConvergenceError, Interrupted
+    Raises InputError, ConvergenceError or Interrupted.
     """
     read_failure(on_failure)
     names = None if save is None else _read_names(save)

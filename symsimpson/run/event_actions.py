@@ -358,10 +358,7 @@ def constant_restitution(program: Program, event: Event, values: Floats) -> floa
 def _restitution(program: Program, given: Any, values: Floats) -> Callable[[float], float]:
     """Return the restitution as a function of the speed of approach.
 
-    Raises
-    ------
-    InputError
-        If it does not depend on that, and is not between 0 and 1.
+    Raises InputError if it does not depend on that, and is not between 0 and 1.
     """
     if not hasattr(given, "free_symbols") or given.is_number:
         number = float(given)

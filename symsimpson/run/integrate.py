@@ -47,11 +47,8 @@ def integrate(
 ) -> Trajectory:
     """Run, and return what it has come to.
 
-    Raises
-    ------
-    InputError
-    StorageError, ConvergenceError, Interrupted
-        Unless ``on_failure`` is ``"return"``.
+    Raises InputError; StorageError, ConvergenceError or Interrupted unless ``on_failure`` is
+    ``"return"``.
     """
     read_failure(on_failure)
     with program.numbers.working(), silence() if progress is False else NOTHING:
@@ -104,9 +101,7 @@ def _checkpoint(
 ) -> Checkpoint:
     """Return what keeps a run on disk.
 
-    Raises
-    ------
-    InputError, StorageError
+    Raises InputError or StorageError.
     """
     place = read_path("checkpoint", path)
     check_folder(place, "checkpoint")

@@ -53,10 +53,7 @@ class Collected(Keeper):
     def take(self) -> None:
         """Put the states away, but for the last one, with which the run goes on.
 
-        Raises
-        ------
-        StorageError
-            If there is no memory for more states; those so far are kept.
+        Raises StorageError if there is no memory for more states; those so far are kept.
         """
         try:
             self._parts.append(tuple(x[:-1].copy() for x in self._left()))

@@ -115,9 +115,6 @@ def program_for(program: Program, request: Request) -> Program:
 def _names_to_vary(program: Program, request: Request) -> tuple[str, ...]:
     """Read the names of the parameters and inputs to differentiate by.
 
-    Raises
-    ------
-    InputError
-        If there is no such parameter or input.
+    Raises InputError if there is no such parameter or input.
     """
     return read_varied(program, () if request.sensitivities is None else request.sensitivities)

@@ -201,9 +201,7 @@ def has_energy(program: Program, t: Reals, q: Reals, p: Reals, values: Reals) ->
 def check_start(program: Program, t: Any, q: Reals, p: Reals, values: Reals) -> None:
     """Refuse a state at which the energy is not a finite real number.
 
-    Raises
-    ------
-    InputError
+    Raises InputError.
     """
     times = np.full(1, t, dtype=q.dtype)
     if not has_energy(program, times, q[None], p[None], values):
@@ -219,9 +217,7 @@ def check_start(program: Program, t: Any, q: Reals, p: Reals, values: Reals) -> 
 def check_forces(program: Program, spec: RunSpec) -> None:
     """Refuse a start at which a force has no value, behind a first step that has none.
 
-    Raises
-    ------
-    InputError
+    Raises InputError.
     """
     tools, system = program.tools, program.declared
     if tools is None or system is None:

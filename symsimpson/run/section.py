@@ -18,9 +18,7 @@ def poincare(
 ) -> Events:
     """Run, and keep the zeros of an expression.
 
-    Raises
-    ------
-    InputError, ConvergenceError, Interrupted
+    Raises InputError, ConvergenceError or Interrupted.
     """
     read_failure(on_failure)
     spec = read_run(program, request)

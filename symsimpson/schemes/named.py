@@ -22,10 +22,7 @@ ELSEWHERE = {
 def read_scheme(scheme: str | Scheme) -> Scheme:
     """Find a scheme by its name.
 
-    Raises
-    ------
-    SchemeError
-        If no scheme has this name.
+    Raises SchemeError if no scheme has this name.
     """
     if isinstance(scheme, Scheme):
         return scheme

@@ -307,10 +307,7 @@ def inputs_there(
 ) -> Reals:
     """Return the inputs at times of a run, as :meth:`Driven.at` does.
 
-    Raises
-    ------
-    InputError
-        If the system has inputs, and it is not known how they went.
+    Raises InputError if the system has inputs, and it is not known how they went.
     """
     if not program.inputs:
         return NO_INPUTS
@@ -325,10 +322,7 @@ def inputs_there(
 def node_times(program: Program, h: Any, steps: Any, t0: Any) -> Reals:
     """Return the times at which inputs given at nodes are taken, shape (steps, s).
 
-    Raises
-    ------
-    InputError
-        If the system has no inputs.
+    Raises InputError if the system has no inputs.
     """
     if not program.inputs:
         raise InputError(

@@ -64,10 +64,7 @@ def read_steps(
 def _check_times(h: Any, t0: Any, steps: int, numbers: Numbers) -> None:
     """Refuse steps that are lost in rounding where they are added to times.
 
-    Raises
-    ------
-    InputError
-        If some of the times t0 + k h are the same number.
+    Raises InputError if some of the times t0 + k h are the same number.
     """
     farthest, digits = max(abs(t0), abs(t0 + h * steps)), getattr(numbers, "digits", None)
     spacing = farthest * (2.0**-52 if digits is None else 10.0 ** (1 - digits))
@@ -143,9 +140,7 @@ def refuse_too_many(steps: float) -> None:
 def refuse_together(request: Request) -> None:
     """Refuse what does not go with chosen times or quantities.
 
-    Raises
-    ------
-    InputError
+    Raises InputError.
     """
     for name in ("tangents", "sensitivities", "checkpoint", "record"):
         if getattr(request, name) is not None:

@@ -20,10 +20,7 @@ __all__ = ["read_record", "recorders_of"]
 def read_record(program: Program, given: Any) -> tuple[str, ...]:
     """Read names of what is to be recorded.
 
-    Raises
-    ------
-    InputError
-        If there is no such thing, or the scheme does not tell it.
+    Raises InputError if there is no such thing, or the scheme does not tell it.
     """
     names = tuple(given) if isinstance(given, (list, tuple, set)) else (given,)
     names = () if given is None else names

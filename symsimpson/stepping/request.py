@@ -63,10 +63,7 @@ class Request(NamedTuple):
 def step_request(q: Any, v: Any, p: Any, h: Any, t: Any, parameters: Any, inputs: Any) -> Request:
     """Return the request for one step.
 
-    Raises
-    ------
-    InputError
-        If velocities and momenta are given, or neither.
+    Raises InputError if velocities and momenta are given, or neither.
     """
     if (v is None) == (p is None):
         raise InputError(

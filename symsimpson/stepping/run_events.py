@@ -67,10 +67,7 @@ class RunEvents:
 def read_run_events(program: Program, request: Request) -> RunEvents | None:
     """Read the events of a run, if there are any.
 
-    Raises
-    ------
-    InputError
-        If they do not fit the system, or what else is asked for.
+    Raises InputError if they do not fit the system, or what else is asked for.
     """
     given = request.events
     if isinstance(given, RunEvents):  # read for all members of an ensemble
@@ -105,10 +102,7 @@ def read_run_events(program: Program, request: Request) -> RunEvents | None:
 def check_variations(program: Program, inputs: NDArray[Any]) -> None:
     """Refuse derivatives of a run with events where they are not known.
 
-    Raises
-    ------
-    InputError
-        If the system is not known, or inputs vary within a step.
+    Raises InputError if the system is not known, or inputs vary within a step.
     """
     if program.declared is None:
         raise InputError(
@@ -134,10 +128,7 @@ def check_variations(program: Program, inputs: NDArray[Any]) -> None:
 def read_events(program: Program, given: Any) -> RunEvents:
     """Read the events of a run.
 
-    Raises
-    ------
-    InputError
-        If they are none, or do not fit the system.
+    Raises InputError if they are none, or do not fit the system.
     """
     if isinstance(given, Event):
         given = (given,)
@@ -202,10 +193,7 @@ def _check_names(program: Program, events: Sequence[Event]) -> None:
 def _positive(condition: Any) -> Any:
     """Return what is positive where a condition holds, an expression or an inequality.
 
-    Raises
-    ------
-    InputError
-        If it is an equation.
+    Raises InputError if it is an equation.
     """
     if not hasattr(condition, "rel_op"):
         return condition
@@ -228,9 +216,7 @@ def _watched(event: Event) -> Any:
 def _check_restitution(program: Program, event: Event) -> None:
     """Refuse a restitution of something else than parameters and the speed of approach.
 
-    Raises
-    ------
-    InputError
+    Raises InputError.
     """
     from sympy import Derivative, Symbol  # SymPy is slow to import, and is there by now
     from sympy.core.function import AppliedUndef

@@ -78,10 +78,7 @@ class RunSpec:
 def read_run(program: Program, request: Request) -> RunSpec:
     """Read what a single run is asked for.
 
-    Raises
-    ------
-    InputError
-        If it makes no sense.
+    Raises InputError if it makes no sense.
     """
     numbers, names = program.numbers, program.names.coordinates
     with numbers.working():

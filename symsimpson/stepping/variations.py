@@ -40,10 +40,7 @@ def read_varied(program: Program, names: Any, *, of_steps: bool = False) -> tupl
     so. A run has one h for all steps, whose times it moves: where something depends on the time,
     only single steps are differentiated by it, those ``of_steps``.
 
-    Raises
-    ------
-    InputError
-        If there is no such parameter or input, or one is named twice.
+    Raises InputError if there is no such parameter or input, or one is named twice.
     """
     given: Iterable[Any] = names if isinstance(names, (tuple, list)) else (names,)
     names_of, header = program.names, program.header
@@ -88,10 +85,7 @@ def varied_program(
 
     A ``running`` cost is integrated by it, too; it may differentiate rows a ``second`` time.
 
-    Raises
-    ------
-    InputError
-        If the module was loaded from a file that does not.
+    Raises InputError if the module was loaded from a file that does not.
     """
     varied_by = program.header.varied_by
     complete = "curvature" in program.header.functions or not second
@@ -121,9 +115,7 @@ def varied_program(
 def refuse_retimed(program: Program, what: str) -> None:
     """Refuse what is not there for steps that are fixed in another time.
 
-    Raises
-    ------
-    InputError
+    Raises InputError.
     """
     if program.header.retimed:
         raise InputError(
@@ -135,10 +127,7 @@ def refuse_retimed(program: Program, what: str) -> None:
 def read_tangents(program: Program, tangents: Any) -> Reals:
     """Read variations of the initial state: so many unit vectors, or columns (dq, dp).
 
-    Raises
-    ------
-    InputError
-        If there are too many, or the shape is another.
+    Raises InputError if there are too many, or the shape is another.
     """
     numbers, size = program.numbers, 2 * program.n
     count = whole_number(tangents)

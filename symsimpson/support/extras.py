@@ -13,10 +13,7 @@ __all__ = ["library"]
 def library(name: str, use: str, extra: str) -> Any:
     """Import a library that comes with an extra of the package.
 
-    Raises
-    ------
-    InputError
-        If it is not installed.
+    Raises InputError if it is not installed.
     """
     try:
         return importlib.import_module(name)

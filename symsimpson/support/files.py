@@ -17,10 +17,7 @@ __all__ = ["check_folder", "read_path", "write_text", "written_beside"]
 def read_path(what: str, value: Any) -> Path:
     """Read the name of a file or a folder; ``what`` names it in the message.
 
-    Raises
-    ------
-    InputError
-        If it is no text and no path, or empty.
+    Raises InputError if it is no text and no path, or empty.
     """
     text = os.fspath(value) if isinstance(value, (str, os.PathLike)) else None
     if isinstance(text, str) and text and "\0" not in text:
@@ -35,9 +32,7 @@ def read_path(what: str, value: Any) -> Path:
 def check_folder(place: Path, what: str, done: str = "written", trajectory: Any = None) -> None:
     """Refuse to write into a folder that is not there, before anything is computed for it.
 
-    Raises
-    ------
-    StorageError
+    Raises StorageError.
     """
     if not place.absolute().parent.is_dir():
         raise StorageError(
@@ -59,10 +54,7 @@ def _remove(path: Path) -> None:
 def written_beside(place: Path, what: str, trajectory: Any = None) -> Iterator[Path]:
     """Give a place beside a file; what was written there takes its place once it is whole.
 
-    Raises
-    ------
-    StorageError
-        If it cannot be written; then what was there before is still there.
+    Raises StorageError if it cannot be written; then what was there before is still there.
     """
     check_folder(place, what, trajectory=trajectory)
     # a name that is nobody's file; writers look at the ending
@@ -87,12 +79,7 @@ def written_beside(place: Path, what: str, trajectory: Any = None) -> Iterator[P
 def write_text(path: str | os.PathLike[str], text: str, what: str) -> Path:
     """Write a text to a file; ``what`` names it in the message of a failure.
 
-    Raises
-    ------
-    InputError
-        If the path is none.
-    StorageError
-        If the file cannot be written.
+    Raises InputError if the path is none; StorageError if the file cannot be written.
     """
     place = read_path(f"the file of the {what}", path)
     with written_beside(place, what) as whole:

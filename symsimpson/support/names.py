@@ -73,10 +73,7 @@ def by_name(given: Any) -> Any:
 def read_mapping(what: str, given: Any, example: str) -> Mapping[Any, Any]:
     """Return values by name, none where none are given.
 
-    Raises
-    ------
-    InputError
-        If what is given is no mapping.
+    Raises InputError if what is given is no mapping.
     """
     if given is None:
         return {}
@@ -136,10 +133,7 @@ class Named:
     def found(self, key: Any) -> int:
         """Return the place of what a name or a symbol means.
 
-        Raises
-        ------
-        InputError
-            If it is none of them.
+        Raises InputError if it is none of them.
         """
         place = self.place(key)
         if place is None:
@@ -180,10 +174,7 @@ class Named:
         Those of "v0" may be given by the names of velocities, too, those of "p0" by the names of
         momenta. A row of a table, as of pandas, whose labels are names gives values by name.
 
-        Raises
-        ------
-        InputError
-            If a name is unknown, is given twice, or is missing.
+        Raises InputError if a name is unknown, is given twice, or is missing.
         """
         given = by_name(given)
         if not isinstance(given, Mapping):

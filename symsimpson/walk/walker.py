@@ -54,12 +54,8 @@ class Walker(Assigning):
         Loops may be vectors of which each lane has scratch of its own, if that is. Functions that
         are ``alone`` are walked for one lane after another.
 
-        Raises
-        ------
-        GenerationError
-            If the text has something that no kernel has, with the line.
-        Refused
-            If lanes cannot be one vector.
+        Raises GenerationError if the text has something that no kernel has, with the line; Refused
+        if lanes cannot be one vector.
         """
         lanes, self._lanes_own, self._alone = workspace.shape[1], lane_scratch, alone
         self._side_by_side = lanes if vector else 0
@@ -116,10 +112,7 @@ class Walker(Assigning):
     def function(self, name: str, arguments: list[Any]) -> Any:
         """Walk a function, and return its result.
 
-        Raises
-        ------
-        GenerationError
-            If the text has something that is not known, with the line.
+        Raises GenerationError if the text has something that is not known, with the line.
         """
         return self._inside(self._text.functions[name], arguments)
 
