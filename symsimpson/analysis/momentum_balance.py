@@ -28,13 +28,8 @@ def momentum_balance(s: Subject) -> tuple[float, list[Symmetry]]:
     """Measure p1.xi(q1) - p0.xi(q0) less h sum_i b_i f_i.xi(q_i), relative to p.xi.
 
     It vanishes for each linear symmetry xi of L (J. E. Marsden and M. West, Discrete mechanics and
-    variational integrators, section 3.2.4).
-
-    Returns
-    -------
-    defect : float
-    symmetries : list of Symmetry
-        Those of L; none where it is not known, or depends on the time.
+    variational integrators, section 3.2.4). The symmetries are returned, too: none where L is not
+    known, or depends on the time.
     """
     system, header = s.stepper.program.declared, s.stepper.program.header
     if system is None or header.conformal or "equations" not in header.functions:

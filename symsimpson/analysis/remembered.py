@@ -21,13 +21,8 @@ def remembered(
 ) -> Choice:
     """Return the choice that was made before for the same question, or make it and keep it.
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    question : mapping
-        All that the choice depends on beside the system, of which the texts tell one from another.
-    choose : callable
-        Makes the choice.
+    The ``question`` is all that the choice depends on beside the system; the texts of it tell one
+    from another.
     """
     values = sorted((symbol.name, value) for symbol, value in system.parameters.items())
     asked = [symsimpson.__version__, system.digest, values, sorted(question.items())]

@@ -15,16 +15,8 @@ __all__ = ["in_tau", "oversolved", "rewritten"]
 def rewritten(stepper: Stepper, constants: Mapping[str, str]) -> Stepper:
     """Return a stepper with other constants in its module, which is signed anew.
 
-    Parameters
-    ----------
-    stepper : Stepper
-    constants : mapping from str to str
-        Python expressions by name.
-
-    Raises
-    ------
-    ValueError
-        If the module has no such constant.
+    ``constants`` are Python expressions by name. Raises ValueError if the module has no such
+    constant.
     """
     missing = constants.keys() - definitions(stepper.source)
     if missing:

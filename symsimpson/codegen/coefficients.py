@@ -26,20 +26,10 @@ def coefficient_loops(
 ) -> tuple[list[Statement], list[Store], dict[str, object]]:
     """Generate the loops, single stores and tables that compute the coefficients of L.
 
-    Parameters
-    ----------
-    low : Lowering
-    values : sequence of Expression
-        The coefficients, in the order of their rows; made of the parameters of ``low``.
-
-    Returns
-    -------
-    loops : list of Statement
-        Loops for products of one form, of which there are at least FEWEST.
-    stores : list of Store
-        What is left.
-    tables : dict
-        For each loop the row of a coefficient, then the rows of its parameters.
+    ``values`` are the coefficients, in the order of their rows, made of the parameters of ``low``.
+    Loops are for products of one form, of which there are at least FEWEST; stores are for what is
+    left. A table has for each turn of a loop the row of a coefficient, then those of its
+    parameters.
     """
     kinds: dict[tuple[Exact, int], list[tuple[int, ...]]] = defaultdict(list)
     stores = []

@@ -145,15 +145,10 @@ def held_velocities(
     group: Sequence[int],
     suffix: str,
 ) -> tuple[list[Expression], list[Expression], list[Expression]]:
-    """Solve M v + Phi^T nu = p - a, Phi v = 0.
+    """Solve M v + Phi^T nu = p - a, Phi v = 0, for v, the pivots of M, and nu.
 
     Where M needs it, w Phi^T Phi is added, which such velocities do not see: it is positive
-    definite then if M is for them.
-
-    Returns
-    -------
-    v, pivots, nu : lists of expressions
-        The pivots of M are positive if it is positive definite.
+    definite then, and its pivots are positive, if M is for them.
     """
     graph, entry, define = low.graph, low.template.entry, low.graph.define
     held, names = range(len(low.equations.plain.constraints)), low.names.coordinates

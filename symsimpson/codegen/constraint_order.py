@@ -45,14 +45,8 @@ class Held:
     ) -> Held:
         """Put each constraint right behind the last of its coordinates.
 
-        Parameters
-        ----------
-        order : sequence of int
-            Coordinates in their order.
-        members : sequence of sets
-            The coordinates in each constraint.
-        near : sequence of sets
-            What coordinates meet each one.
+        Coordinates stand in an ``order``; ``members`` are those in each constraint, and ``near``
+        those that meet each one.
         """
         n, at = len(order), {a: s for s, a in enumerate(order)}
         behind: list[list[int]] = [[] for _ in order]
@@ -105,14 +99,8 @@ def smaller(
 ) -> tuple[Storage, Held | None]:
     """Return bands where these are smaller than what is given.
 
-    Parameters
-    ----------
-    storage, held : Storage, Held or None
-    terms, met : sequences of Family
-        The terms of L, and the constraints.
-    degree : int
-    rolling : sequence of sets
-        The coordinates in each velocity constraint.
+    ``terms`` are those of L, ``met`` the constraints, and ``rolling`` has the coordinates in each
+    velocity constraint.
     """
     near = neighbours([*terms, *met], storage.n)
     for member in rolling:

@@ -100,17 +100,7 @@ for _name in ("lt", "le", "gt", "ge"):
 
 
 def cost(source: str) -> Cost:
-    """Count the operations of a module's kernels.
-
-    Parameters
-    ----------
-    source : str
-        Text of a module that symsimpson emitted.
-
-    Returns
-    -------
-    Cost
-    """
+    """Count the operations of a module's kernels, from the text that symsimpson emitted."""
 
     def any_function(*arguments: Any) -> _Counted:
         """Stand for every elementary function: one operation, and some value."""

@@ -54,12 +54,9 @@ NODES_AS_VECTOR = "range(STRIDE if LANES == 1 else NODES)"
 class StageKernels:
     """Makes the kernels, and knows the rows they need.
 
-    Attributes
-    ----------
-    kernels : list of Kernel
-        start_stages, iterate, advance_stages; empty if an iteration would be too long to write out.
-    held : int
-        Values of a node that the first half of an iteration leaves to the second.
+    Its ``kernels`` are start_stages, iterate and advance_stages; none if an iteration would be too
+    long to write out. The first half of an iteration leaves as many values of a node to the second
+    as ``held`` says.
     """
 
     def __init__(self, low: Lowering) -> None:

@@ -40,18 +40,9 @@ class Point:
 class JetTemplate:
     """Writes the outputs of a jet at any point, sharing what they have in common.
 
-    At a point the lines that an output needs, and no others, become definitions with the point's
-    own names; a line that is used once stands in place.
-
-    Parameters
-    ----------
-    jet : Jet
-    graph : Definitions
-        Where definitions are made.
-    names : sequence of str
-        Of the coordinates, in names of entries.
-    parameters : mapping from name of a plain symbol to Expression
-    momenta : sequence of symbols
+    At a point the lines that an output needs, and no others, become definitions of a ``graph``,
+    with the point's own names; a line that is used once stands in place. The ``names`` are those of
+    the coordinates in names of entries; ``parameters`` have the names of plain symbols.
     """
 
     def __init__(

@@ -127,11 +127,7 @@ def family_functions(
 ) -> tuple[list[Function], dict[str, Table]]:
     """Write a loop over each family, and functions that call these loops.
 
-    Returns
-    -------
-    functions : list of Function
-    tables : dict
-        For each family its table, see :class:`FamilyWriter`.
+    Each family has a table, see :class:`FamilyWriter`; these are returned by name.
     """
     tables: dict[str, Table] = {}
     writers = []
@@ -157,11 +153,8 @@ def family_functions(
 class FamilyWriter:
     """Writes loops over the members of one family.
 
-    Attributes
-    ----------
-    table : str
-        Its name: a row for each member, of places of coordinates, the constraint if the term is
-        one, and rows of coefficients.
+    Its ``table`` has a row for each member, of places of coordinates, the constraint if the term is
+    one, and rows of coefficients.
     """
 
     def __init__(self, low: Lowering, family: Family, table: str, jet: Jet) -> None:

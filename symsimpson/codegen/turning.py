@@ -16,19 +16,9 @@ _BLOCKS = ("STAGE_ANGLE", "STAGE_SINE", "STAGE_COSINE")
 
 
 class Turning:
-    """Rewrites statements of a node.
+    """Rewrites statements of a node, and counts the pairs of sine and cosine that it finds there.
 
-    Parameters
-    ----------
-    low : Lowering
-        Gives names.
-    row : function of a block and a number
-        Gives the row of that value of a node.
-
-    Attributes
-    ----------
-    count : int
-        Pairs of sine and cosine that were found.
+    ``row`` gives the row of a value of a node, from a block and the number of the value in it.
     """
 
     def __init__(self, low: Lowering, row: Callable[[str, int], Row]) -> None:

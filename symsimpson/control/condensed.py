@@ -39,10 +39,8 @@ class Condensed:
 
     Parameters
     ----------
-    programme : Solvable
-        The full form.
-    layout : Layout
-        Where its unknowns stand.
+    programme, layout
+        The full form, and where its unknowns stand.
     motion : callable
         Gives its unknowns with states that move as the others say.
     x : ndarray

@@ -83,20 +83,10 @@ def pressed(read: Reading, end: int, limits: Iterable[Limits]) -> list[bool]:
 
 
 def implied(read: Reading, end: int, values: Iterable[tuple[str, Value]]) -> list[bool]:
-    """Return which constraints hold at an end since its conditions say so.
+    """Return which constraints hold at an ``end``, 0 or 1, since its conditions say so.
 
-    Parameters
-    ----------
-    read : Reading
-    end : int
-        0 or 1.
-    values : iterable of (str, Value)
-        The names of constraints, and what is 0.
-
-    Raises
-    ------
-    InputError
-        If the conditions contradict one.
+    ``values`` are names of constraints, and what is 0. Raises InputError if conditions contradict
+    one.
     """
     graph, given = read.graph, numbers_at(read, end)
     tied = {last[1]: (-c, n) for _, last, (c, n) in read.tied if end and last[0] == 1}

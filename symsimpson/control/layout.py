@@ -212,20 +212,9 @@ class Layout:
     def _timed(self, k: Ints, places: Floats, h: int | None) -> tuple[list[int], list[Any], Any]:
         """Return the time at places in steps, and their size: as unknowns with maps, or as given.
 
-        Parameters
-        ----------
-        k : ndarray of int
-        places : ndarray
-        h : int or None
-            The node of the size, where it is asked for.
-
-        Returns
-        -------
-        list of int
-            Nodes of what is unknown of both.
-        list of sparse matrices
-        dict
-            What is given, with the values of parameters.
+        ``h`` is the node of the size, where it is asked for. First come the nodes of what is
+        unknown of both, with their maps, sparse matrices; then what is given, with the values of
+        parameters.
         """
         t, before = self.read.t, self.grid.before(k, places)
         if not len(self.h):

@@ -67,20 +67,8 @@ def differentiate_back(
 ) -> Backward:
     """Run, and carry the derivatives of the cost back to the start.
 
-    Parameters
-    ----------
-    program : Program
-        One that differentiates its steps.
-    spec : RunSpec
-    objective : Objective
-    inputs : sequence of int
-        Which of what is varied are inputs.
-    progress : bool or None
-
-    Raises
-    ------
-    InputError, ConvergenceError, Interrupted
-        As for a run.
+    The program is one that differentiates its steps; ``inputs`` says which of what is varied are
+    inputs. Raises InputError, ConvergenceError or Interrupted, as a run does.
     """
     numbers = program.numbers
     with numbers.working():

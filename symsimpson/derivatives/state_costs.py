@@ -83,18 +83,8 @@ _written = lru_cache(maxsize=64)(_Written)
 class StateCost:
     """A quantity of a state: an expression in q, p, v, parameters and t.
 
-    Parameters
-    ----------
-    program : Program
-        One that differentiates its steps.
-    what : str
-        Names it in messages.
-    expression : SymPy expression or str
-
-    Raises
-    ------
-    InputError
-        If it contains something else.
+    The program is one that differentiates its steps; ``what`` names the quantity in messages.
+    Raises InputError if the expression contains something else.
     """
 
     def __init__(self, program: Program, what: str, expression: Any) -> None:

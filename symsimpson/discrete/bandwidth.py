@@ -22,14 +22,8 @@ def neighbours(term_families: Iterable[Family], n: int) -> list[set[int]]:
 def ordering(near: list[set[int]]) -> tuple[tuple[int, ...], int]:
     """Order coordinates so that those that meet stand close (reverse Cuthill-McKee).
 
-    They stay as they are where that is as good.
-
-    Returns
-    -------
-    order : tuple of int
-        Coordinates in their new order.
-    band : int
-        The largest distance of two that meet.
+    They stay as they are where that is as good. The largest distance of two that meet comes with
+    their new order.
 
     References
     ----------

@@ -19,15 +19,11 @@ __all__ = ["derive_constraints"]
 def derive_constraints(plain: Plain) -> Jet:
     """Derive all that a step and its results ask of constraints, and of L beside them.
 
-    Returns
-    -------
-    Jet
-        Outputs ``("phi", c)``, ``("Phi", c, a)``, Phi and behind it A, ``("pull", a, b)``, the
-        derivatives of Phi^T lambda + A^T nu by q; of velocity constraints ``("b", c)``,
-        ``("rate", c)``, A v - b, with ``("b_q", c, a)`` and ``("rate_q", c, a)``; and of a state
-        ``("curve", c)``, v.phi_qq.v or the like of A v - b, and ``("push", a)``,
-        L_q + f - (d L_v/dq) v - d L_v/dt, which is M v' + Phi^T lambda + A^T nu. Symbols l_c stand
-        for the multipliers.
+    Outputs are ``("phi", c)``, ``("Phi", c, a)``, Phi and behind it A, ``("pull", a, b)``, the
+    derivatives of Phi^T lambda + A^T nu by q; of velocity constraints ``("b", c)``, ``("rate",
+    c)``, A v - b, with ``("b_q", c, a)`` and ``("rate_q", c, a)``; and of a state ``("curve", c)``,
+    v.phi_qq.v or the like of A v - b, and ``("push", a)``, L_q + f - (d L_v/dq) v - d L_v/dt, which
+    is M v' + Phi^T lambda + A^T nu. Symbols l_c stand for the multipliers.
     """
     graph, n = Graph(), len(plain.q)
     places = graph.numbers(symbol.name for symbol in plain.symbols)

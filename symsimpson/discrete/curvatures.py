@@ -22,24 +22,11 @@ __all__ = ["derive_curvatures"]
 def derive_curvatures(plain: Plain, varied: Sequence[sp.Symbol], cost: Cost | None) -> Jet:
     """Derive second derivatives of h alpha.F + beta.P + h gamma g, and of nu.phi - alpha.Phi^T mu.
 
-    They are by q and w = h v at a node, which do not depend on h: the time t does, which ends up
-    c h behind the one that is given. The symbols of v and t stand for w and for the start of the
-    step.
-
-    Parameters
-    ----------
-    plain : Plain
-        Its weights stand for alpha, beta and gamma at a node, for alpha and nu at a control point.
-    varied : sequence of sympy.Symbol
-        Plain symbols of parameters and inputs.
-    cost : Cost, optional
-        The running cost g.
-
-    Returns
-    -------
-    Jet
-        Outputs ``("node", i, j)``, j <= i, by (q, w, varied), and ``("point", i, j)`` by
-        (q, mu, varied); those that vanish are left out.
+    They are by q and w = h v at a node, which do not depend on h: the time t does, which ends up c
+    h behind the one that is given. The symbols of v and t stand for w and for the start of the
+    step, the weights of ``plain`` for alpha, beta and gamma at a node, for alpha and nu at a
+    control point; g is the running cost. Outputs are ``("node", i, j)``, j <= i, by (q, w, varied),
+    and ``("point", i, j)`` by (q, mu, varied); those that vanish are left out.
     """
     graph, n = Graph(), len(plain.q)
     places = graph.numbers(symbol.name for symbol in plain.symbols)

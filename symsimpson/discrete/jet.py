@@ -92,15 +92,9 @@ class Jet:
 def derive_jet(
     plain: Plain, more: Mapping[Key, Value] = MappingProxyType({}), half_angles: Sequence[int] = ()
 ) -> Jet:
-    """Derive all that a step may ask for, by the shortest way.
+    """Derive all that a step may ask for, and ``more`` that will be, by the shortest way.
 
-    Parameters
-    ----------
-    plain : Plain
-    more : mapping from key to Value
-        What else will be asked for.
-    half_angles : sequence of int
-        Coordinates whose sine and cosine are written by those of the half, to keep digits.
+    The sine and the cosine of ``half_angles`` are written by those of the half, to keep digits.
     """
     with timed("jet"):
         return _shortest(plain, more, half_angles)

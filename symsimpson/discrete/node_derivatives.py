@@ -35,12 +35,9 @@ class Cost:
 def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
     """Derive F = L_q + f and P = L_v by parameters and inputs: plain symbols, by their names.
 
-    Returns
-    -------
-    Jet
-        Outputs ``("F_a", i, name)`` and ``("P_a", i, name)``; of constraints ``("phi_a", c, name)``
-        and ``("pull_a", i, name)``, those of phi and of Phi^T lambda + A^T nu; of velocity
-        constraints ``("b_a", c, name)`` and ``("rate_a", c, name)``, those of b and A v - b.
+    Outputs are ``("F_a", i, name)`` and ``("P_a", i, name)``; of constraints ``("phi_a", c, name)``
+    and ``("pull_a", i, name)``, those of phi and of Phi^T lambda + A^T nu; of velocity constraints
+    ``("b_a", c, name)`` and ``("rate_a", c, name)``, those of b and A v - b.
     """
     graph, n = Graph(), len(plain.q)
     places = graph.numbers(symbol.name for symbol in plain.symbols)
@@ -116,10 +113,7 @@ class _BySize:
 def derive_cost(plain: Plain, varied: Mapping[str, sp.Symbol], cost: Cost) -> Jet:
     """Derive a running cost g(t, q, v, u) by q, by v, and by parameters and inputs.
 
-    Returns
-    -------
-    Jet
-        Outputs ``("g",)``, ``("g_q", i)``, ``("g_v", i)`` and ``("g_a", name)``.
+    Outputs are ``("g",)``, ``("g_q", i)``, ``("g_v", i)`` and ``("g_a", name)``.
     """
     graph, n = Graph(), len(plain.q)
     (value,) = rebuilt(cost.graph, [cost.value], {}, graph)

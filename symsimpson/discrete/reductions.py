@@ -206,16 +206,7 @@ def read_exploit(exploit: str | Iterable[str]) -> frozenset[str]:
 def reduce(structure: Structure, scheme: Scheme, exploit: frozenset[str]) -> tuple[Part, ...]:
     """Sort the coordinates into parts, each with the smallest solve that its structure allows.
 
-    Parameters
-    ----------
-    structure : Structure
-    scheme : Scheme
-    exploit : frozenset of str
-        The findings that may be made use of.
-
-    Returns
-    -------
-    tuple of Part
+    Of the findings those named in ``exploit`` may be made use of.
     """
     if structure.plain.held:
         every = tuple(range(structure.n))

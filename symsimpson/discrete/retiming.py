@@ -15,10 +15,7 @@ __all__ = ["derive_original_terms", "derive_rate"]
 def derive_original_terms(retiming: Retiming) -> Jet:
     """Derive M, a, V and P = dL/dv of the original system, with v = dq/dt.
 
-    Returns
-    -------
-    Jet
-        Outputs ``("M", i, j)``, ``("a", i)``, ``("V",)`` and ``("P", i)``.
+    Outputs are ``("M", i, j)``, ``("a", i)``, ``("V",)`` and ``("P", i)``.
     """
     plain, graph = retiming.plain, Graph()
     n = len(plain.q)
@@ -36,10 +33,7 @@ def derive_original_terms(retiming: Retiming) -> Jet:
 def derive_rate(plain: Plain, retiming: Retiming) -> Jet:
     """Return g = dt/dtau before its division by the value at the start; ``plain`` is in tau.
 
-    Returns
-    -------
-    Jet
-        Output ``("rate",)``.
+    The output is ``("rate",)``.
     """
     graph = Graph()
     (rate,) = rebuilt(retiming.graph, [retiming.rate], {}, graph)

@@ -105,17 +105,8 @@ def _result(future: Any, store: Store) -> int:
 def compute_chunk(path: str, module: str, chunk: int) -> int:
     """Compute a chunk of a store, on a worker; returns the number of its members.
 
-    Parameters
-    ----------
-    path : str
-    module : str
-        SHA-256 of the generated module: no other is executed.
-    chunk : int
-
-    Raises
-    ------
-    StorageError
-        If the store cannot be read or written, or its module is another one.
+    ``module`` is the SHA-256 of the generated module: no other is executed. Raises StorageError if
+    the store cannot be read or written, or its module is another one.
     """
     import zarr
 

@@ -16,21 +16,10 @@ __all__ = ["doubles", "evaluated", "line_value", "moduli"]
 def evaluated(
     graph: Graph, roots: Iterable[int], symbols: Mapping[int, Any], context: Any
 ) -> dict[int, Any]:
-    """Evaluate nodes and all that they are made of.
+    """Evaluate nodes and all that they are made of; NaN where there is no real value.
 
-    Parameters
-    ----------
-    graph : Graph
-    roots : iterable of int
-    symbols : mapping from node to number
-        Of symbols, and of other nodes that are known.
-    context : mpmath context
-        ``mpmath.mp`` for the digits that it is set to, ``mpmath.fp`` for doubles.
-
-    Returns
-    -------
-    dict from node to number
-        NaN where there is no real value.
+    ``symbols`` has numbers for symbols, and for other nodes that are known. The context is
+    ``mpmath.mp`` for the digits that it is set to, ``mpmath.fp`` for doubles.
     """
     values = dict(symbols)
     for n in graph.reached(roots, values):
@@ -48,14 +37,8 @@ def doubles(graph: Graph, values: Sequence[Value], symbols: Mapping[int, Any]) -
 def moduli(graph: Graph, roots: Iterable[int], values: Mapping[int, float]) -> dict[int, float]:
     """Return what nodes are at most as large as, however their terms cancel: sums of moduli.
 
-    Rounding moves a node by about 2^-53 of that.
-
-    Parameters
-    ----------
-    graph : Graph
-    roots : iterable of int
-    values : mapping from node to float
-        Of the roots and all that they are made of, as of :func:`evaluated`.
+    Rounding moves a node by about 2^-53 of that. The ``values`` are those of the roots and all that
+    they are made of, as of :func:`evaluated`.
     """
     sizes: dict[int, float] = {}
     for n in graph.reached(roots):

@@ -121,10 +121,8 @@ def _pair(x: Element) -> tuple[int, int]:
 class Angles:
     """Arguments of sin, cos, exp and the like, as combinations of nodes that are no sums.
 
-    Attributes
-    ----------
-    divisors : dict from node to int
-        By what a node is divided in some angle: points are drawn for the quotient.
+    In some angle a node is divided by its number in ``divisors``: points are drawn for the
+    quotient.
     """
 
     def __init__(self, graph: Graph, nodes: Iterable[int]) -> None:
@@ -158,10 +156,9 @@ class Evaluation:
 
     Parameters
     ----------
-    graph : Graph
+    graph, arithmetic
     roots : iterable of int
         Nodes to evaluate, with all that they are made of.
-    arithmetic : Arithmetic
     opaque : collection of int
         Nodes whose square roots are drawn as those of other functions are.
     angles : Angles, optional

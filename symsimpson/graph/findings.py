@@ -24,13 +24,8 @@ KNOWN = frozenset(["sin", "cos", "exp", "sinh", "cosh", "tanh"])
 class Findings:
     """Answers about values, and what they are made of.
 
-    Parameters
-    ----------
-    graph : Graph
-    values : sequence of Value
-        All that will be asked about.
-    before : Findings, optional
-        Of values of the same graph; if no root is new, what is known of roots is taken over.
+    ``values`` are all that will be asked about. What is known of roots is taken over from findings
+    ``before``, of values of the same graph, if no root is new.
     """
 
     def __init__(

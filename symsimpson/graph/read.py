@@ -51,18 +51,9 @@ _CONSTANT_OF = {name: constant for constant, name in CONSTANTS.items()}
 class Reader:
     """Reads expressions, each node of them once.
 
-    Parameters
-    ----------
-    graph : Graph
-    known : mapping from SymPy expression to Value
-        What symbols, coordinates and velocities stand for.
-    check : callable, optional
-        Called once with each node that is not known, before its arguments are read.
-
-    Attributes
-    ----------
-    done : dict from SymPy expression to Value
-        All that was read, and what was known.
+    ``known`` has what symbols, coordinates and velocities stand for; ``done`` has all that was
+    read, too. ``check`` is called once with each node that is not known, before its arguments are
+    read.
     """
 
     def __init__(
@@ -183,12 +174,7 @@ def number(value: int | Fraction) -> sp.Number:
 def written(graph: Graph, value: Value, names: Mapping[int, sp.Expr]) -> sp.Expr:
     """Write a value as an expression of SymPy: a tree, so that only short ones should be.
 
-    Parameters
-    ----------
-    graph : Graph
-    value : Value
-    names : mapping from node to expression
-        What stands for symbols.
+    ``names`` has what stands for symbols, by their nodes.
     """
     done: dict[int, sp.Expr] = {0: sp.S.One, **names}
     for n in graph.reached([value[1]]):

@@ -26,19 +26,9 @@ def rebuilt(
 ) -> list[Value]:
     """Write values with others in place of some nodes.
 
-    Parameters
-    ----------
-    graph : Graph
-    values : iterable of Value
-    replaced : mapping from node to Value
-        The values belong to ``into``.
-    into : Graph, optional
-        Where to write; the same graph if not given. Nodes without a symbol are written there, too.
-
-    Raises
-    ------
-    ZeroDivisionError
-        If something is divided by zero then.
+    Those that are ``replaced`` and what is written belong to the graph ``into``, the same one if it
+    is not given. Nodes without a symbol are written there, too. Raises ZeroDivisionError if
+    something is divided by zero then.
     """
     values = list(values)
     same = into is None or into is graph

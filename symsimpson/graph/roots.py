@@ -43,11 +43,7 @@ def radicands(graph: Graph, nodes: Iterable[int]) -> list[int]:
 def dependent_radicands(graph: Graph, roots: Iterable[int]) -> frozenset[int]:
     """Return the radicands of which some product is a square, or may be one.
 
-    Parameters
-    ----------
-    graph : Graph
-    roots : iterable of int
-        Nodes that hold the square roots.
+    The nodes that hold the square roots are in ``roots``.
     """
     roots = list(roots)
     order = graph.reached(roots)

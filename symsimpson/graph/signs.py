@@ -18,15 +18,8 @@ PARTIAL = frozenset(["asin", "acos", "acosh", "atanh"])
 class Signs:
     """The signs of nodes, as far as they are known.
 
-    Parameters
-    ----------
-    graph : Graph
-    known : mapping from symbol to str
-        ``"positive"``, ``"nonnegative"``, ``"negative"`` or ``"nonpositive"``.
-
-    Notes
-    -----
-    A sign is a pair: the sign itself, 1, -1 or 0 for unknown, and whether zero is excluded.
+    Symbols are ``"positive"``, ``"nonnegative"``, ``"negative"`` or ``"nonpositive"``. A sign is a
+    pair: the sign itself, 1, -1 or 0 for unknown, and whether zero is excluded.
     """
 
     def __init__(self, graph: Graph, known: Mapping[int, str]) -> None:

@@ -136,18 +136,7 @@ def arm_energies(
 ) -> tuple[sp.Expr, sp.Expr, dict[str, tuple[Any, ...]]]:
     """Return T, V and the points to draw of a serial arm, to which other terms may be added.
 
-    Parameters
-    ----------
-    name : str
-        Of the system, for messages.
-    links : sequence of Link
-    q : sequence of coordinates
-    gravity : three numbers or expressions
-    modified : bool
-
-    Raises
-    ------
-    ModelError
+    Messages name the system. Raises ModelError.
     """
     if not isinstance(links, Sequence) or not all(isinstance(link, Link) for link in links):
         raise ModelError(

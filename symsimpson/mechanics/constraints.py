@@ -124,16 +124,7 @@ def accelerations(
 ) -> Accelerations:
     """Return what determines accelerations and multipliers: M v' + W^T lambda = push.
 
-    Parameters
-    ----------
-    graph : Graph
-    L : Value
-    held : Held
-        The constraints.
-    f : sequence of Value
-        Forces by coordinate.
-    places : tuple
-        The nodes of q and of v, and that of t.
+    ``f`` are forces by coordinate, ``places`` the nodes of q and of v, and that of t.
     """
     q, v, time = places
     derivatives, rows = Derivatives(graph), slopes(graph, held.phi, q)
@@ -162,18 +153,8 @@ def slopes(graph: Graph, phi: Iterable[Value], q: Sequence[int]) -> list[list[Va
 def check_number(name: str, rows: Mapping[str, Sequence[Value]], symbols: Symbols) -> None:
     """Refuse constraints that leave nothing to move, or of which one follows from others.
 
-    Parameters
-    ----------
-    name : str
-        Of the system.
-    rows : mapping from str to sequence of Value
-        By what they hold velocities, Phi v or A v, of each constraint.
-    symbols : Symbols
-
-    Raises
-    ------
-    ModelError
-        With the names of the fewest first ones that depend on each other.
+    ``name`` is that of the system; ``rows`` has of each constraint by what it holds velocities, Phi
+    v or A v. Raises ModelError with the names of the fewest first ones that depend on each other.
     """
     if not rows:
         return

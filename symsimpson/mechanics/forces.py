@@ -39,14 +39,13 @@ def read_forces(
 
     Parameters
     ----------
-    name : str
+    name, symbols
         Of the system.
     coordinates : sequence of functions of time
     forces : mapping or None
         By coordinate; or by a name, of mappings by coordinate.
     dissipation : expression or None
         R(t, q, v): the forces are -dR/dv.
-    symbols : Symbols
     read : callable
         Checks an expression and reads it; its first argument says what it is.
 
@@ -54,10 +53,6 @@ def read_forces(
     -------
     dict
         For each named force its components, in the order of the coordinates.
-
-    Raises
-    ------
-    ModelError
     """
     place = {q: i for i, q in enumerate(coordinates)}
     components: dict[str, list[Value]] = {}

@@ -29,15 +29,8 @@ ITERATIONS, NOTHING = 20, 1e-9
 class Identities:
     """Tests of expressions in coordinates and velocities, with constraints of positions.
 
-    Parameters
-    ----------
-    name : str
-        Of the system.
-    source : str
-        What the expressions are in, as messages say it.
-    coordinates : sequence of functions of time
-    constraints : sequence of expressions
-        Of positions, zero in every motion.
+    ``name`` is that of the system, ``source`` what the expressions are in, as messages say it. The
+    constraints are expressions of positions, zero in every motion.
     """
 
     def __init__(

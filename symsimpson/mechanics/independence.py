@@ -52,13 +52,7 @@ class Samples:
     def dependence(self, value: Value, x: int, slope: Value) -> Dependence:
         """Return how a value depends on a symbol that moves it in a field, if that is uncertain.
 
-        Parameters
-        ----------
-        value : Value
-        x : int
-            The symbol.
-        slope : Value
-            The derivative by it.
+        ``slope`` is the derivative by the symbol x.
         """
         plain, sizes = self._plain, []
         for k in range(len(SAMPLES)):

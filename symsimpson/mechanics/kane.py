@@ -27,16 +27,10 @@ def read_kane(
 ) -> tuple[sp.Expr, tuple[Any, ...], dict[Any, Any], list[sp.Expr], list[sp.Expr]]:
     """Return L, the coordinates, the forces by name, and the constraints of both kinds.
 
-    Raises
-    ------
-    ModelError
-        If something that is needed is not in it, or cannot be written in velocities.
-
-    Notes
-    -----
     A body that rolls may have a velocity that is no derivative of a place in the coordinates. Then
     Lagrange's equations of T have terms that Kane's have not, p.(d/dt dv/dq' - dv/dq), and the same
-    of the angular momentum. They become the force "rolling", which has no power.
+    of the angular momentum. They become the force "rolling", which has no power. Raises ModelError
+    if something that is needed is not in it, or cannot be written in velocities.
     """
     try:
         parts = kane.to_linearizer()

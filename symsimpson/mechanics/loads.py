@@ -32,19 +32,9 @@ def generalised(
 ) -> Force:
     """Return the generalised force of loads.
 
-    Parameters
-    ----------
-    loads : iterable of pairs
-        Of a point and a force, or of a frame and a torque.
-    inertial : ReferenceFrame
-    coordinates : sequence of functions of time
-    speeds : mapping, optional
-        Generalised speeds, in which velocities and loads are written, in those of coordinates.
-
-    Returns
-    -------
-    dict
-        For each coordinate the sum of vector . d(velocity)/d(velocity of the coordinate).
+    Loads are pairs of a point and a force, or of a frame and a torque. Generalised ``speeds``, in
+    which velocities and loads are written, are given in those of coordinates. For each coordinate
+    the result is the sum of vector . d(velocity)/d(velocity of the coordinate).
     """
     force: Force = {}
     parts = []

@@ -20,20 +20,10 @@ __all__ = ["points_of"]
 def points_of(
     system: Declared, t: NDArray[Any], q: NDArray[Any], values: NDArray[Any]
 ) -> dict[str, NDArray[np.float64]]:
-    """Evaluate the positions that were declared with a system.
+    """Evaluate the positions that were declared with a system, at t of shape (...), q (..., n).
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    t : ndarray, shape (...)
-    q : ndarray, shape (..., n)
-    values : ndarray, shape (..., parameters)
-
-    Returns
-    -------
-    dict of ndarray
-        Of shape (..., 2) or (..., 3) for a point, (..., corners, 2 or 3) for a body; empty if no
-        positions were declared.
+    They are of shape (..., 2) or (..., 3) for a point, (..., corners, 2 or 3) for a body; there are
+    none if no positions were declared.
     """
     positions = system.positions or {}
     columns = [np.asarray(x, dtype=np.float64) for x in (t, q, values)]

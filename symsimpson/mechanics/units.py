@@ -20,20 +20,9 @@ def read_units(
 ) -> dict[str, str]:
     """Read units by name, and add those of velocities.
 
-    Parameters
-    ----------
-    name : str
-        Of the system.
-    given : mapping or None
-        Units by names or symbols.
-    coordinates : iterable of functions
-    others : iterable of str or symbols
-        Further quantities that a system has: parameters, inputs, invariants, points.
-
-    Raises
-    ------
-    ModelError
-        If a name is none of these, or a unit is no text.
+    ``given`` are units by names or symbols, ``others`` further quantities that a system has:
+    parameters, inputs, invariants, points. Raises ModelError if a name is none of these, or a unit
+    is no text.
     """
     names = [spelled(q) for q in coordinates]
     known = [*names, *(f"{x}_{q}" for x in "vp" for q in names), *map(spelled, others), "t"]

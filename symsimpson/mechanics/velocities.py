@@ -33,21 +33,9 @@ def read_velocity_constraints(
 ) -> dict[str, tuple[Value, ...]]:
     """Return the row of A, and b behind it, of each velocity constraint A v - b = 0.
 
-    Parameters
-    ----------
-    name : str
-        Of the system.
-    given : mapping from str to expression
-    taken : mapping
-        Names of other constraints.
-    symbols : Symbols
-    read : callable
-        Checks an expression and reads it; its first argument says what it is.
-
-    Raises
-    ------
-    ModelError
-        If one is not linear in the velocities, or holds none of them.
+    ``name`` is that of the system, and ``taken`` has names of other constraints; ``read`` checks an
+    expression and reads it, and its first argument says what it is. Raises ModelError if one is not
+    linear in the velocities, or holds none of them.
     """
     graph, v = symbols.graph, symbols.numbers(symbols.v)
     rows: dict[str, tuple[Value, ...]] = {}

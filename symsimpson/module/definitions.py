@@ -68,11 +68,7 @@ def definitions(text: str) -> Mapping[str, tuple[int, int]]:
 def redefined(text: str, changes: Mapping[str, str]) -> str:
     """Return a text in which constants and functions have other definitions.
 
-    Parameters
-    ----------
-    text : str
-    changes : mapping from str to str
-        The definition of each name as it is to stand there; empty to leave it out.
+    ``changes`` has the definition of each name as it is to stand there; empty to leave it out.
     """
     lines = text.splitlines(keepends=True)
     spans = definitions(text)

@@ -77,17 +77,8 @@ TOP = (ast.ImportFrom, ast.Assign, ast.FunctionDef)
 def check_structure(text: str, where: str) -> None:
     """Refuse a module that holds anything but what generated modules are made of.
 
-    Parameters
-    ----------
-    text : str
-        The module; it is not executed.
-    where : str
-        Names it in the message.
-
-    Raises
-    ------
-    StaleKernelError
-        With the line and what stands there.
+    Its text is not executed; ``where`` names it in the message. Raises StaleKernelError with the
+    line and what stands there.
     """
     try:
         tree = syntax(text)

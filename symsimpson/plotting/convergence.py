@@ -58,16 +58,7 @@ def slope_triangle(
 ) -> None:
     """Draw a triangle of slope ``order`` below a line, from its smallest step to another step.
 
-    Parameters
-    ----------
-    ax : matplotlib axes
-        With logarithmic scales.
-    corner : (float, float)
-        The line's point at the smallest step.
-    order : int
-    to : float
-        The other step.
-    color : str
+    The axes have logarithmic scales; ``corner`` is the line's point at the smallest step.
     """
     x, y = corner[0], corner[1] / 3
     top = y * (to / x) ** order

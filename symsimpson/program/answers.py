@@ -28,17 +28,10 @@ def kept(
 ) -> Answer:
     """Return the answer that was kept for the same question, or make it and keep it.
 
-    Parameters
-    ----------
-    kind : str
-        The folder of such answers, beside compiled code.
-    question : str
-        All that the answer follows from.
-    read : callable
-        Makes the answer of what JSON holds; raises an error of ``DAMAGE`` if that makes no sense.
-    make : callable
-    write : callable
-        Returns what is to be kept, for JSON; None if the answer is not worth it.
+    ``kind`` is the folder of such answers, beside compiled code; ``question`` is all that the
+    answer follows from. ``read`` makes the answer of what JSON holds, and raises an error of
+    ``DAMAGE`` if that makes no sense; ``write`` returns what is to be kept, for JSON, or None if it
+    is not worth it.
     """
     place = cache_folder() / kind / f"{digest(question)}.json"
     with contextlib.suppress(*DAMAGE):

@@ -146,14 +146,10 @@ def compiled(
     label : str
         Names what ``use`` takes of it; part of the key.
     use : callable
-        Takes the module, and whether numba is to keep on disk what it compiles of it.
+        Takes the module, and whether numba is to keep on disk what it compiles of it. What it gives
+        is returned, the same object for the same text and label in one process.
     file : str, optional
         What the module is, if its code follows from more than that: from all of ``text``.
-
-    Returns
-    -------
-    object
-        What ``use`` gave; the same object for the same text and label in one process.
     """
     content = _content(text, label)
     if content not in _results:

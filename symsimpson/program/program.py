@@ -226,16 +226,14 @@ def new_program(
 
     Parameters
     ----------
-    source, where : str
+    source, where, declared, **more
+        As attributes of :class:`Program`.
     defaults : mapping from str to float, optional
         Default parameter values in the module's order, by the names that users may pass.
     numbers : Numbers, optional
         Double precision unless given.
     names : Names, optional
         What users call things, if another program knows.
-    declared : MechanicalSystem, optional
-    **more
-        Other attributes of :class:`Program`.
 
     Raises
     ------

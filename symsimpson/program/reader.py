@@ -66,14 +66,9 @@ _NUMBERS: dict[type[ast.AST] | str, Callable[..., Any]] = {
 class Reader:
     """Writes an expression anew from its syntax tree; what is not on the list is refused.
 
-    Names in it are those of a user, which Python need not take as names, or of the module.
-
-    Attributes
-    ----------
-    energetic : bool
-        Whether it contains the energy or velocities.
-    rest : bool
-        Whether it is a rest alone, as ``Mod(q1, 2*pi)``.
+    Names in it are those of a user, which Python need not take as names, or of the module. It is
+    ``energetic`` if it contains the energy or velocities, and ``rest`` if it is a rest alone, as
+    ``Mod(q1, 2*pi)``.
     """
 
     def __init__(self, program: Program, where: str) -> None:

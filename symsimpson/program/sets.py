@@ -25,11 +25,7 @@ __all__ = ["KernelSets"]
 class KernelSets(ABC):
     """Kernels in some arithmetic: addresses of compiled ones, or functions.
 
-    Attributes
-    ----------
-    header : Header
-    by_stages : bool
-        Whether steps are iterated over stages first.
+    They are ``by_stages`` if steps are iterated over stages first.
     """
 
     def __init__(self, header: Header, *, by_stages: bool) -> None:

@@ -24,16 +24,8 @@ BRIEF = 0.1
 def kept_text(source: Iterable[str], derive: Callable[[], Derivation]) -> Derivation:
     """Return the derivation that was kept for the same source, or make it and keep it.
 
-    Parameters
-    ----------
-    source : iterable of str
-        All that the text follows from, beside the generator itself.
-    derive : callable
-
-    Returns
-    -------
-    Derivation
-        Its stages took no time where it was kept.
+    The ``source`` is all that the text follows from, beside the generator itself. Stages of the
+    derivation took no time where it was kept.
     """
     return kept("texts", "\n".join([_generator(), *source]), _read, derive, _content)
 

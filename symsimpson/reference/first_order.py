@@ -37,10 +37,7 @@ class FirstOrder:
     def function(self, modules: str) -> Callable[..., Any]:
         """Make f as a Python function of the unknowns and the parameters, one argument each.
 
-        Parameters
-        ----------
-        modules : {"math", "mpmath", "jax"}
-            The functions that it calls.
+        The functions that it calls are those of ``modules``: "math", "mpmath" or "jax".
         """
         arguments = [*self.unknowns, *self.parameters]
         return line_function(arguments, self.definitions, self.rates, modules)

@@ -84,15 +84,8 @@ class Record:
 class Checkpoint(Keeper):
     """All states of a run, and the run itself, on disk.
 
-    Parameters
-    ----------
-    path : path
-    asked : dict
-        What the run was asked for.
-    run : Run
-        At its beginning; it goes on where the file says, if there is one.
-    every : int, optional
-        Steps between checkpoints; about ten seconds unless given.
+    The run is at its beginning, and goes on where the file says, if there is one; ``asked`` is what
+    it was asked for. Checkpoints are ``every`` steps apart, about ten seconds unless that is given.
     """
 
     def __init__(

@@ -46,13 +46,7 @@ KNOWN = 4
 
 
 class EventActions:
-    """Evaluates what events ask for, and what they do.
-
-    Attributes
-    ----------
-    failed : str
-        Why an action could not be done, if it could not.
-    """
+    """Evaluates what events ask for, and does what they say; ``failed`` says why it could not."""
 
     def __init__(self, program: Program, spec: RunSpec, run_events: RunEvents) -> None:
         self._program, self._events, self._values = program, run_events, spec.parameters

@@ -23,10 +23,7 @@ State = tuple[Floats, Floats]
 class Sides:
     """Sides of zero, and the sizes by which rounding is told, in rows of a workspace.
 
-    Attributes
-    ----------
-    side, size : ndarray of float
-        On which side each expression is, and its size of late.
+    ``side`` has the one on which each expression is, ``size`` its size of late.
     """
 
     def __init__(

@@ -48,15 +48,8 @@ NEAR, AHEAD = 0.1, 4
 def independence_of(pivots: Reals) -> NDArray[np.float64]:
     """Return how far constraints are from following from one another at states one by one.
 
-    Parameters
-    ----------
-    pivots : ndarray, shape (..., N, m)
-        What is left of each constraint in HELD.
-
-    Returns
-    -------
-    ndarray, shape (..., N)
-        1 where each is held best, 0 where one follows from others.
+    It is 1 where each is held best, 0 where one follows from others; ``pivots`` are what is left of
+    each constraint in HELD, shape (..., N, m).
     """
     # roots, as sizes of slopes are; each relative to its largest, since units may differ
     sizes = np.sqrt(np.maximum(pivots.astype(np.float64), 0.0))

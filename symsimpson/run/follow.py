@@ -35,26 +35,9 @@ def follow(
 ) -> tuple[Trajectory, StorageError | None]:
     """Take the steps of a run that has begun; judge its energy by the states that a keeper has.
 
-    Parameters
-    ----------
-    program : Program
-    run : Run
-    spec : RunSpec
-        Its ``every`` tells which states the trajectory has; 0 for the last one.
-    keeper : Keeper
-    sinks : sequence of Sink
-        What else takes the states.
-    progress : bool or None
-
-    Returns
-    -------
-    Trajectory, StorageError or None
-        What the run came to, and the error of a sink that ended it.
-
-    Raises
-    ------
-    InputError
-        If forces have no value at the start.
+    Of the states the trajectory has those that ``spec.every`` says, the last one for 0; ``sinks``
+    take them, too. Returned are what the run came to, and the error of a sink that ended it. Raises
+    InputError if forces have no value at the start.
     """
     count, problem = spec.steps, None
     shown = progress if count > BRIEF and spec.t_end is None else bool(progress)

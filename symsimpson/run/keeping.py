@@ -85,11 +85,7 @@ class Collected(Keeper):
 class Samples(Keeper):
     """Some states of a run that nobody wants all states of.
 
-    Parameters
-    ----------
-    run : Run
-    every : int
-        Steps from one to the next. Where there are too many, each second one is left out.
+    They are ``every`` steps apart; where there are too many, each second one is left out.
     """
 
     def __init__(self, run: Run, every: int) -> None:

@@ -38,15 +38,8 @@ def by_pieces(
 ) -> tuple[Run, Trajectory, list[Taken]]:
     """Run, and keep what is taken of each piece.
 
-    Returns
-    -------
-    Run, Trajectory, list
-        The run, its last state and how it ended, and what was taken, up to where it went well.
-
-    Raises
-    ------
-    InputError
-        If the run cannot begin.
+    Returned are the run, its last state and how it ended, and what was taken, up to where it went
+    well. Raises InputError if the run cannot begin.
     """
     piece = min(PIECE, max(16, MOST_NUMBERS // (2 * program.n)))
     with program.numbers.working():
@@ -65,16 +58,7 @@ def by_pieces(
 
 
 class Pieces(Sink):
-    """A sink that keeps what is taken of each piece of a run.
-
-    Parameters
-    ----------
-    program : Program
-    run : Run
-        One that stores each state.
-    spec : RunSpec
-    take : callable
-    """
+    """A sink that keeps what is taken of each piece of a run, which stores each state."""
 
     def __init__(self, program: Program, run: Run, spec: RunSpec, take: Take) -> None:
         self._program, self._run, self._spec, self._take = program, run, spec, take

@@ -42,18 +42,8 @@ def plain_restitution(program: Program, run_events: RunEvents, spec: RunSpec) ->
 class PlainImpacts:
     """Takes steps of a run, and the plain impacts in them.
 
-    Parameters
-    ----------
-    program : Program
-    run_events : RunEvents
-    parts : Parts
-        Takes parts of the steps of the run.
-    restitution : ndarray
-        Of each event.
-    first : int
-        The first row of what is watched.
-    records : list of Record
-        Takes what impacts did.
+    ``parts`` take parts of the steps of the run. Each event has its ``restitution``; what is
+    watched begins with the row ``first``, and ``records`` take what impacts did.
     """
 
     def __init__(

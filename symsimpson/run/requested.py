@@ -29,22 +29,9 @@ def run(
     progress: bool | None = None,
     on_failure: str = "raise",
 ) -> Any:
-    """Run as requested.
+    """Run as requested; further arguments are those of :meth:`Stepper.integrate`.
 
-    Parameters
-    ----------
-    program : Program
-    request : Request
-    checkpoint_every, progress, on_failure
-        As for :meth:`Stepper.integrate`.
-
-    Returns
-    -------
-    Trajectory, Sampled or Saved
-
-    Raises
-    ------
-    InputError, StorageError, ConvergenceError, Interrupted
+    Raises InputError, StorageError, ConvergenceError or Interrupted.
     """
     if checkpoint_every is not None and request.checkpoint is None:
         raise InputError(

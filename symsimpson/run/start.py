@@ -35,24 +35,9 @@ def started(
 ) -> Run:
     """Make a run at its start; warn of its step.
 
-    Parameters
-    ----------
-    program : Program
-    spec : RunSpec
-    stride : int
-        Steps between stored states; 0 for none.
-    stored : int
-        States that there is room for.
-    inputs : ndarray, optional
-        In place of those of the request.
-    recorders : sequence of Recorder
-        In place of those of the request, if there are any.
-
-    Raises
-    ------
-    InputError
-        If the states do not fit into memory, M(q0) is not positive definite, the energy has no
-        value there, or time does not advance.
+    There is room for ``stored`` states, ``stride`` steps apart, 0 for none. Inputs and recorders
+    are those of the request unless given. Raises InputError if the states do not fit into memory,
+    M(q0) is not positive definite, the energy has no value there, or time does not advance.
     """
     run = _new_run(program, spec, stride, stored, inputs, recorders)
     _begin(program, run, spec)

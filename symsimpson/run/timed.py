@@ -43,20 +43,14 @@ def timed_run(
 
     Parameters
     ----------
-    program : Program
-        Of a retimed system.
-    spec : RunSpec
-        With variations of the initial state.
+    program, spec
+        Of a retimed system; with variations of the initial state.
     names : tuple of str
         Parameters to differentiate by, at given q0, and given v0 or p0.
     progress, on_failure
         As for :meth:`Stepper.integrate`.
     fixed_steps : bool
         Whether the end is that of the steps in tau, wherever it comes to lie in t.
-
-    Raises
-    ------
-    InputError, SchemeError, ConvergenceError, Interrupted
     """
     wanted, plain = spec.tangents, replace(spec, tangents=None)
     assert wanted is not None

@@ -30,12 +30,7 @@ STRIDE = 16
 def last_part(program: Program, run: Run, t_end: Any) -> tuple[Any, Reals, Reals, Status]:
     """Take the part of a step from where a run has arrived to its end.
 
-    Returns
-    -------
-    part : number
-        Of tau.
-    q, p : ndarray, shape (1, n)
-    status : Status
+    Returned are the part, of tau, q and p there, each of shape (1, n), and the status.
     """
     q, p = run.end()
     start = np.zeros(1, dtype=np.int64)
@@ -62,15 +57,8 @@ def states_at(
 ) -> tuple[Reals, Reals, Reals, NDArray[np.bool_]]:
     """Find states at times behind some of the stored ones, t, q and p.
 
-    ``values`` are parameters, a row of them for each state or one for all.
-
-    Returns
-    -------
-    part : ndarray, shape (m,)
-        How far each is into its step, in tau.
-    q, p : ndarray, shape (m, n)
-    fine : ndarray of bool, shape (m,)
-        Whether its steps could be taken as usual.
+    ``values`` are parameters, a row of them for each state or one for all. Returned are how far
+    each is into its step, in tau, then q and p, and whether its steps could be taken as usual.
     """
     numbers, header, kernels = (program.numbers, program.header, program.kernels)
     many, near, rows = start.size, resolution(numbers), np.atleast_2d(values)

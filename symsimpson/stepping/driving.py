@@ -81,27 +81,12 @@ def samples(values: ArrayLike, *, period: float) -> Samples:
 def read_driving(
     program: Program, given: Any, h: Any, steps: int, members: int | None = None
 ) -> Reals:
-    """Read the values of all inputs of a run, or of the members of an ensemble.
+    """Read the values of all inputs of a run, or of the ``members`` of an ensemble.
 
-    Parameters
-    ----------
-    program : Program
-    given : mapping, array_like or None
-        By symbol or by name; or all of them along the last axis.
-    h : number
-    steps : int
-    members : int, optional
-        Of an ensemble; 1 where nothing but the inputs tells.
-
-    Returns
-    -------
-    ndarray, shape (K, N, s, m)
-        By member, step, node and input; where an axis has one entry it stands for all.
-
-    Raises
-    ------
-    InputError
-        If one is missing, unknown or not finite, or has the wrong shape.
+    They are given by symbol or by name; or all of them along the last axis. ``members`` is 1 where
+    nothing but the inputs tells how many there are. The values are of shape (K, N, s, m), by
+    member, step, node and input; where an axis has one entry it stands for all. Raises InputError
+    if one is missing, unknown or not finite, or has the wrong shape.
     """
     names, numbers = program.inputs, program.numbers
     if not names:
@@ -231,21 +216,8 @@ def at_places(program: Program, inputs: Reals, step: NDArray[np.int64], at: Real
     """Return the inputs at places of steps that need not be nodes.
 
     Held inputs stay what they are. Those at nodes go by the polynomial through the s nodes of the
-    step: exact up to degree s - 1.
-
-    Parameters
-    ----------
-    program : Program
-    inputs : ndarray, shape (1, N, s, m)
-    step : ndarray of int, shape (k,)
-        Numbers of steps.
-    at : ndarray, shape (k, r)
-        Places in them, from 0 to 1.
-
-    Returns
-    -------
-    ndarray, shape (1, k, r, m)
-        With r = 1 where all inputs are held.
+    step: exact up to degree s - 1. For numbers of steps, of shape (k,), and places ``at`` in them,
+    from 0 to 1, of shape (k, r), they are of shape (1, k, r, m), with r = 1 where all are held.
     """
     node_values = inputs[0, np.minimum(step, inputs.shape[1] - 1)]
     if (node_values == node_values[:, :1]).all():  # held

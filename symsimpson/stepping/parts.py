@@ -61,15 +61,8 @@ class Parts:
     def __call__(self, state: Any, t: float, size: float, step: int, share: float) -> Any:
         """Return q and p after a part of a step, and whether it could be taken.
 
-        Parameters
-        ----------
-        state : pair of ndarray, shape (n,)
-        t, size : float
-            Where the part begins, and how long it is.
-        step : int
-            Number of the step.
-        share : float
-            Where in the step the part begins, from 0 to 1.
+        The part begins at t, and is as long as ``size``; ``share`` says where in the step it
+        begins, from 0 to 1.
         """
         q, p = state
         if size == 0.0:
@@ -130,10 +123,7 @@ def steps_from(
 ) -> tuple[Any, Status]:
     """Take steps from a state with all that a run has against what goes wrong.
 
-    Returns
-    -------
-    tuple
-        q and p behind them, or where they ended, and the status.
+    Returned are q and p behind them, or where they ended, and the status.
     """
     numbers = program.numbers
     run = Run(program, numbers.read(parameters), numbers.read(h).item(), t, 0, 1, inputs=inputs)

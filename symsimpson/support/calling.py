@@ -61,16 +61,8 @@ def explained(
 ) -> Callable[[Callable[P, Result]], Callable[P, Result]]:
     """Have a function raise an error of the package for arguments that it does not have.
 
-    Parameters
-    ----------
-    kind : type of SymsimpsonError
-        What it raises in place of a TypeError.
-    hint : str
-        What to do, behind what it says.
-
-    Notes
-    -----
-    Nothing is looked at before a call has failed, so that calls take no longer.
+    It is of a ``kind``, in place of a TypeError, and gives a ``hint`` behind what it says. Nothing
+    is looked at before a call has failed, so that calls take no longer.
     """
 
     def around(function: Callable[P, Result]) -> Callable[P, Result]:

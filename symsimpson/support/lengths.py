@@ -20,16 +20,8 @@ def bending_length(slopes: Callable[[Reals], Reals], q: Reals) -> Reals:
 
     It is the radius of a circle, 1 for functions of angles, and 0 where slopes are constant. So
     large are the terms of a function, in units of its slope, where it is zero as they cancel.
-
-    Parameters
-    ----------
-    slopes : callable
-        Gives slopes of shape (..., m, n) at positions of the shape of q.
-    q : ndarray, shape (..., n)
-
-    Returns
-    -------
-    ndarray, shape (..., m)
+    Slopes are of shape (..., m, n) at positions of the shape of q, (..., n), and lengths of shape
+    (..., m).
     """
     first = slopes(q).astype(np.float64)
     size = np.linalg.norm(first, axis=-1)

@@ -14,14 +14,7 @@ def float_literals(expression: Any) -> Any:
     """Write whole numbers and parts of fractions that no int64 holds as floats.
 
     Printed as they are, they would be integers of Python, of which NumPy makes arrays of objects.
-
-    Parameters
-    ----------
-    expression : sympy expression or matrix, or a list or tuple of such, of any depth
-
-    Returns
-    -------
-    the same kind
+    Expressions and matrices of SymPy are taken, and lists or tuples of such, of any depth.
 
     Examples
     --------

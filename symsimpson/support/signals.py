@@ -37,13 +37,7 @@ def listening() -> Iterator[list[int]]:
 
 @contextmanager
 def undisturbed(most: float = math.inf) -> Iterator[None]:
-    """Put off Ctrl-C to the end of what must not be left half done.
-
-    Parameters
-    ----------
-    most : number
-        How many are put off; the next one comes at once.
-    """
+    """Put off Ctrl-C to the end of what must not be left half done, ``most`` times at most."""
     if not _disturbed():
         yield
         return

@@ -61,16 +61,9 @@ class Frame:
 class Expressions(ABC):
     """Walks expressions of a text.
 
-    Parameters
-    ----------
-    text : Text
-    values : Calls
-    call : callable
-        Makes a call, with a builder, of a function of ``math`` with values that are no vectors.
-    few : int
-        Loops of fewer operations in all are no loops.
-    apart : frozenset of str
-        Functions that stay functions, where they are called with the same kinds of values.
+    ``call`` makes a call, with a builder, of a function of ``math`` with values that are no
+    vectors. Loops of fewer operations in all than ``few`` are no loops; functions that stand
+    ``apart`` stay functions, where they are called with the same kinds of values.
     """
 
     def __init__(

@@ -41,14 +41,8 @@ def read_functions(text: str) -> Text:
 def walking_function(text: Callable[[], Text], name: str, signature: Any, bits: int) -> Any:
     """Return what a stub calls: its code is that of a function, walked when it is compiled.
 
-    Parameters
-    ----------
-    text : callable
-        Gives the functions; called when something is compiled.
-    name : str
-    signature : numba signature
-    bits : int
-        How wide vectors may be.
+    ``text`` gives the functions, and is called when something is compiled; ``bits`` says how wide
+    vectors may be.
     """
     from numba import types
 

@@ -58,15 +58,7 @@ def _names(count: int) -> str:
 def walking(text: str, name: str, lanes: int, bits: int) -> Any:
     """Return an intrinsic of numba whose instructions are made of a kernel when it is compiled.
 
-    Parameters
-    ----------
-    text : str
-        The module.
-    name : str
-        Of the kernel.
-    lanes : int
-    bits : int
-        How wide vectors may be.
+    ``text`` is the module, and ``bits`` says how wide vectors may be.
     """
     from numba import types
 

@@ -37,14 +37,9 @@ def own_blocks(node: ast.For, name: str, text: Text) -> frozenset[str] | None:
 class _Accesses:
     """Uses of rows by statements, in their order.
 
-    Attributes
-    ----------
-    first : dict from str to str
-        What is done first with a block that all turns share: "read", "set", or "set as a whole".
-    written : set of str
-        Those of them that are set.
-    along : set of str
-        Blocks with rows of each turn.
+    Of each block that all turns share ``first`` says what is done first with it: "read", "set", or
+    "set as a whole"; those that are set are ``written``. Blocks with rows of each turn are
+    ``along``.
     """
 
     def __init__(self, text: Text, loop: ast.For) -> None:

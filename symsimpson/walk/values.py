@@ -36,10 +36,7 @@ KNOWN = (bool, int, float, np.integer, np.floating)
 class Refused(Exception):
     """A construct that no kernel of a generated module has, or that no vector can do.
 
-    Attributes
-    ----------
-    function : str
-        The function in which it is.
+    ``function`` is the one in which it is.
     """
 
     function = ""

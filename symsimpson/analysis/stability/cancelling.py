@@ -30,12 +30,8 @@ def force_terms(
     """Return the sums of the moduli of the terms of dL/dq + f at rest, one for each coordinate.
 
     At velocities, those of its derivatives by them. ``values`` are those of all parameters, in the
-    order of the system, then those of inputs.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        NaN where they have no value; zeros where the system is too large to be looked at.
+    order of the system, then those of inputs. Sums are NaN where they have no value, and zeros
+    where the system is too large to be looked at.
     """
     n, plain = system.n, system.plain
     if n > MOST_COORDINATES:
@@ -60,18 +56,8 @@ def changes_of_potential(
 ) -> NDArray[np.float64] | None:
     """Return V at some states less V at the first of them, as if it were not rounded.
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    t : ndarray, shape (m,)
-    q : ndarray, shape (m, n)
-    values : iterable of float
-        Values of all parameters, in the order of the system.
-
-    Returns
-    -------
-    ndarray, shape (m,), or None
-        NaN where V has no value; None where V is too large to be evaluated so often.
+    ``values`` are those of all parameters, in the order of the system. The result is NaN where V
+    has no value, and None where V is too large to be evaluated so often.
     """
     plain = system.plain
     graph, (factor, node) = plain.graph, plain.V

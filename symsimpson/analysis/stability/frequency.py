@@ -47,15 +47,8 @@ def largest_frequency(
     """Return the largest omega of K x = omega^2 M x, K the Hessian of V at q.
 
     With constraints K is that of V + lambda.phi for the lambda that holds q at rest, and x is what
-    they allow. It is 0 if none is positive, or K or M have no value there.
-
-    Parameters
-    ----------
-    system : MechanicalSystem
-    q : iterable of float, n of them
-    parameters : iterable of float
-        Values of all parameters, in the order of the system, then those of inputs.
-    t : float
+    they allow. It is 0 if none is positive, or K or M have no value there. ``parameters`` are the
+    values of all parameters, in the order of the system, then those of inputs.
     """
     try:
         matrices = _matrices(system)(*map(float, (*q, *parameters, t)))

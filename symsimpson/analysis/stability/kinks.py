@@ -81,21 +81,10 @@ def kink_passed(
 ) -> tuple[float, str, str] | None:
     """Find where a motion first passed a point at which its force jumps, or V.
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    t : array_like, shape (N,)
-        Times of consecutive steps.
-    q : array_like, shape (N, n)
-        Coordinates at these times, after each step.
-    values : sequence of float
-        Of the parameters, then of the inputs, in the order in which they were declared.
-
-    Returns
-    -------
-    tuple of float, str and str, or None
-        The time, where that is, with a root as the user wrote it, and what to do. None if no such
-        point was passed between two states. A pole, where the force is not finite, is no kink.
+    ``t`` and ``q`` are those of consecutive steps; ``values`` belong to the parameters, then to the
+    inputs, in the order in which they were declared. The result is the time, where that is, with a
+    root as the user wrote it, and what to do; None if no such point was passed between two states.
+    A pole, where the force is not finite, is no kink.
 
     Examples
     --------

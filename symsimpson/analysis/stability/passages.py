@@ -99,17 +99,8 @@ def unresolved_pole(
 ) -> tuple[float, str, bool] | None:
     """Return when a run passed a small det M unresolved, where, and if it vanishes near there.
 
-    Parameters
-    ----------
-    program : Program
-    system : MechanicalSystem
-    run : Trajectory
-        One that stored all its states.
-
-    Returns
-    -------
-    (float, str, bool) or None
-        The time, the coordinates there in words, and whether they have a singular point there.
+    The run has stored all its states. Where is told in words; the last is whether the coordinates
+    have a singular point there. It is None if there was no such passage.
     """
     if _mass(system)[0] is None:
         return None
@@ -157,18 +148,8 @@ def regular_box(
 ) -> tuple[Reals, Reals] | None:
     """Return a box of positions without singular points; None if there may be some, or kinks.
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    values : sequence of float
-        Of parameters, then of inputs.
-    low, high : ndarray, shape (n,)
-    t : float
-
-    Returns
-    -------
-    (ndarray, ndarray) or None
-        The box that was asked about, or all of space where M is constant.
+    It is the box from ``low`` to ``high`` that was asked about, or all of space where M is
+    constant. ``values`` are those of parameters, then of inputs.
     """
     depends = list(_mass(system)[1])
     if has_kinks(system):
