@@ -64,7 +64,6 @@ def energy_drift(
     state: Mapping[str, Any] | None = None,
     members: int = 12,
     spread: float = 0.1,
-    parameters: Mapping[str, float] | None = None,
     progress: bool | None = None,
 ) -> Drift:
     """Integrate some nearby states for long and follow the mean energy of blocks of samples.
@@ -83,7 +82,6 @@ def energy_drift(
     members : int
         Initial states: the state with positions moved by up to ``spread``.
     spread : float
-    parameters : mapping, optional
     progress : bool, optional
         Whether to show a bar; None shows one after a second.
 
@@ -91,7 +89,7 @@ def energy_drift(
     -------
     Drift
     """
-    values = stepper.program.named_values(parameters)
+    values = stepper.program.named_values()
     q, p = choose_state(stepper, state, values)
     moved = q + spread * np.random.default_rng(5).uniform(-1, 1, (members, stepper.n))
     energies, momenta, failed = _sampled(stepper, moved, p, h, steps, values, progress)

@@ -25,22 +25,14 @@ class Turned:
 
 
 def turned(
-    stepper: Stepper,
-    coordinate: int,
-    turns: int,
-    *,
-    h: float,
-    steps: int,
-    state: Mapping[str, Any],
-    parameters: Mapping[str, float] | None = None,
+    stepper: Stepper, coordinate: int, turns: int, *, h: float, steps: int, state: Mapping[str, Any]
 ) -> Turned:
     """Integrate from a start and from the same start many turns away."""
-    options: dict[str, Any] = {"h": h, "steps": steps, "parameters": parameters}
-    plain = stepper.integrate(**state, **options)
+    plain = stepper.integrate(**state, h=h, steps=steps)
     moved: dict[str, Any] = {key: np.array(value, dtype=np.float64) for key, value in state.items()}
     angle = 2 * np.pi * turns
     moved["q0"][coordinate] += angle
-    far = stepper.integrate(**moved, **options)
+    far = stepper.integrate(**moved, h=h, steps=steps)
     turn = np.zeros(stepper.n)
     turn[coordinate] = far.q[0, coordinate] - plain.q[0, coordinate]
     energy = abs(np.abs(far.energy_error).max() - np.abs(plain.energy_error).max())
