@@ -35,23 +35,10 @@ HOW = "Take the full form, condensed=False, in which states are unknowns."
 
 
 class Condensed:
-    """A programme whose states are eliminated.
+    """A programme whose states are eliminated; ``unknowns`` are those of the full form that stay.
 
-    Parameters
-    ----------
-    programme, layout
-        The full form, and where its unknowns stand.
-    motion : callable
-        Gives its unknowns with states that move as the others say.
-    x : ndarray
-        Its unknowns at a guess.
-    bounds : pair of ndarray
-        Of its unknowns: those of states become rows.
-
-    Attributes
-    ----------
-    unknowns : ndarray of int
-        Those that are left.
+    The ``layout`` tells where these stand in x, which has them at a guess; ``motion`` gives them
+    with states that move as the others say. Bounds of states become rows.
     """
 
     def __init__(

@@ -39,44 +39,13 @@ SHORTEST = 1e-3
 class Layout:
     """Unknowns and rows of a problem, for steps of a scheme.
 
-    Attributes
-    ----------
-    grid : Grid
-    A, B, b, c : ndarray
-        Tables of the scheme: values and slopes of its polynomials at nodes, weights, places.
-    places : ndarray
-        Of the control points in a step.
-    points : ndarray of int, shape (N, d + 1, n)
-        Unknowns: control points, the first and the last shared with the steps beside.
-    momenta : ndarray of int, shape (N + 1, n)
-    velocities : ndarray of int, shape (2, n)
-        At the start and at the end.
-    inputs : ndarray of int, shape (N, s, m)
-        Those at the end of a step are shared with the next one, if there are nodes.
-    parameters : ndarray of int
-        Those that are found.
-    h : ndarray of int
-        The sizes of the steps of phases; none if the duration is given, and there is one phase.
-    multipliers : ndarray of int, shape (N, d, constraints)
-        Those of constraints at all control points of a step but the last, times h.
-    at_end : ndarray of int
-        Those of the momenta at the end, which are no multipliers of a step.
-    shared : bool
-        Whether the last node of a step is the first of the next one.
-    size : int
-        Number of unknowns.
-    scale : float
-        By which rows of steps but the last are multiplied: entries M / h of the Jacobian become M.
-    end_scale : float
-        By which the last row of a step is, in which momenta stand: a time, as h is, so that the
-        programme does not depend on units, but one that fine steps do not make small.
-    names : list of str
-        Of the rows.
+    The unknowns stand in arrays, by their numbers.
     """
 
     def __init__(self, read: Reading, scheme: Scheme, grid: Grid) -> None:
         self.read, self.scheme, self.grid, self.steps = read, scheme, grid, grid.count
         phases = len(grid.steps)
+        # tables of the scheme: values and slopes of its polynomials at nodes, weights, places
         self.A, self.B = (np.array(x, dtype=np.float64) for x in (scheme.A, scheme.B))
         self.b, self.c, self.places = (
             np.array(x, dtype=np.float64)
@@ -88,30 +57,40 @@ class Layout:
         first = np.arange(N)[:, None, None] * block
         leading = first + np.arange(d)[None, :, None] * n + np.arange(n)
         last = np.append(leading[1:, :1], np.arange(n)[None, None] + N * block, axis=0)
+        #: Control points, shape (N, d + 1, n), the first and the last shared with steps beside.
         self.points: Ints = np.concatenate([leading, last], axis=1)
+        #: shape (N + 1, n)
         self.momenta: Ints = np.arange(N + 1)[:, None] * block + d * n + np.arange(n)
         self.momenta[-1] = N * block + n + np.arange(n)
         size = N * block + 2 * n
+        #: Whether the last node of a step is the first of the next one.
         shared = self.shared = bool(self.c[0] == 0 and self.c[-1] == 1 and s > 1)
         each = s - 1 if shared else s
         # an input may jump where a phase ends
         before = np.arange(N) * each + grid.phase * shared
+        #: shape (N, s, m); those at the end of a step are shared with the next one.
         self.inputs: Ints = (
             size + (before[:, None, None] + np.arange(s)[None, :, None]) * m + np.arange(m)
         )
         size += (N * each + shared * phases) * m
+        #: At the start and at the end, shape (2, n).
         self.velocities: Ints = size + np.arange(2 * n).reshape(2, n)
         size += 2 * n
-        self.parameters: Ints = size + np.arange(len(read.found))
+        self.parameters: Ints = size + np.arange(len(read.found))  #: Those that are found.
         size += len(read.found)
         low, high = read.duration
+        #: Sizes of the steps of phases; none if the duration is given, and there is one phase.
         self.h: Ints = size + np.arange(0 if low == high and phases == 1 else phases)
         size += len(self.h)
         held = len(read.constraints)
+        #: Of constraints, times h, at all control points of a step but the last, and at the end.
         self.multipliers: Ints = size + np.arange(N * d * held).reshape(N, d, held)
         self.at_end: Ints = size + N * d * held + np.arange(held)
         self.size = size + (N * d + 1) * held
+        #: By which rows of steps but the last are multiplied: M / h of the Jacobian becomes M.
         self.scale = (low if low == high else np.sqrt(low * high)) / N
+        #: By which the last row is, in which momenta stand: a time, as h is, so that the programme
+        #: does not depend on units, but one that fine steps do not make small.
         self.end_scale = END_SCALE * self.scale * N
 
     @cached_property

@@ -33,19 +33,7 @@ CONSTANTS = {"pi": math.pi, "EulerGamma": float(np.euler_gamma), "Catalan": 0.91
 class PointFunctions:
     """Functions f of the variables of a point: values, slopes, and second derivatives of w.f.
 
-    Parameters
-    ----------
-    graph : Graph
-    variables : sequence of int
-        Nodes of the symbols by which they are differentiated.
-    outputs : sequence of Value
-
-    Attributes
-    ----------
-    slopes : list of (int, int)
-        Which f depends on which variable.
-    curved : list of (int, int)
-        Pairs of variables, the later one first, by which w.f has a second derivative.
+    Variables are nodes of the symbols by which the ``outputs`` are differentiated.
     """
 
     def __init__(self, graph: Graph, variables: Sequence[int], outputs: Sequence[Value]) -> None:

@@ -48,35 +48,7 @@ class Limits:
 
 
 class Reading:
-    """The expressions of a problem in a graph of the plain symbols, and numbers.
-
-    Attributes
-    ----------
-    graph : Graph
-    q, v, p, u, parameters : tuple of int
-        Nodes of the symbols.
-    t : int
-    forces, momenta : list of Value
-        F = dL/dq + f and P = dL/dv.
-    running, final : Value
-    ends : pair of lists of Limits
-        Of the start and of the end.
-    tied : list of (str, Value, Value)
-        The name, what stands at the end, and less what of the start it is equal to.
-    signals : dict from int to (symbol, function)
-        Nodes of what is a function of the time, given.
-    within : list of Limits
-        At nodes; of inputs and coordinates, these are in ``of_inputs`` and ``of_coordinates``.
-    found : list of int
-        Places of parameters that are found.
-    values : list of float
-        Of all parameters.
-    held : Held
-        Constraints, ``constraints`` their names, and ``multipliers`` nodes of symbols for theirs.
-    phases : list of dict from int to pair of float
-        The bounds of inputs in each, by their places.
-    duration : pair of float
-    """
+    """The expressions of a problem in a graph of the plain symbols, and numbers."""
 
     def __init__(self, problem: Any) -> None:
         system = self.system = problem.system
@@ -91,6 +63,7 @@ class Reading:
         )
         (self.t,) = graph.numbers([plain.t.name])
         of_signals = graph.numbers(s.name for s in self.symbols.u[len(self.u) :])
+        #: By the nodes of what is a given function of the time: its symbol, and the function.
         self.signals = dict(zip(of_signals, signals.items(), strict=True))
         L, *f = rebuilt(plain.graph, [plain.L, *plain.f], {}, graph)
         slopes, n = gradient(graph, L, [*self.q, *self.v]), len(self.q)
@@ -106,7 +79,9 @@ class Reading:
         self._known |= dict(zip(self.inputs, system.inputs, strict=True))
         self.running = self.value("cost", problem.cost)
         self.final = self.value("final_cost", problem.final_cost, ends=True)
+        #: Limits at the start, and at the end.
         self.ends = tuple(self._end(what, getattr(problem, what)) for what in ("start", "end"))
+        #: Names, what stands at the end, and less what of the start it is equal to.
         self.tied = self._tied(problem.conditions)
         self.duration = read_duration(problem.duration)
         if self.signals and self.duration[0] < self.duration[1]:
@@ -116,6 +91,7 @@ class Reading:
             )
         self._read_unknowns(problem.unknowns)
         self._read_bounds(problem)
+        #: The bounds of inputs in each, by their places.
         self.phases = self._phases(problem.phases)
         self._check_moving()
         self._check()
@@ -220,7 +196,7 @@ class Reading:
         return float(c * evaluated(self.graph, [n], {}, mpmath.fp)[n]) if c else 0.0
 
     def _read_unknowns(self, given: Any) -> None:
-        self.found: list[int] = []
+        self.found: list[int] = []  #: Places of parameters that are found.
         self.found_bounds: list[tuple[float, float]] = []
         symbols = list(self.system.parameters)
         names = [*map(spelled, symbols)]
@@ -244,7 +220,7 @@ class Reading:
     def _read_bounds(self, problem: Any) -> None:
         self.of_inputs: dict[int, tuple[float, float]] = {}
         self.of_coordinates: dict[int, tuple[float, float]] = {}
-        self.within: list[Limits] = []
+        self.within: list[Limits] = []  #: At nodes, of what is no input and no coordinate.
         how = "pairs by symbol: {u: (-1, 1)}"
         for name, key, given in read_mapping("bounds", problem.bounds, how):
             pair = read_pair(f"bounds[{name}]", given)

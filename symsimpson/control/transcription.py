@@ -154,16 +154,8 @@ class _Pattern:
 class Programme:
     """A sparse programme: least cost, where rows and unknowns are within bounds.
 
-    Parameters
-    ----------
-    blocks : sequence of Block
-    linear : sparse matrix, shape (g, x)
-        D; the first row is that of the cost.
-
-    Attributes
-    ----------
-    jacobian_places, hessian_places : pair of ndarray of int
-        Rows and columns of the entries, by columns; of the Hessian those on and above the diagonal.
+    It is made of blocks, and of what is ``linear``, D: a sparse matrix whose first row is that of
+    the cost.
     """
 
     def __init__(self, blocks: Sequence[Block], linear: Any) -> None:

@@ -181,29 +181,11 @@ def discretise(
 ) -> DiscreteEquations:
     """Derive the equations of one step.
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    scheme : Scheme
-    exploit : str or iterable of str
-        Findings about the system that may shorten them.
-    varied : tuple of sympy.Symbol, optional
-        Plain symbols by which a step is differentiated, beside q and p.
-    cost : Cost, optional
-        Integrated along the path; steps carry its derivatives back, too.
-    second : bool
-        Whether second derivatives are asked for.
-
-    Returns
-    -------
-    DiscreteEquations
-        d n equations for d n unknowns, their exact Jacobian and the momenta; and the parts that
-        these come down to.
-
-    Raises
-    ------
-    SchemeError
-        If the scheme is explicit, but no step of the system is.
+    They are d n equations for d n unknowns, with their exact Jacobian and the momenta; and the
+    parts that these come down to. Of findings about the system those named in ``exploit`` may
+    shorten them. A step is differentiated by plain symbols that are ``varied``, beside q and p,
+    twice for ``second``; a cost is integrated along the path, and steps carry its derivatives back,
+    too. Raises SchemeError if the scheme is explicit, but no step of the system is.
     """
     wanted = read_exploit(exploit)
     if isinstance(scheme, Composition) and isinstance(system, RetimedSystem):

@@ -68,26 +68,17 @@ _Place = tuple[tuple[int, ...], int, bool]
 
 
 class Scopes:
-    """Where names are declared: as they are first given a value, if all that use them stand there.
-
-    Attributes
-    ----------
-    begins : dict
-        Of each name and statement that declares it, whether it has no other value later.
-    ahead : set of str
-        Names that must be known before.
-    stored : set of str
-        Names that get a value.
-    unread : set
-        Names and statements that give them a value which nothing reads.
-    """
+    """Where names are declared: as they first get a value, if all that use them stand there."""
 
     def __init__(self, body: list[ast.stmt], arguments: set[str]) -> None:
         self._places: dict[str, list[_Place]] = {}
         self._visit(body, (), frozenset(arguments))
+        #: Of each name and statement that declares it, whether it has no other value later.
         self.begins: dict[tuple[str, int], bool] = {}
         self.stored = {k for k, x in self._places.items() if any(gets for *_, gets in x)}
+        #: Names and statements that give them a value which nothing reads.
         self.unread: set[tuple[str, int]] = set()
+        #: Names that must be known before.
         self.ahead = {name for name, places in self._places.items() if self._declared(name, places)}
 
     def _declared(self, name: str, places: list[_Place]) -> bool:

@@ -59,18 +59,10 @@ def potential_of(
 ) -> tuple[sp.Expr, Force]:
     """Return a potential V of the loads that have one, and the force that is left beside -dV/dq.
 
-    Parameters
-    ----------
-    each : sequence of dict
-        The generalised force of each load. The part of it that stands without velocities belongs
-        to V if f = -dV/dq, of itself or together with others.
-    coordinates : sequence of functions of time
-    given : expression
-        Taken for V if it is that of all loads.
-    inputs : sequence of symbols
-        These stand in no potential, and neither does the time.
-    vanish : callable
-        Whether expressions are zero identically.
+    Of the generalised force of ``each`` load the part that stands without velocities belongs to V
+    if f = -dV/dq, of itself or together with others. What is ``given`` is taken for V if it is that
+    of all loads. Inputs stand in no potential, and neither does the time; ``vanish`` tells whether
+    expressions are zero identically.
     """
     still = {q.diff(time): 0 for q in coordinates}
     static = [{q: f.xreplace(still) for q, f in force.items()} for force in each]

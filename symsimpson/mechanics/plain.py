@@ -268,17 +268,7 @@ def unfrozen(value: Any) -> tuple[Any, ...]:
 
 
 class Symbols:
-    """The user's symbols, the plain ones that stand for them, and a graph that has these.
-
-    Attributes
-    ----------
-    q, v, p, a, u : tuple of sympy.Symbol
-    t : sympy.Symbol
-    graph : Graph
-        Its first nodes are q, v, p, a, t and u, in this order.
-    known : dict from the user's expression to Value
-        Velocities, coordinates, parameters, the time and inputs.
-    """
+    """The user's symbols, the plain ones that stand for them, and a graph that has these."""
 
     def __init__(
         self,
@@ -304,7 +294,7 @@ class Symbols:
             symbol: user for user, symbol in self.replace.items()
         }
         self.t = TIME
-        self.graph = Graph()
+        self.graph = Graph()  #: Its first nodes are q, v, p, a, t and u, in this order.
         every = (*self.q, *self.v, *self.p, *self.a, TIME, *self.u)
         self._nodes = {symbol: self.graph.symbol(symbol.name)[1] for symbol in every}
         self.known = {user: (1, self._nodes[symbol]) for user, symbol in self.replace.items()}

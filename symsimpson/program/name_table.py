@@ -19,14 +19,8 @@ __all__ = ["Names"]
 class Names:
     """Names of all that a module has; a user's own names come before those of the module.
 
-    A module writes names as identifiers alone. Those that a user gave are known where the system
-    is that it was made of; a module from a file has none but its own.
-
-    Attributes
-    ----------
-    coordinates, parameters, inputs, constraints, forces, invariants : Named
-    units : dict from str to str
-        Labels of quantities by name, as they were declared.
+    A module writes names as identifiers alone. Those that a user gave are known where the system is
+    that it was made of; a module from a file has none but its own.
     """
 
     def __init__(

@@ -26,21 +26,11 @@ FEW = 16
 
 
 class Numbers:
-    """Double precision, by compiled code; other numbers are subclasses.
+    """Double precision, by compiled code; other numbers are subclasses."""
 
-    Attributes
-    ----------
-    compiled : bool
-        Whether code is compiled for them: ensembles and short runs take no others.
-    stretch : int
-        Steps after which a run first looks whether it was interrupted.
-    epsilon : float
-        Twice the relative size of a rounding.
-    """
-
-    compiled = True
-    stretch = 4096
-    epsilon = 2.0**-52
+    compiled = True  #: Whether code is: ensembles and short runs take no others.
+    stretch = 4096  #: Steps after which a run first looks whether it was interrupted.
+    epsilon = 2.0**-52  #: Twice the relative size of a rounding.
 
     def __reduce__(self) -> str | tuple[Any, ...]:
         return "FLOAT64"  # there is one, by its name in this module

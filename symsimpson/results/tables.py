@@ -86,9 +86,8 @@ def write(
 
     Parameters
     ----------
-    path : path
-    what : str
-        What it is, for messages.
+    path, what
+        The file, and what is in it, for messages.
     arrays : callable
         Gives arrays of any shape, for .npz; what has many digits is refused.
     table : callable

@@ -44,26 +44,8 @@ NOTHING = 1e-12
 class Saltation:
     """Carries variations of the state through a step in which events act.
 
-    Parameters
-    ----------
-    program : Program
-        Whose module differentiates by what ``sensitivities`` are asked for.
-    run_events : RunEvents
-    parameters : ndarray, shape (m,)
-    h : float
-    inputs : ndarray, shape (1, N, s, u)
-
-    Attributes
-    ----------
-    columns : ndarray, shape (2 n, k)
-        Variations of the state; the last ones are those by parameters and inputs.
-    moved : ndarray, shape (k,)
-        Variations of the time that has come.
-
-    Raises
-    ------
-    InputError
-        If the system is not known, or inputs vary within a step.
+    The program is one whose module differentiates by what ``sensitivities`` are asked for. Raises
+    InputError if the system is not known, or inputs vary within a step.
     """
 
     def __init__(
@@ -76,6 +58,7 @@ class Saltation:
         self._events, self._parameters = run_events, parameters
         self._h, self._inputs, self._own = h, inputs, varied
         self._jumps = Jumps(program, run_events, parameters)
+        #: Variations of the state, those by parameters and inputs last, and of the time at hand.
         self.columns, self.moved = np.zeros((2 * program.n, 0)), np.zeros(0)
         #: The event whose time it is that has come.
         self._timed: int | None = None

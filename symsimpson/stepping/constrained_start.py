@@ -47,22 +47,9 @@ def project_start(
 ) -> tuple[Reals, Reals]:
     """Correct q0 onto the constraints by Newton's method; check v0 or p0, unchanged.
 
-    Parameters
-    ----------
-    program : Program
-    q, other : ndarray, shape (K, n)
-    given : {"v0", "p0", ""}
-        What the second is; "" if it is not to be looked at.
-    values : ndarray, shape (K, m)
-        Of parameters.
-    t : number
-    missed : float
-        By how much a start may miss the constraints, relative to their slopes and to q.
-
-    Returns
-    -------
-    q, other : ndarray, shape (K, n)
-        Corrected positions, and ``other`` as it was given.
+    Positions, velocities or momenta, and values of parameters have a row for each member; ``given``
+    says what the second are, "" if they are not to be looked at. By ``missed`` a start may miss the
+    constraints, relative to their slopes and to q.
 
     Raises
     ------

@@ -27,20 +27,7 @@ Floats = NDArray[np.float64]
 class Parts:
     """Takes parts of the steps of a run, each with the inputs of its step.
 
-    Parameters
-    ----------
-    program : Program
-    parameters : ndarray, shape (m,)
-    h : float
-    inputs : ndarray, shape (1, N, s, u)
-    works : bool
-        Whether the work of forces is asked for.
-
-    Attributes
-    ----------
-    parameters : ndarray
-    parting : tuple
-        The kernels that take a part, their workspace, and the layout for the driver.
+    With ``works`` the work of forces is asked for.
     """
 
     def __init__(
@@ -49,6 +36,7 @@ class Parts:
         numbers, header = program.numbers, program.header
         self._program, self.parameters, self._h, self._inputs = program, parameters, h, inputs
         kernels = program.kernels.set(program.kernels.fallbacks[0], again=True)
+        #: The kernels that take a part, their workspace, and the layout for the driver.
         self.parting = (
             kernels,
             workspace(header, numbers, numbers.read(parameters)),

@@ -100,21 +100,8 @@ def spelled(key: Any) -> str:
 class Named:
     """Things in an order, by the names that a user gave them and by those of a module.
 
-    Parameters
-    ----------
-    what : str
-        What one of them is: "coordinate".
-    names : sequence of str
-        Their names in the module.
-    users : sequence of str, optional
-        Those that the user gave them, which come first.
-
-    Attributes
-    ----------
-    shown : tuple of str
-        The name of each in tables and messages.
-    places : dict from str to int
-        All names of them.
+    ``what`` says what one of them is, as "coordinate"; of each the name that a user gave comes
+    first.
     """
 
     def __init__(self, what: str, names: Sequence[str], users: Iterable[str] | None = None) -> None:

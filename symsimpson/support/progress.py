@@ -86,17 +86,8 @@ def _tell(what: str, done: threading.Event, wanted: bool | None) -> None:
 class Progress:
     """Counts what is done; a context manager.
 
-    Parameters
-    ----------
-    total : int
-    wanted : bool or None
-        None shows a bar after a second, if tqdm is installed; True shows one at once.
-    unit : str
-        What is counted.
-    look : str, optional
-        How the bar looks, in the words of tqdm; shown at once.
-    what : str, optional
-        What the bar is about.
+    A bar is shown after a second if ``wanted`` is None and tqdm is installed, and at once for True.
+    It counts in a ``unit``, looks as ``look`` says in the words of tqdm, and is about ``what``.
     """
 
     def __init__(
