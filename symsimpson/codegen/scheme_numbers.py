@@ -9,8 +9,7 @@ from symsimpson.schemes.scheme import Scheme
 
 __all__ = ["SchemeNumbers"]
 
-#: What a module takes of a scheme, and of its quadrature.
-_OF_SCHEME = ("A", "B", "points", "stiffness", "end_slope", "extrapolation", "correction")
+#: What belongs to the quadrature of a scheme.
 _OF_QUADRATURE = ("nodes", "weights")
 
 
@@ -31,13 +30,10 @@ class SchemeNumbers:
         self._scheme, self._graph = scheme, graph
 
     def __getattr__(self, name: str) -> Any:
-        if name in _OF_SCHEME:
-            table = getattr(self._scheme, name)
-        elif name in _OF_QUADRATURE:
-            table = getattr(self._scheme.quadrature, name)
-        else:
+        if name not in type(self).__annotations__:
             raise AttributeError(name)
-        self.__dict__[name] = self._read(table)
+        owner = self._scheme.quadrature if name in _OF_QUADRATURE else self._scheme
+        self.__dict__[name] = self._read(getattr(owner, name))
         return self.__dict__[name]
 
     def _read(self, table: Any) -> Any:

@@ -49,11 +49,14 @@ class Block:
     scratch: bool = False  #: Whether no kernel reads what another one has left there.
 
 
-def part(
-    name: str, doc: str, size: Size = one, for_driver: bool = False, *, scratch: bool = False
-) -> Block:
+def part(name: str, doc: str, size: Size = one, for_driver: bool = False) -> Block:
     """Return a block of systems that need it: with constraints, inputs, stages, derivatives."""
-    return Block(name, doc, size, for_driver, optional=True, scratch=scratch)
+    return Block(name, doc, size, for_driver, optional=True)
+
+
+def scratch(name: str, doc: str, size: Size) -> Block:
+    """Return such a block, in which no kernel leaves anything to others."""
+    return Block(name, doc, size, optional=True, scratch=True)
 
 
 #: All of them, in their order. Sizes that are spoken of are squared norms with the diagonal of
@@ -105,30 +108,27 @@ TABLE = (
     Block("PARAMETER", "parameters", lambda s: s.parameters, for_driver=True),
     part("INVARIANT", "quantities to watch", lambda s: s.invariants),
     part("HOISTED", "values that are computed once a run or a step", lambda s: s.hoisted),
-    part("NODE_POSITION", "q at a node", at_node, scratch=True),
-    part("NODE_VELOCITY", "v at a node", at_node, scratch=True),
+    scratch("NODE_POSITION", "q at a node", at_node),
+    scratch("NODE_VELOCITY", "v at a node", at_node),
     part("NODE_L_Q", "F at a node", at_node),
     part("NODE_L_V", "P, or a, at a node", at_node),
-    part("NODE_L_QQ", "F_q at a node", entries, scratch=True),
-    part("NODE_L_QV", "F_v at a node", entries, scratch=True),
+    scratch("NODE_L_QQ", "F_q at a node", entries),
+    scratch("NODE_L_QV", "F_v at a node", entries),
     part("NODE_L_VV", "M at a node", entries),
     Block("MASS", "a constant M", lambda s: s.constant_mass * s.entries),
     Block("MASS_DIAGONAL", "diagonal of M(q0)", coordinates, for_driver=True),
     part("COEFFICIENT", "factors of the terms of L", lambda s: s.coefficients),
-    part(
-        "NODE_F_V",
-        "derivatives of the forces by v at a node",
-        lambda s: s.dragged * s.entries,
-        scratch=True,
+    scratch(
+        "NODE_F_V", "derivatives of the forces by v at a node", lambda s: s.dragged * s.entries
     ),
-    part("NODE_TIME", "t at a node", lambda s: s.timed, scratch=True),
+    scratch("NODE_TIME", "t at a node", lambda s: s.timed),
     part(
         "INPUT",
         "inputs of the step, of each its values at all nodes",
         lambda s: s.inputs * s.stride,
         for_driver=True,
     ),
-    part("NODE_INPUT", "inputs at a node", lambda s: s.inputs, scratch=True),
+    scratch("NODE_INPUT", "inputs at a node", lambda s: s.inputs),
     part(
         "GROWTH",
         "by how much the weights of nodes have grown, and those of the end of the step",
@@ -149,11 +149,10 @@ TABLE = (
     part("STAGE_AHEAD", "from STAGE_V to that of the next step", lambda s: 2 * s.nodes * s.staged),
     part("STAGE_CORRECTION", "sizes of the corrections at the nodes", lambda s: s.staged),
     part("STAGE_SIZE", "sizes of the increments at the nodes", lambda s: s.staged),
-    part(
+    scratch(
         "STAGE_HELD",
         "values between the two halves of an iteration",
         lambda s: s.staged_values * s.staged,
-        scratch=True,
     ),
     part(
         "STAGE_ANGLE", "angles at the nodes, of an iteration before", lambda s: s.angles * s.staged
@@ -231,63 +230,52 @@ TABLE = (
     part(
         "EXCHANGE", "which rows elimination has exchanged", lambda s: s.differentiated * s.unknowns
     ),
-    part(
+    scratch(
         "START_SLOPES",
         "derivatives of the rows of a step by q0, increments held",
         lambda s: s.differentiated * s.degree * s.entries,
-        scratch=True,
     ),
-    part(
+    scratch(
         "END_SLOPES",
         "those of p1 - p0 by q0, then by increments in the order of elimination",
         lambda s: s.differentiated * (s.degree + 1) * s.entries,
-        scratch=True,
     ),
-    part("STEP_QQ", "F_q at all nodes", lambda s: s.assembled * s.nodes * s.entries, scratch=True),
-    part("STEP_QV", "F_v at all nodes", lambda s: s.assembled * s.nodes * s.entries, scratch=True),
-    part("STEP_VV", "M at all nodes", lambda s: s.assembled * s.nodes * s.entries, scratch=True),
-    part(
+    scratch("STEP_QQ", "F_q at all nodes", lambda s: s.assembled * s.nodes * s.entries),
+    scratch("STEP_QV", "F_v at all nodes", lambda s: s.assembled * s.nodes * s.entries),
+    scratch("STEP_VV", "M at all nodes", lambda s: s.assembled * s.nodes * s.entries),
+    scratch(
         "STEP_F_V",
         "derivatives of the forces by v at all nodes",
         lambda s: s.assembled * s.dragged * s.nodes * s.entries,
-        scratch=True,
     ),
-    part(
-        "STEP_F_A",
-        "derivatives of F by parameters at all nodes",
-        lambda s: s.nodes * s.f_slopes,
-        scratch=True,
+    scratch(
+        "STEP_F_A", "derivatives of F by parameters at all nodes", lambda s: s.nodes * s.f_slopes
     ),
-    part("STEP_P_A", "those of P", lambda s: s.nodes * s.p_slopes, scratch=True),
-    part(
+    scratch("STEP_P_A", "those of P", lambda s: s.nodes * s.p_slopes),
+    scratch(
         "POINT_QQ",
         "second derivatives of lambda.phi at all control points",
         lambda s: s.differentiated * (s.degree + 1) * s.bordered,
-        scratch=True,
     ),
-    part(
+    scratch(
         "POINT_A",
         "derivatives of phi by parameters at these",
         lambda s: (s.degree + 1) * s.varied * s.m,
-        scratch=True,
     ),
-    part(
+    scratch(
         "POINT_QA",
         "those of Phi^T lambda",
         lambda s: (s.degree + 1) * s.varied * s.constrained * s.n,
-        scratch=True,
     ),
-    part(
+    scratch(
         "DERIVATIVE",
         "of the end of the step, column by column: by q, by p and by what is varied",
         lambda s: s.by_columns * 2 * s.n * (2 * s.n + s.varied),
-        scratch=True,
     ),
-    part(
+    scratch(
         "COLUMN_ROOM",
         "right sides of the equations for these columns",
         lambda s: s.by_columns * (s.unknowns + s.n) * (2 * s.n + s.varied),
-        scratch=True,
     ),
     part("ADJOINT", "derivatives of a cost by q and p", lambda s: 2 * s.differentiated * s.n),
     part(
