@@ -94,10 +94,7 @@ def evaluate_curvature(
 
 
 def _check_equations(program: Program) -> None:
-    """Refuse steps that are explicit.
-
-    Raises InputError.
-    """
+    """Refuse steps that are explicit; raises InputError."""
     if "equations" not in program.header.functions:
         raise InputError(
             f"{program.scheme} is explicit: a step has no equations to evaluate.\n"
@@ -106,10 +103,7 @@ def _check_equations(program: Program) -> None:
 
 
 def _shaped(name: str, value: ArrayLike, shape: tuple[int, int], numbers: Numbers) -> Reals:
-    """Read an array of this shape.
-
-    Raises InputError.
-    """
+    """Read an array of this shape; raises InputError."""
     array = read_array(name, value, numbers)
     if array.shape != shape:
         raise InputError(
@@ -132,10 +126,7 @@ class _Step:
 
     @classmethod
     def read(cls, program: Program, at: At) -> _Step:
-        """Read a step, and put its path into a workspace.
-
-        Raises InputError.
-        """
+        """Read a step, and put its path into a workspace; raises InputError."""
         header, n, numbers = program.header, program.n, program.numbers
         d, m = header.degree, len(header.constraints)
         q = read_vector("q0", at.q0, program.names.coordinates, numbers)

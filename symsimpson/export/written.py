@@ -19,10 +19,7 @@ NAME = re.compile("[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 
 
 def write_files(program: Program, path: str | os.PathLike[str]) -> tuple[Path, Path]:
-    """Write the header and the source file of a stepper.
-
-    Raises InputError or StorageError.
-    """
+    """Write the header and the source file of a stepper; raises InputError or StorageError."""
     place = read_path("path", path)
     name = place.name.removesuffix(".c").removesuffix(".h")
     if not NAME.fullmatch(name) or name in {*WORDS, "math"}:

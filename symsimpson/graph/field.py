@@ -45,10 +45,7 @@ class Arithmetic(Protocol):
         ...
 
     def inverse(self, x: Element) -> Element:
-        """Return 1/x.
-
-        Raises ZeroDivisionError if x is zero.
-        """
+        """Return 1/x; raises ZeroDivisionError if x is zero."""
         ...
 
     def root(self, x: Element) -> Element:

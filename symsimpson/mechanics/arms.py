@@ -144,7 +144,8 @@ def arm_energies(
             "Write links=[ss.Link(a=0.5, mass=2.0, inertia=(0, 0.04, 0.04)), ...]."
         )
     for link in links:
-        _check_numbers(name, link)
+        for what in ("a", "alpha", "d", "theta", "mass", "rotor"):
+            _entries(name, what, (getattr(link, what),))
     if not links or len(links) != len(q):
         raise ModelError(
             f"system '{name}': {len(links)} links and {len(q)} joints.\n"
@@ -213,11 +214,6 @@ def _vector(name: str, what: str, given: Sequence[Any]) -> Vector:
     if len(entries) != 3:
         raise fail(name, f"a link's {what} has {len(entries)} entries.", "Give x, y and z.")
     return np.array(entries, dtype=object)
-
-
-def _check_numbers(name: str, link: Link) -> None:
-    for what in ("a", "alpha", "d", "theta", "mass", "rotor"):
-        _entries(name, what, (getattr(link, what),))
 
 
 def _entries(name: str, what: str, given: Any) -> tuple[Any, ...]:

@@ -142,10 +142,7 @@ def read_inputs(
 def check_used(
     name: str, inputs: Sequence[sp.Expr], symbols: Symbols, forces: Mapping[str, tuple[Value, ...]]
 ) -> None:
-    """Refuse an input that stands in no force.
-
-    Raises ModelError.
-    """
+    """Refuse an input that stands in no force; raises ModelError."""
     nodes = symbols.graph.nodes
     used = {s for force in forces.values() for _, n in force for s in nodes[n].symbols}
     for u, n in zip(inputs, symbols.numbers(symbols.u), strict=True):

@@ -16,10 +16,7 @@ __all__ = ["read_values", "read_vector"]
 
 
 def read_vector(system: Declared, name: str, given: Any) -> NDArray[np.float64]:
-    """Read a number for each coordinate, in order or by name.
-
-    Raises InputError.
-    """
+    """Read a number for each coordinate, in order or by name; raises InputError."""
     table = Named("coordinate", [spelled(q) for q in system.coordinates])
     try:
         vector = np.array(table.in_order(name, given), dtype=np.float64)
@@ -36,10 +33,7 @@ def read_vector(system: Declared, name: str, given: Any) -> NDArray[np.float64]:
 def read_values(
     name: str, what: str, defaults: Mapping[Any, Any], given: Mapping[Any, Any] | None
 ) -> list[float]:
-    """Read values by symbol or by name, in place of defaults, in their order.
-
-    Raises InputError.
-    """
+    """Read values by symbol or by name, in place of defaults, in their order; raises InputError."""
     table = Named(what, [spelled(key) for key in defaults])
     values = [float(x) for x in defaults.values()]
     for key, value in read_mapping(name, given, what[0]).items():

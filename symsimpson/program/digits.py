@@ -189,12 +189,10 @@ class Digits(Numbers):
             given = np.broadcast_arrays(*map(outer, arguments))
             rows = [single(*row) for row in zip(*(x.ravel() for x in given), strict=True)]
             columns = zip(*rows, strict=True)
-            return [inner(np.array(self._converted(x), dtype=object)) for x in columns]
+            converted = ([self.context.convert(x) for x in column] for column in columns)
+            return [inner(np.array(column, dtype=object)) for column in converted]
 
         return every
-
-    def _converted(self, column: Sequence[Any]) -> list[Any]:
-        return [self.context.convert(x) for x in column]
 
     def kernels(self, text: str, header: Header, lanes: int = 1) -> _Functions:
         """Bind the kernels of a module."""

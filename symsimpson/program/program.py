@@ -200,10 +200,7 @@ class Program:
         return {name: value for name, value in values.items() if name not in from_start}
 
     def check_given(self, given: Mapping[Any, Any] | None) -> None:
-        """Refuse values of parameters that follow from the start of a run.
-
-        Raises InputError.
-        """
+        """Refuse values of parameters that follow from the start of a run; raises InputError."""
         keys = self.header.from_start
         if keys and isinstance(given, Mapping) and not keys.isdisjoint(map(spelled, given)):
             raise InputError(

@@ -235,7 +235,10 @@ class Reader:
                     raise self._refuse("it contains a number that is too large")
                 return repr(float(number))
             case ast.Name(id=name) if name in self._known:
-                self._check_single(name)
+                if name in self._double:
+                    raise self._refuse(
+                        f"{name!r} is a parameter, and the name of another quantity, too"
+                    )
                 self._used.add(name)
                 self.energetic |= self._known[name].startswith(COMPUTED)
                 return self._known[name]
@@ -288,11 +291,6 @@ class Reader:
             further = "".join(f" {sign} {part}" for sign, part in others)
             rows.append(f"({'-' if sign == '-' else ''}{part}{further})")
         return rows[0] if len(rows) == 1 else f"({' + '.join(rows)})"
-
-    def _check_single(self, name: str) -> None:
-        """Refuse a name that means a parameter and something else."""
-        if name in self._double:
-            raise self._refuse(f"{name!r} is a parameter, and the name of another quantity, too")
 
 
 def _value(node: ast.expr) -> Any:

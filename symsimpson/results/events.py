@@ -87,10 +87,7 @@ class Events(States):
 
 
 def read_zeros(program: Program, expression: Any, direction: int, wrap: Any) -> Zeros:
-    """Read which zeros are wanted.
-
-    Raises InputError.
-    """
+    """Read which zeros are wanted; raises InputError."""
     if whole_number(direction) not in (-1, 0, 1):
         raise InputError(
             f"direction is {direction!r}.\nPass 1 for zeros on the way up, -1 for those on the "

@@ -99,10 +99,7 @@ def _room(program: Program, spec: RunSpec, stride: int, to_disk: bool) -> int:
 def _checkpoint(
     path: str | os.PathLike[str], every: int | None, program: Program, run: Run, spec: RunSpec
 ) -> Checkpoint:
-    """Return what keeps a run on disk.
-
-    Raises InputError or StorageError.
-    """
+    """Return what keeps a run on disk; raises InputError or StorageError."""
     place = read_path("checkpoint", path)
     check_folder(place, "checkpoint")
     if run.W.dtype != np.float64:

@@ -199,10 +199,7 @@ def has_energy(program: Program, t: Reals, q: Reals, p: Reals, values: Reals) ->
 
 
 def check_start(program: Program, t: Any, q: Reals, p: Reals, values: Reals) -> None:
-    """Refuse a state at which the energy is not a finite real number.
-
-    Raises InputError.
-    """
+    """Refuse a state at which the energy is not a finite real number; raises InputError."""
     times = np.full(1, t, dtype=q.dtype)
     if not has_energy(program, times, q[None], p[None], values):
         raise InputError(

@@ -20,10 +20,7 @@ ELSEWHERE = {
 
 
 def read_scheme(scheme: str | Scheme) -> Scheme:
-    """Find a scheme by its name.
-
-    Raises SchemeError if no scheme has this name.
-    """
+    """Find a scheme by its name; raises SchemeError if no scheme has this name."""
     if isinstance(scheme, Scheme):
         return scheme
     named = {s.name: s for s in (MIDPOINT, SIMPSON)}

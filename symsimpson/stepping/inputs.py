@@ -138,10 +138,7 @@ def refuse_too_many(steps: float) -> None:
 
 
 def refuse_together(request: Request) -> None:
-    """Refuse what does not go with chosen times or quantities.
-
-    Raises InputError.
-    """
+    """Refuse what does not go with chosen times or quantities; raises InputError."""
     for name in ("tangents", "sensitivities", "checkpoint", "record"):
         if getattr(request, name) is not None:
             raise InputError(

@@ -126,10 +126,7 @@ def check_variations(program: Program, inputs: NDArray[Any]) -> None:
 
 
 def read_events(program: Program, given: Any) -> RunEvents:
-    """Read the events of a run.
-
-    Raises InputError if they are none, or do not fit the system.
-    """
+    """Read the events of a run; raises InputError if they are none, or do not fit the system."""
     if isinstance(given, Event):
         given = (given,)
     if not isinstance(given, Sequence) or isinstance(given, str):

@@ -76,10 +76,7 @@ class RunSpec:
 
 
 def read_run(program: Program, request: Request) -> RunSpec:
-    """Read what a single run is asked for.
-
-    Raises InputError if it makes no sense.
-    """
+    """Read what a single run is asked for; raises InputError if it makes no sense."""
     numbers, names = program.numbers, program.names.coordinates
     with numbers.working():
         values = program.values(request.parameters, (request.events, request.reduce))

@@ -113,10 +113,7 @@ def varied_program(
 
 
 def refuse_retimed(program: Program, what: str) -> None:
-    """Refuse what is not there for steps that are fixed in another time.
-
-    Raises InputError.
-    """
+    """Refuse what is not there for steps that are fixed in another time; raises InputError."""
     if program.header.retimed:
         raise InputError(
             f"{program.system} is retimed, and {what} are not taken in another time yet.\n"

@@ -37,10 +37,7 @@ def watched() -> bool:
 
 
 def read_progress(wanted: Any) -> None:
-    """Check whether a bar is wanted.
-
-    Raises InputError.
-    """
+    """Check whether a bar is wanted; raises InputError."""
     if not (wanted is None or isinstance(wanted, bool)):
         raise InputError(f"progress is {wanted!r}.\nPass True, False or None.")
 
