@@ -39,9 +39,8 @@ def choose_state(
 ) -> State:
     """Return (q, p) of the state asked for, the stepper's reference state, or one at random.
 
-    A state is q0, and v0 or p0; what is None is not asked for.
-
-    Raises InputError if the state makes no sense, or no random one can begin.
+    A state is q0, and v0 or p0; what is None is not asked for. Raises InputError if the state makes
+    no sense, or no random one can begin.
     """
     if not isinstance(state, Mapping | None):
         raise InputError(
@@ -89,9 +88,7 @@ def choose_step(
     """Choose a step size with small errors of energy and path, of which so many steps succeed.
 
     The first that will do is taken, of ``first`` and its halves, if that is given; longer ones are
-    looked at up to ``longest`` alone.
-
-    Raises InputError if there is none.
+    looked at up to ``longest`` alone. Raises InputError if there is none.
     """
     first = first or _first_step(stepper, q, p, parameters, longest)
     for halvings in range(60):

@@ -168,9 +168,7 @@ def _refined(row: NDArray[np.float64], matrix: NDArray[Any], context: Any) -> ND
     """Solve for those entries of a null vector that are no round numbers, in many digits.
 
     A ratio of parameters may be near a round number: where these solve nothing, all are solved for
-    that are not zero, but the largest.
-
-    Raises ArithmeticError if they are not determined.
+    that are not zero, but the largest. Raises ArithmeticError if they are not determined.
     """
     full = np.array([_fraction(x, context) for x in row], dtype=object)
     full = _solved(full, np.array([x is None for x in full]), matrix, context)

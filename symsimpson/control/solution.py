@@ -228,9 +228,8 @@ def _warn_of_undetermined_inputs(read: Reading, scheme: Scheme) -> None:
 def initial_point(layout: Layout, guess: Any) -> Floats:
     """Return unknowns to begin with: coordinates, inputs, momenta, steps, parameters.
 
-    Without a guess, straight lines between the ends.
-
-    Raises InputError if the guess has other names or shapes, or momenta are not finite.
+    Without a guess, straight lines between the ends. Raises InputError if the guess has other names
+    or shapes, or momenta are not finite.
     """
     read, N = layout.read, layout.steps
     low, high = read.duration

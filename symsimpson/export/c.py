@@ -76,10 +76,8 @@ class _Sets(KernelSets):
 def written_c(program: Program, prefix: str) -> tuple[str, str]:
     """Return the header and the source of a stepper in C.
 
-    ``prefix`` begins all names that other files see.
-
-    Raises InputError if it computes with many digits, keeps a time of its own, or is too large for
-    loops of C.
+    ``prefix`` begins all names that other files see. Raises InputError if it computes with many
+    digits, keeps a time of its own, or is too large for loops of C.
     """
     header = program.header
     if not program.numbers.compiled:

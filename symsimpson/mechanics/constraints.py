@@ -50,7 +50,6 @@ def names_of(name: str, constraints: Any, taken: Sequence[str] | None = None) ->
     """Return the constraints by name; those of a list are called "1", "2", ...
 
     Those of velocities are told by the names that are ``taken`` by others, which they leave out.
-
     Raises ModelError if they are no mapping from texts to expressions, and no sequence of
     expressions.
     """

@@ -140,9 +140,8 @@ def _simplified(
 def check_degenerate(system: str, lagrangian: QuadraticInVelocities, symbols: Symbols) -> None:
     """Refuse coordinates of whose velocities L has terms of first order, but none of second.
 
-    So are those that have no velocity in L, and stand in terms of first order of others.
-
-    Raises ModelError with the coordinate.
+    So are those that have no velocity in L, and stand in terms of first order of others. Raises
+    ModelError with the coordinate.
     """
     graph = symbols.graph
     coupled = frozenset().union(*(graph.nodes[n].symbols for c, n in lagrangian.a if c))
@@ -163,9 +162,8 @@ def check_degenerate(system: str, lagrangian: QuadraticInVelocities, symbols: Sy
 def check_mass_matrix(system: str, M: Mapping[tuple[int, int], Value], symbols: Symbols) -> None:
     """Refuse a mass matrix that is singular for all q, or has an entry M_ii that is negative.
 
-    Whether it is positive definite depends on q, and is looked at where a run begins.
-
-    Raises ModelError with the coordinate that has no mass, where there is one.
+    Whether it is positive definite depends on q, and is looked at where a run begins. Raises
+    ModelError with the coordinate that has no mass, where there is one.
     """
     massive = {i for place in M for i in place}
     for i, (q, v) in enumerate(zip(symbols.q, symbols.v, strict=True)):

@@ -52,9 +52,8 @@ def first_line(node: ast.stmt) -> int:
 def definitions(text: str) -> Mapping[str, tuple[int, int]]:
     """Return the first line, and the line behind the last, of each constant and function.
 
-    Decorators belong to functions. Lines are counted from 0.
-
-    Raises SyntaxError, ValueError, RecursionError or MemoryError if the text is no Python.
+    Decorators belong to functions. Lines are counted from 0. Raises SyntaxError, ValueError,
+    RecursionError or MemoryError if the text is no Python.
     """
     spans = {}
     for node in outline(text).body:

@@ -53,7 +53,6 @@ def cache_folder() -> Path:
     """Return the folder of compiled code, made if need be and checked to be private.
 
     ``$SYMSIMPSON_CACHE_DIR``, else ``$XDG_CACHE_HOME/symsimpson``, else ``~/.cache/symsimpson``.
-
     Raises GenerationError if others may write there: its files are executed.
     """
     base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"

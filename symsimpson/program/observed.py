@@ -102,10 +102,9 @@ def read_expression(
 ) -> Observed:
     """Read an expression, a text or of SymPy; an equation means the difference of its sides.
 
-    Errors tell ``what`` it is.
-
-    Raises InputError if it contains something else than arithmetic, functions and the names of
-    coordinates, momenta, velocities, parameters, t, energy and kinetic_energy.
+    Errors tell ``what`` it is. Raises InputError if it contains something else than arithmetic,
+    functions and the names of coordinates, momenta, velocities, parameters, t, energy and
+    kinetic_energy.
     """
     reader = Reader(program, what)
     text = reader.read_any(expression)

@@ -176,9 +176,8 @@ class Program:
     def values(self, given: Mapping[Any, Any] | None = None, beside: Any = None) -> Reals:
         """Return values of all parameters, the defaults but for those that are given.
 
-        They are of use to the system, or to what is asked for ``beside`` it.
-
-        Raises InputError if one is unknown, or not as it was declared.
+        They are of use to the system, or to what is asked for ``beside`` it. Raises InputError if
+        one is unknown, or not as it was declared.
         """
         if given is None:
             return self.defaults.copy()
@@ -260,9 +259,8 @@ def read_program(
 ) -> Program:
     """Return the program of a module from a file, once digest and structure are checked.
 
-    ``users`` are the names that stand beside it there: those that a user gave.
-
-    Raises StaleKernelError if it is not a module that this version generated.
+    ``users`` are the names that stand beside it there: those that a user gave. Raises
+    StaleKernelError if it is not a module that this version generated.
     """
     header = read_header(text, where)  # compares the digest, executes nothing
     check_structure(text, where)

@@ -75,9 +75,8 @@ def tape(header: Header) -> Recorder:
 def work(header: Header, first: int = 0) -> Recorder | None:
     """Return the recorder of the work of forces; None for a conservative system.
 
-    The module has rows for it: the ``first`` free row is not used.
-
-    Raises InputError if the scheme is explicit: its steps have no nodes.
+    The module has rows for it: the ``first`` free row is not used. Raises InputError if the scheme
+    is explicit: its steps have no nodes.
     """
     if header.conservative:
         return None

@@ -97,9 +97,8 @@ class KernelSets(ABC):
     def compile_observer(self, text: str, rows: int) -> Any:
         """Compile a further kernel, whose text stands behind the module's.
 
-        The workspace has so many more rows, from what was ROWS on.
-
-        Raises InputError if nothing is compiled here.
+        The workspace has so many more rows, from what was ROWS on. Raises InputError if nothing is
+        compiled here.
         """
         raise InputError(
             "expressions are evaluated in double precision, and this stepper has many digits.\n"

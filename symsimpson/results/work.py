@@ -60,9 +60,8 @@ def integrals(run: Stored) -> tuple[dict[str, Reals], Reals]:
     """Return the work of each force and of all, and the integral of dL/dt, up to stored states.
 
     Each step is taken again: work is the integral h sum_i b_i f_i.v_i of the scheme, of its order.
-    Behind a step that cannot be taken again they are NaN.
-
-    Raises InputError if only the last state is stored, or the scheme is explicit.
+    Behind a step that cannot be taken again they are NaN. Raises InputError if only the last state
+    is stored, or the scheme is explicit.
     """
     program, header = run.program, run.program.header
     if header.conservative:

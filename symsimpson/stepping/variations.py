@@ -38,9 +38,8 @@ def read_varied(program: Program, names: Any, *, of_steps: bool = False) -> tupl
 
     "h" and "t" are the size of the steps and the time of their start, unless parameters are called
     so. A run has one h for all steps, whose times it moves: where something depends on the time,
-    only single steps are differentiated by it, those ``of_steps``.
-
-    Raises InputError if there is no such parameter or input, or one is named twice.
+    only single steps are differentiated by it, those ``of_steps``. Raises InputError if there is no
+    such parameter or input, or one is named twice.
     """
     given: Iterable[Any] = names if isinstance(names, (tuple, list)) else (names,)
     names_of, header = program.names, program.header
@@ -83,9 +82,8 @@ def varied_program(
 ) -> Program:
     """Return a program whose module differentiates its steps by these parameters and inputs.
 
-    A ``running`` cost is integrated by it, too; it may differentiate rows a ``second`` time.
-
-    Raises InputError if the module was loaded from a file that does not.
+    A ``running`` cost is integrated by it, too; it may differentiate rows a ``second`` time. Raises
+    InputError if the module was loaded from a file that does not.
     """
     varied_by = program.header.varied_by
     complete = "curvature" in program.header.functions or not second

@@ -159,9 +159,8 @@ class Named:
         """Return values that are given by name as a list in order; all others as they are.
 
         Those of "v0" may be given by the names of velocities, too, those of "p0" by the names of
-        momenta. A row of a table, as of pandas, whose labels are names gives values by name.
-
-        Raises InputError if a name is unknown, is given twice, or is missing.
+        momenta. A row of a table, as of pandas, whose labels are names gives values by name. Raises
+        InputError if a name is unknown, is given twice, or is missing.
         """
         given = by_name(given)
         if not isinstance(given, Mapping):

@@ -52,10 +52,8 @@ class Walker(Assigning):
         """Walk a kernel for all lanes, as one vector if that is wanted.
 
         Loops may be vectors of which each lane has scratch of its own, if that is. Functions that
-        are ``alone`` are walked for one lane after another.
-
-        Raises GenerationError if the text has something that no kernel has, with the line; Refused
-        if lanes cannot be one vector.
+        are ``alone`` are walked for one lane after another. Raises GenerationError if the text has
+        something that no kernel has, with the line; Refused if lanes cannot be one vector.
         """
         lanes, self._lanes_own, self._alone = workspace.shape[1], lane_scratch, alone
         self._side_by_side = lanes if vector else 0
