@@ -10,7 +10,7 @@ import textwrap
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mpmath
 import numpy as np
@@ -27,17 +27,15 @@ from symsimpson.analysis.solver_checks import EXACT, fallbacks, iterations, jaco
 from symsimpson.analysis.subject import SHORT, Subject, with_inputs
 from symsimpson.analysis.symmetries import block_size
 from symsimpson.analysis.variants import in_tau
+from symsimpson.api.stepper import Stepper
 from symsimpson.derivatives.step_equations import At, evaluate_equations
 from symsimpson.errors import InputError, ResolutionWarning, StabilityWarning, SymsimpsonError
 from symsimpson.module.header import digest
 from symsimpson.program.numbers import FLOAT64
+from symsimpson.results.trajectory import Trajectory
 from symsimpson.schemes.named import read_scheme
 from symsimpson.stepping.inputs import read_step
 from symsimpson.support.progress import waiting
-
-if TYPE_CHECKING:
-    from symsimpson.api.stepper import Stepper
-    from symsimpson.results.trajectory import Trajectory
 
 __all__ = ["certify"]
 

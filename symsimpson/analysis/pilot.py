@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.api.stepper import Stepper
 from symsimpson.errors import ConvergenceError, InputError
 from symsimpson.program.evaluating import evaluate
 from symsimpson.program.status import Status
 from symsimpson.support.calling import without_step_warnings
 from symsimpson.support.names import shortened
-
-if TYPE_CHECKING:
-    from symsimpson.api.stepper import Stepper
 
 __all__ = ["choose_state", "choose_step"]
 

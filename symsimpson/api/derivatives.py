@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from numpy.typing import ArrayLike, NDArray
 
+from symsimpson.api.evaluator import Parameters
 from symsimpson.api.stepping import Stepping
 from symsimpson.derivatives.gradients import Wanted, gradient_of
 from symsimpson.derivatives.linearised import linearise
@@ -18,9 +19,6 @@ from symsimpson.run.requested import tangent_of_step
 from symsimpson.stepping.request import Request, step_request
 from symsimpson.stepping.variations import read_varied
 from symsimpson.support.calling import explaining
-
-if TYPE_CHECKING:
-    from symsimpson.api.evaluator import Parameters
 
 __all__ = ["Differentiating"]
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +18,10 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from symsimpson.control.forward import motions
+from symsimpson.control.ipopt import Outcome, Solvable
+from symsimpson.control.layout import Layout
 from symsimpson.control.point_functions import PointFunctions
 from symsimpson.errors import InputError, SymsimpsonError
-
-if TYPE_CHECKING:
-    from symsimpson.control.ipopt import Outcome, Solvable
-    from symsimpson.control.layout import Layout
 
 __all__ = ["Condensed", "at_start", "moved"]
 

@@ -9,19 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.control.point_functions import PointFunctions, lagrange
+from symsimpson.control.reading import Limits, Reading
 from symsimpson.errors import InputError
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import UNIT, Value, exact, scaled
 from symsimpson.graph.rebuild import rebuilt
-
-if TYPE_CHECKING:
-    from symsimpson.control.reading import Limits, Reading
 
 __all__ = [
     *("held_blocks", "held_rates", "held_values", "implied", "onto"),

@@ -8,18 +8,16 @@ is touched by them, as the unit circle is by x = 1.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.control.constraint_rows import held_values, implied
 from symsimpson.control.point_functions import PointFunctions
+from symsimpson.control.reading import Reading
 from symsimpson.errors import InputError
-
-if TYPE_CHECKING:
-    from symsimpson.control.reading import Reading
-    from symsimpson.graph.nodes import Value
+from symsimpson.graph.nodes import Value
 
 __all__ = ["Following", "following"]
 

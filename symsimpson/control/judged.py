@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from symsimpson.control.between_nodes import balanced
 from symsimpson.control.constraint_rows import resolved
 from symsimpson.control.control_status import STATUSES, ControlStatus
+from symsimpson.control.ipopt import Outcome
+from symsimpson.control.layout import Layout
 from symsimpson.control.masses import massive
 from symsimpson.control.result import FOUND, ControlResult
 from symsimpson.control.scaling import sizes_at
-
-if TYPE_CHECKING:
-    from symsimpson.control.ipopt import Outcome
-    from symsimpson.control.layout import Layout
 
 __all__ = ["result_of"]
 

@@ -7,15 +7,14 @@ the cost is flat and falls to both sides, as straight before an obstacle with a 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-if TYPE_CHECKING:
-    from symsimpson.control.ipopt import Outcome, Solvable
+from symsimpson.control.ipopt import Outcome, Solvable
 
 __all__ = ["creeping", "downhill", "optimal"]
 

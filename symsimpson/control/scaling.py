@@ -8,15 +8,14 @@ multipliers, follow from the equations at the guess.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-if TYPE_CHECKING:
-    from symsimpson.control.ipopt import Outcome, Solvable
-    from symsimpson.control.layout import Layout
+from symsimpson.control.ipopt import Outcome, Solvable
+from symsimpson.control.layout import Layout
 
 __all__ = ["Scaled", "scaled", "sizes_at"]
 

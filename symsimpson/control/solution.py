@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,20 +20,17 @@ from symsimpson.control.layout import Layout
 from symsimpson.control.optimality import creeping, downhill, optimal
 from symsimpson.control.point_functions import PointFunctions
 from symsimpson.control.problem_parts import read_mapping, read_reals
-from symsimpson.control.reading import read_family
+from symsimpson.control.reading import Reading, read_family
 from symsimpson.control.result import FOUND, SAVED, ControlResult
 from symsimpson.control.scaling import Scaled, scaled, sizes_at
 from symsimpson.control.solution_files import read_solution
 from symsimpson.errors import InputError, ResolutionWarning
 from symsimpson.program.input_values import MOST_STEPS
+from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.calling import warn
 from symsimpson.support.names import did_you_mean
 from symsimpson.support.progress import Progress
 from symsimpson.support.signals import listening
-
-if TYPE_CHECKING:
-    from symsimpson.control.reading import Reading
-    from symsimpson.schemes.scheme import Scheme
 
 __all__ = ["opened", "solve"]
 

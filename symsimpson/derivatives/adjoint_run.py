@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import isqrt
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.derivatives.state_costs import Measured, StateCost, pull_velocities
+from symsimpson.program.program import Program
 from symsimpson.program.recorders import tape
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import workspace
@@ -25,9 +26,6 @@ from symsimpson.run.resolution import has_energy
 from symsimpson.run.start import started
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
 
 __all__ = ["Backward", "Objective", "Way", "differentiate_back"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,16 +14,14 @@ from symsimpson.derivatives.adjoint_run import Objective, differentiate_back
 from symsimpson.derivatives.state_costs import read_cost, read_samples
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_count
+from symsimpson.program.numbers import Numbers
+from symsimpson.program.program import Program
 from symsimpson.results.gradient import Gradient
 from symsimpson.stepping.driving import Samples, given_inputs, steps_a_period
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec, read_run
 from symsimpson.stepping.variations import read_varied, refuse_retimed, varied_program
 from symsimpson.support.names import spelled
-
-if TYPE_CHECKING:
-    from symsimpson.program.numbers import Numbers
-    from symsimpson.program.program import Program
 
 __all__ = ["Wanted", "gradient_of"]
 

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.derivatives.adjoint_run import Way
+from symsimpson.program.program import Program
 from symsimpson.program.workspace import workspace
 from symsimpson.results.linearisation import Linearisation
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec, read_run
 from symsimpson.stepping.variations import read_varied, refuse_retimed, varied_program
 from symsimpson.support.names import spelled
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
 
 __all__ = ["linearise"]
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_count, whole_number
+from symsimpson.program.program import Program
 from symsimpson.program.recorders import growth
 from symsimpson.results.chaos import Chaos, chaos_of
 from symsimpson.run.ended import raise_failure, trajectory_of
@@ -18,9 +19,6 @@ from symsimpson.run.start import started
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec, read_run
 from symsimpson.stepping.variations import refuse_retimed, varied_program
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
 
 __all__ = ["directions", "lyapunov", "run_lyapunov"]
 

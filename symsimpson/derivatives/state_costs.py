@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,13 +14,11 @@ from symsimpson.errors import InputError
 from symsimpson.module.quantity import SCALARS
 from symsimpson.program.evaluating import evaluate
 from symsimpson.program.input_values import read_array
+from symsimpson.program.numbers import Numbers
 from symsimpson.program.observed import read_expression
+from symsimpson.program.program import Program
 from symsimpson.program.workspace import workspace
 from symsimpson.stepping.variations import STEP
-
-if TYPE_CHECKING:
-    from symsimpson.program.numbers import Numbers
-    from symsimpson.program.program import Program
 
 __all__ = ["Measured", "Slopes", "StateCost", "pull_velocities", "read_cost", "read_samples"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,14 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.errors import InputError
 from symsimpson.module.matrices import equations_of, held_equations_of
 from symsimpson.program.input_values import read_array, read_number, read_vector
+from symsimpson.program.numbers import Numbers
+from symsimpson.program.program import Program
 from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.inputs import read_step
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.variations import read_varied, varied_program
-
-if TYPE_CHECKING:
-    from symsimpson.program.numbers import Numbers
-    from symsimpson.program.program import Program
 
 __all__ = ["At", "evaluate_curvature", "evaluate_equations"]
 

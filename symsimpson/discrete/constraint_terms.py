@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from symsimpson.discrete.jet import Jet, Key, written_as_jet
 from symsimpson.graph.derive import Derivatives
 from symsimpson.graph.nodes import ZERO, Graph, Value
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.mechanics.constraints import accelerations
-
-if TYPE_CHECKING:
-    from symsimpson.mechanics.plain import Plain
+from symsimpson.mechanics.plain import Plain
 
 __all__ = ["derive_constraints"]
 

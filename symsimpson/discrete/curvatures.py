@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import sympy as sp
 
 from symsimpson.discrete.jet import Jet, Key, written_as_jet
+from symsimpson.discrete.node_derivatives import Cost
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import Graph, Value, scaled
 from symsimpson.graph.rebuild import rebuilt
-
-if TYPE_CHECKING:
-    from symsimpson.discrete.node_derivatives import Cost
-    from symsimpson.mechanics.plain import Plain
+from symsimpson.mechanics.plain import Plain
 
 __all__ = ["derive_curvatures"]
 

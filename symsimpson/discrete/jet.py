@@ -11,7 +11,7 @@ from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from symsimpson.discrete.angles import halved, summed
 from symsimpson.graph.derive import Derivatives, gradient
@@ -20,11 +20,9 @@ from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.graph.share import share
 from symsimpson.graph.shared_lines import Program
+from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.structure import kinetic
 from symsimpson.support.stopwatch import timed
-
-if TYPE_CHECKING:
-    from symsimpson.mechanics.plain import Plain
 
 __all__ = ["Jet", "derive_jet", "watched", "written_as_jet"]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import sympy as sp
 
@@ -12,9 +11,7 @@ from symsimpson.discrete.jet import Jet, Key, written_as_jet
 from symsimpson.graph.derive import Derivatives, gradient
 from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.rebuild import rebuilt
-
-if TYPE_CHECKING:
-    from symsimpson.mechanics.plain import Plain
+from symsimpson.mechanics.plain import Plain
 
 __all__ = ["Cost", "derive_cost", "derive_slopes"]
 

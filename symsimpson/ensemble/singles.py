@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,10 @@ from symsimpson.errors import ConstraintWarning, InputError
 from symsimpson.program.evaluating import evaluate_members
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
+from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.folds import SINGULAR, close, independence_of
 from symsimpson.run.requested import run
 from symsimpson.support.calling import warn, without_step_warnings
-
-if TYPE_CHECKING:
-    from symsimpson.results.trajectory import Trajectory
 
 __all__ = ["PAIR", "RENEWAL", "run_singly"]
 

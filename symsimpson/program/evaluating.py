@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,10 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_array
 from symsimpson.program.observed import Observed, observing_kernel
+from symsimpson.program.program import Program
 from symsimpson.program.workspace import NO_INPUTS, workspace
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
 
 __all__ = ["evaluate", "evaluate_energy", "evaluate_in", "evaluate_members", "observer", "watching"]
 

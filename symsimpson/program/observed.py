@@ -5,17 +5,15 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from symsimpson.errors import InputError
 from symsimpson.module.header import Header
 from symsimpson.module.interface import MET, WATCHED, ZERO
 from symsimpson.module.quantity import SCALARS, VECTORS
+from symsimpson.program.program import Program
 from symsimpson.program.reader import OF_MATH, Reader
 from symsimpson.program.recorders import Recorder
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
 
 __all__ = [
     "KINDS",

@@ -9,14 +9,12 @@ import re
 from collections.abc import Callable
 from itertools import chain
 from keyword import iskeyword
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from symsimpson.errors import InputError
 from symsimpson.module.quantity import QUANTITIES, SCALARS, VECTORS
+from symsimpson.program.program import Program
 from symsimpson.support.names import counted, did_you_mean, spelled
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
 
 __all__ = ["OF_MATH", "Reader"]
 

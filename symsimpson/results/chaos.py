@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.results.trajectory import Trajectory
 
-if TYPE_CHECKING:
-    pass
+pass
 
 __all__ = ["Chaos", "chaos_of"]
 

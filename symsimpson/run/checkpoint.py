@@ -15,22 +15,20 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, StorageError
 from symsimpson.module.header import digest
+from symsimpson.program.program import Program
 from symsimpson.run.keeping import Keeper
 from symsimpson.stepping.kept import KeptStates
+from symsimpson.stepping.run import Run
+from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.calling import warn
 from symsimpson.support.signals import undisturbed
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
-    from symsimpson.stepping.run import Run
-    from symsimpson.stepping.spec import RunSpec
 
 __all__ = ["Checkpoint", "asked", "buffered", "read_asked"]
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, UnknownNameError
 from symsimpson.program.input_values import read_array, read_number
+from symsimpson.program.numbers import Numbers
 from symsimpson.program.program import Program
 from symsimpson.results.events import of_run
 from symsimpson.results.sampled import Sampled, Saved
@@ -22,9 +23,6 @@ from symsimpson.stepping.inputs import read_failure, read_step, refuse_too_many
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.names import spelled
-
-if TYPE_CHECKING:
-    from symsimpson.program.numbers import Numbers
 
 __all__ = ["chosen_run", "last_time"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,17 +19,15 @@ from symsimpson.driver.impacts import (
 )
 from symsimpson.errors import InputError, ModelError
 from symsimpson.program.evaluating import evaluate, watching
+from symsimpson.program.program import Program
 from symsimpson.results.events import JUMP
 from symsimpson.run.zeros import ridders
 from symsimpson.stepping.constrained_start import project_start
 from symsimpson.stepping.event import Event, Impact
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.run_events import RunEvents
+from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.names import speed_of_approach
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
-    from symsimpson.stepping.spec import RunSpec
 
 __all__ = ["EventActions", "constant_restitution"]
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.module.interface import ZERO
 from symsimpson.program.observed import FADED
-
-if TYPE_CHECKING:
-    from symsimpson.run.event_actions import EventActions
+from symsimpson.run.event_actions import EventActions
 
 __all__ = ["Sides"]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +11,13 @@ from numpy.typing import NDArray
 from symsimpson.errors import ConstraintWarning
 from symsimpson.module.matrices import slopes_of
 from symsimpson.program.evaluating import evaluate_in
+from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.stepping.constrained_start import DEPENDENT, name_dependent
+from symsimpson.stepping.kept import KeptStates
+from symsimpson.stepping.run import Run
 from symsimpson.support.calling import warn
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
-    from symsimpson.stepping.kept import KeptStates
-    from symsimpson.stepping.run import Run
 
 __all__ = [
     "SINGULAR",

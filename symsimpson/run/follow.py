@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from symsimpson.errors import StorageError
+from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.ended import trajectory_of
@@ -15,9 +15,6 @@ from symsimpson.run.verdict import verdict
 from symsimpson.stepping.kept import KeptStates
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
 
 __all__ = ["follow"]
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_count
 from symsimpson.program.numbers import NOTHING
+from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.checkpoint import Checkpoint, asked, buffered
@@ -26,9 +26,6 @@ from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.files import check_folder, read_path
 from symsimpson.support.progress import silence
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
 
 __all__ = ["integrate"]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from mpmath import mp
@@ -13,13 +13,11 @@ from symsimpson.errors import InputError
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import Exact
+from symsimpson.program.program import Program
 from symsimpson.program.reader import OF_MATH
 from symsimpson.stepping.event import Impact
 from symsimpson.stepping.run_events import RunEvents
 from symsimpson.support.names import speed_of_approach
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
 
 __all__ = ["DIGITS", "Jumps", "slope"]
 

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from itertools import repeat
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.driver.impacts import EVENT, IMPULSE, STATES_OF, STEP_OF, TIME_OF
 from symsimpson.program.evaluating import observer
+from symsimpson.program.program import Program
 from symsimpson.results.records import Record
 from symsimpson.run.event_actions import constant_restitution
+from symsimpson.stepping.parts import Parts
 from symsimpson.stepping.run_events import RunEvents
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
-    from symsimpson.stepping.parts import Parts
-    from symsimpson.stepping.spec import RunSpec
+from symsimpson.stepping.spec import RunSpec
 
 __all__ = ["PlainImpacts", "plain_restitution"]
 

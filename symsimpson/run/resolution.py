@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +21,11 @@ from symsimpson.errors import InputError
 from symsimpson.module.interface import STANDING
 from symsimpson.program.evaluating import evaluate, evaluate_in
 from symsimpson.program.program import Program, new_program
+from symsimpson.results.trajectory import Trajectory
 from symsimpson.results.work import parts_of_work, rough_parts
-
-if TYPE_CHECKING:
-    from symsimpson.results.trajectory import Trajectory
-    from symsimpson.stepping.kept import KeptStates
-    from symsimpson.stepping.run import Run
-    from symsimpson.stepping.spec import RunSpec
+from symsimpson.stepping.kept import KeptStates
+from symsimpson.stepping.run import Run
+from symsimpson.stepping.spec import RunSpec
 
 __all__ = [
     "Sampled",

@@ -8,24 +8,21 @@ the step, not by the vector field, which differs from that by the error of the s
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from mpmath import workdps
 from numpy.typing import NDArray
 
 from symsimpson.errors import ResolutionWarning
+from symsimpson.program.program import Program
 from symsimpson.program.recorders import tangents
 from symsimpson.run.jumps import DIGITS, Jumps, slope
 from symsimpson.stepping.driving import since
 from symsimpson.stepping.run import Run
-from symsimpson.stepping.run_events import check_variations
+from symsimpson.stepping.run_events import RunEvents, check_variations
 from symsimpson.stepping.variations import STEP_ITSELF, varied_program
 from symsimpson.support.calling import warn
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
-    from symsimpson.stepping.run_events import RunEvents
 
 __all__ = ["Saltation"]
 

@@ -8,13 +8,14 @@ wrong.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.program.input_values import MOST_STEPS, read_vector
 from symsimpson.program.numbers import FLOAT64
+from symsimpson.program.program import Program
 from symsimpson.program.recorders import driver_layout, with_clock
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import NO_INPUTS, workspace
@@ -31,10 +32,7 @@ from symsimpson.stepping.arrival import STRIDE, resolution
 from symsimpson.stepping.inputs import read_steps, read_times
 from symsimpson.stepping.request import Request
 from symsimpson.support.ahead import compiles_late
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
-    from symsimpson.support.names import Named
+from symsimpson.support.names import Named
 
 __all__ = ["MOST_ROWS", "brief_run"]
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder
 from symsimpson.run.resolution import check_start
 from symsimpson.stepping.inputs import refused_start
@@ -16,9 +17,6 @@ from symsimpson.stepping.recording import recorders_of
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.stepping.variations import begin_variations
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
 
 __all__ = ["recorders_for", "started"]
 

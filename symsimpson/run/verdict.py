@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import ResolutionWarning
+from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.ended import out_of_domain
@@ -17,9 +18,6 @@ from symsimpson.run.resolution import Sampled, energies_at, look_at_energy
 from symsimpson.stepping.kept import KeptStates
 from symsimpson.stepping.run import Run
 from symsimpson.support.calling import warn
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
 
 __all__ = ["verdict"]
 

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.program.evaluating import watching
+from symsimpson.program.numbers import Numbers
+from symsimpson.program.observed import Reduction
+from symsimpson.program.program import Program
 from symsimpson.program.recorders import with_clock
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import NO_INPUTS, workspace
 from symsimpson.stepping.run import Run
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from symsimpson.program.numbers import Numbers
-    from symsimpson.program.observed import Reduction
-    from symsimpson.program.program import Program
 
 __all__ = ["STRIDE", "last_part", "reduced_at_ends", "resolution", "states_at", "with_end"]
 

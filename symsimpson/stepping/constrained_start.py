@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError, ModelError
 from symsimpson.module.matrices import slopes_of
 from symsimpson.program.evaluating import evaluate, evaluate_members
+from symsimpson.program.program import Program
 from symsimpson.support.lengths import bending_length
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
 
 __all__ = ["DEPENDENT", "name_dependent", "project_start"]
 

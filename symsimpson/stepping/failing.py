@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.module.header import Header
 from symsimpson.program.status import Status
-
-if TYPE_CHECKING:
-    from symsimpson.module.header import Header
 
 __all__ = ["failure"]
 

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.program.program import Program
 from symsimpson.program.recorders import work
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import workspace
 from symsimpson.stepping.driving import at_places, places
 from symsimpson.stepping.run import Run
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
 
 __all__ = ["Parts", "steps_from"]
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from symsimpson.errors import InputError
+from symsimpson.module.header import Header
 from symsimpson.program.observed import Reduction, observers
+from symsimpson.program.program import Program
 from symsimpson.program.recorders import NAMED, Recorder, tangents
 from symsimpson.support.names import did_you_mean
-
-if TYPE_CHECKING:
-    from symsimpson.module.header import Header
-    from symsimpson.program.program import Program
 
 __all__ = ["read_record", "recorders_of"]
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from symsimpson.module.interface import ARRIVED, RATE_NOT_POSITIVE
 from symsimpson.program.numbers import NOTHING
 from symsimpson.program.observed import Reduction
+from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder, driver_layout, split, with_clock
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import NO_INPUTS, workspace
@@ -22,9 +23,6 @@ from symsimpson.stepping.failing import failure
 from symsimpson.stepping.kept import KeptStates
 from symsimpson.support.progress import Watcher
 from symsimpson.support.signals import listening
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
 
 __all__ = ["Run"]
 

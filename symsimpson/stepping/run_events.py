@@ -5,21 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.module.header import Header
 from symsimpson.program.observed import Observed, read_expression, refuse_constant, watchers
+from symsimpson.program.program import Program
+from symsimpson.program.recorders import Recorder
 from symsimpson.stepping.event import CHANGED, Change, Event, Impact
+from symsimpson.stepping.request import Request
 from symsimpson.stepping.variations import STEP
 from symsimpson.support.names import speed_of_approach, spelled
-
-if TYPE_CHECKING:
-    from symsimpson.module.header import Header
-    from symsimpson.program.program import Program
-    from symsimpson.program.recorders import Recorder
-    from symsimpson.stepping.request import Request
 
 __all__ = ["RunEvents", "read_run_events"]
 

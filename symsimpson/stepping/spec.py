@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_vector
 from symsimpson.program.observed import Reduction, read_reductions
+from symsimpson.program.program import Program
 from symsimpson.stepping.constrained_start import project_start
 from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.inputs import read_every, read_given, read_times
@@ -19,9 +20,6 @@ from symsimpson.stepping.recording import read_record
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run_events import RunEvents, read_run_events
 from symsimpson.stepping.variations import read_tangents
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
 
 __all__ = ["RunSpec", "read_run"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from functools import cache, lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -17,12 +17,10 @@ from symsimpson.errors import StabilityWarning
 from symsimpson.graph.derive import Derivatives
 from symsimpson.graph.nodes import ZERO, Value, scaled
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.program.program import Program
 from symsimpson.reference.first_order import Lines
 from symsimpson.schemes.named import read_scheme
 from symsimpson.support.calling import warn
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
 
 __all__ = [
     "fastest_rotation",

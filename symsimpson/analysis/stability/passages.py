@@ -10,7 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Hashable, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mpmath
 import numpy as np
@@ -21,13 +21,11 @@ from symsimpson.errors import SymsimpsonError
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import Value
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.program.program import Program
 from symsimpson.reference.first_order import Lines
+from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.requested import run as run_again
 from symsimpson.stepping.request import Request
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
-    from symsimpson.results.trajectory import Trajectory
 
 __all__ = ["at_pole", "regular_box", "unresolved_pole"]
 

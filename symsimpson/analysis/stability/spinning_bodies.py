@@ -5,16 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import sympy as sp
 
 from symsimpson.errors import StabilityWarning
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.program.program import Program
 from symsimpson.support.calling import warn
-
-if TYPE_CHECKING:
-    from symsimpson.program.program import Program
 
 __all__ = ["LARGEST_TURN", "fastest_turn", "warn_of_turning"]
 
