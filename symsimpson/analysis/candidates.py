@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.analysis.stability.frequency import largest_stable
 from symsimpson.api.stepper import Stepper
 from symsimpson.program.status import Status
+from symsimpson.support.array_types import Floats
 
 __all__ = ["Found", "Wanted"]
 
@@ -31,8 +31,6 @@ FEWER = 0.85
 #: Fewer steps that take this many times as long fell back on another solver. Smaller differences
 #: are those of a busy machine: iterations are counted instead.
 SLOWER = 2.0
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

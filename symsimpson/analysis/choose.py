@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from textwrap import wrap
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from symsimpson.analysis.candidates import Found, Wanted
 from symsimpson.analysis.pilot import choose_state, choose_step
@@ -25,6 +24,7 @@ from symsimpson.program.input_values import read_number
 from symsimpson.program.numbers import FLOAT64
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.ahead import late
+from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explained, without_step_warnings
 from symsimpson.support.names import in_a_row
 from symsimpson.support.progress import waiting
@@ -43,8 +43,6 @@ DERIVING, LONG = 3e-5, 10.0
 #: A pilot run is so many of the steps long with which Simpson's scheme follows the motion, with
 #: fewer coordinates so many of them.
 PILOT, PILOT_COORDINATES = 1000, 20_000
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

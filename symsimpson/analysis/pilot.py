@@ -6,18 +6,17 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.api.stepper import Stepper
 from symsimpson.errors import ConvergenceError, InputError
 from symsimpson.program.evaluating import evaluate
 from symsimpson.program.status import Status
+from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import without_step_warnings
 from symsimpson.support.names import shortened
 
 __all__ = ["choose_state", "choose_step"]
 
-Floats = NDArray[np.float64]
 State = tuple[Floats, Floats]
 
 #: The first step that is tried, unless the time scale of the motion is so many times as long, or as

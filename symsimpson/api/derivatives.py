@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from symsimpson.api.evaluator import Parameters
 from symsimpson.api.stepping import Stepping
@@ -18,12 +18,10 @@ from symsimpson.results.linearisation import Linearisation
 from symsimpson.run.requested import tangent_of_step
 from symsimpson.stepping.request import Request, step_request
 from symsimpson.stepping.variations import read_varied
+from symsimpson.support.array_types import Reals
 from symsimpson.support.calling import explaining
 
 __all__ = ["Differentiating"]
-
-#: float64, or numbers of mpmath in an object array.
-Reals = NDArray[Any]
 
 
 @explaining()

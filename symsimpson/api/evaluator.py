@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from symsimpson.derivatives.step_equations import At, evaluate_curvature, evaluate_equations
 from symsimpson.errors import InputError
 from symsimpson.program.evaluating import evaluate_energy
 from symsimpson.program.program import Program
+from symsimpson.support.array_types import Reals
 from symsimpson.support.calling import explaining
 
 __all__ = ["Evaluator"]
 
-#: float64, or numbers of mpmath in an object array.
-Reals = NDArray[Any]
 Parameters = Mapping[Any, Any]
 
 

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from symsimpson.api.evaluator import Evaluator, Parameters, Reals
+from symsimpson.api.evaluator import Evaluator, Parameters
 from symsimpson.run.requested import end_of_step
 from symsimpson.stepping.driving import node_times
 from symsimpson.stepping.request import Request, of_a_step, step_request
 from symsimpson.stepping.spec import read_run
+from symsimpson.support.array_types import Reals
 from symsimpson.support.calling import explaining
 
 if TYPE_CHECKING:

@@ -8,7 +8,6 @@ from typing import Any
 
 import mpmath
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.analysis.pilot import choose_state
 from symsimpson.api.compiling import compile as compile_system
@@ -17,13 +16,12 @@ from symsimpson.errors import InputError
 from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.reference import FirstOrder, canonical, second_order, truth
+from symsimpson.support.array_types import Floats
 
 __all__ = ["Problem", "make_problem"]
 
 #: Decimal digits of the reference solution.
 DIGITS = 20
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,15 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from symsimpson.analysis.stability.frequency import largest_frequency
 from symsimpson.bench.benchmark_problem import Problem
+from symsimpson.support.array_types import Floats
 
 __all__ = ["COARSE", "TOLERANCES", "Contender", "Outcome", "Runnable", "numbers_of_steps"]
 
-Floats = NDArray[np.float64]
 #: What a contender makes of a choice.
 Made = TypeVar("Made")
 

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
 from symsimpson.api.compiling import compile as compile_system
 from symsimpson.bench.benchmark_problem import Problem
@@ -28,10 +27,9 @@ from symsimpson.bench.contender import (
 from symsimpson.bench.dop853 import make_dop853
 from symsimpson.reference import FirstOrder
 from symsimpson.reference.runge_kutta import compiled_rates, compiled_rk4
+from symsimpson.support.array_types import Floats
 
 __all__ = ["PROGRAMS", "in_heyoka"]
-
-Floats = NDArray[np.float64]
 
 #: A run of heyoka takes no more steps than this.
 MOST_STEPS = 200_000

@@ -11,7 +11,6 @@ from functools import cache, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import symsimpson as ss
 from symsimpson.bench.contender import Contender
@@ -23,6 +22,7 @@ from symsimpson.ensemble.trial import with_fastest_lanes
 from symsimpson.program.machine import available_threads, lanes_for
 from symsimpson.reference import canonical
 from symsimpson.stepping.request import Request
+from symsimpson.support.array_types import Floats
 
 __all__ = ["report"]
 
@@ -35,7 +35,6 @@ SCHEMES = ("simpson", "lobatto6", "lobatto8", "gauss12", "gauss16")
 STEPS = tuple(round(200 * 2 ** (k / 8)) for k in range(53))
 TOLERANCES = tuple(10.0 ** (-k / 4) for k in range(8, 61))
 
-Floats = NDArray[np.float64]
 Run = Callable[[], Floats]
 
 

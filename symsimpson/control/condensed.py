@@ -13,7 +13,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
@@ -22,11 +21,10 @@ from symsimpson.control.ipopt import Outcome, Solvable
 from symsimpson.control.layout import Layout
 from symsimpson.control.point_functions import PointFunctions
 from symsimpson.errors import InputError, SymsimpsonError
+from symsimpson.support.array_types import Floats, Ints
 
 __all__ = ["Condensed", "at_start", "moved"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 #: Equations of steps hold when they are off by no more than this; or not by less any longer.
 CLOSE = 1e-14
 HOW = "Take the full form, condensed=False, in which states are unknowns."

@@ -12,7 +12,6 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.control.point_functions import PointFunctions, lagrange
 from symsimpson.control.reading import Limits, Reading
@@ -20,13 +19,13 @@ from symsimpson.errors import InputError
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import UNIT, Value, exact, scaled
 from symsimpson.graph.rebuild import rebuilt
+from symsimpson.support.array_types import Floats
 
 __all__ = [
     *("held_blocks", "held_rates", "held_values", "implied", "onto"),
     *("pressed", "projected", "resolved", "turned"),
 ]
 
-Floats = NDArray[np.float64]
 #: Ends that are given by numbers may be off their constraints by so much.
 CONSISTENT = 1e-9
 #: Between control points paths may miss constraints by this part of the length of a step, times

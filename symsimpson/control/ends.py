@@ -11,17 +11,16 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.control.constraint_rows import held_values, implied
 from symsimpson.control.point_functions import PointFunctions
 from symsimpson.control.reading import Reading
 from symsimpson.errors import InputError
 from symsimpson.graph.nodes import Value
+from symsimpson.support.array_types import Floats
 
 __all__ = ["Following", "following"]
 
-Floats = NDArray[np.float64]
 #: From so many places one goes to where rows are 0, in so many of Newton's steps at most; at least
 #: FEWEST get there.
 PLACES, MOST_ITERATIONS, FEWEST = 8, 80, 2

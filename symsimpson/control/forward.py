@@ -6,20 +6,19 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from symsimpson.control.point_functions import lagrange
 from symsimpson.control.problem_parts import read_reals
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_count
+from symsimpson.support.array_types import Floats
 
 if TYPE_CHECKING:
     from symsimpson.control.layout import Layout
     from symsimpson.results.trajectory import Trajectory
 
 __all__ = ["gains", "motions", "simulated"]
-
-Floats = NDArray[np.float64]
 
 
 def motions(

@@ -6,18 +6,18 @@ from typing import Any
 
 import numpy as np
 import sympy as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sympy.core.function import AppliedUndef
 
 from symsimpson.control.problem_parts import read_reals
 from symsimpson.errors import InputError
 from symsimpson.mechanics.coordinates import time
 from symsimpson.program.input_values import shortened
+from symsimpson.support.array_types import Floats
 from symsimpson.support.names import spelled
 
 __all__ = ["read_function", "times_within", "values_at"]
 
-Floats = NDArray[np.float64]
 #: So far outside of a motion, relatively, times are taken for its ends: it is the rounding of sums.
 SLACK = 1e-12
 

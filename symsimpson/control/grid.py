@@ -7,16 +7,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import whole_number
+from symsimpson.support.array_types import Floats, Ints
 from symsimpson.support.names import shortened
 
 __all__ = ["Grid", "read_grid"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 #: With more the solver, which counts entries in 32 bits, or the memory comes to its end.
 MOST_STEPS = 1_000_000
 

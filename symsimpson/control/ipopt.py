@@ -8,14 +8,11 @@ from time import perf_counter
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from symsimpson.support.array_types import Floats, Ints
 from symsimpson.support.extras import library
 
 __all__ = ["Outcome", "Solvable", "run_ipopt"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class Solvable(Protocol):

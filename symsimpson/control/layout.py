@@ -19,6 +19,7 @@ from symsimpson.control.reading import Limits
 from symsimpson.control.transcription import Block, Programme
 from symsimpson.graph.nodes import Value, scaled
 from symsimpson.graph.rebuild import rebuilt
+from symsimpson.support.array_types import Floats, Ints
 
 if TYPE_CHECKING:
     from symsimpson.api.stepper import Stepper
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Layout"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 #: Of the duration. Measured on four problems: iterations hardly depend on it from 0.1 to 0.2; at h,
 #: fine meshes lose the inertia of the Hessian to rounding.
 END_SCALE = 0.1

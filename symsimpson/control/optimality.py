@@ -15,10 +15,10 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from symsimpson.control.ipopt import Outcome, Solvable
+from symsimpson.support.array_types import Floats
 
 __all__ = ["creeping", "downhill", "optimal"]
 
-Floats = NDArray[np.float64]
 #: Slopes of the Lagrangian are 0 below this part of the largest one of the cost, and what rows
 #: and bounds could still change of it below that part of the cost. Measured: up to 5e-8 where an
 #: optimum was found, 2e-5 of rounding in units of atoms; where rows depend on one another from

@@ -8,15 +8,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erf, erfc
 
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import Exact, Graph, Value
+from symsimpson.support.array_types import Floats
 
 __all__ = ["PointFunctions", "lagrange", "lagrange_slopes"]
 
-Floats = NDArray[np.float64]
 Entries = list[tuple[int, int, Value]]
 
 

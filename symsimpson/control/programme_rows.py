@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from symsimpson.support.array_types import Floats, Ints
 
 __all__ = ["Rows"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class Rows:

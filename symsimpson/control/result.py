@@ -21,6 +21,7 @@ from symsimpson.control.point_functions import lagrange
 from symsimpson.control.solution_files import write_solution
 from symsimpson.errors import InputError
 from symsimpson.stepping.driving import driven
+from symsimpson.support.array_types import Floats
 from symsimpson.support.names import counted
 
 if TYPE_CHECKING:
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
 __all__ = ["FOUND", "SAVED", "ControlResult"]
 
-Floats = NDArray[np.float64]
 FOUND = (ControlStatus.SOLVED, ControlStatus.ACCEPTABLE)
 #: A cost that falls below that of the guess by so many times is not bounded.
 UNBOUNDED = 1e6

@@ -11,16 +11,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from symsimpson.control.ipopt import Outcome, Solvable
 from symsimpson.control.layout import Layout
+from symsimpson.support.array_types import Floats, Ints
 
 __all__ = ["Scaled", "scaled", "sizes_at"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 #: Sizes up to this, and down to its inverse, are 1: ordinary problems are solved as they are.
 ORDINARY = 1e4
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.control.condensed import Condensed, at_start, moved
 from symsimpson.control.constraint_rows import onto
@@ -27,14 +26,13 @@ from symsimpson.control.solution_files import read_solution
 from symsimpson.errors import InputError, ResolutionWarning
 from symsimpson.program.input_values import MOST_STEPS
 from symsimpson.schemes.scheme import Scheme
+from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import warn
 from symsimpson.support.names import did_you_mean
 from symsimpson.support.progress import Progress
 from symsimpson.support.signals import listening
 
 __all__ = ["opened", "solve"]
-
-Floats = NDArray[np.float64]
 
 #: Measured on several problems and meshes: 12 to 33 iterations, where larger barriers fall into
 #: other optima; relaxed bounds would move a minimum time by 1e-8.

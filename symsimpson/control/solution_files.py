@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, StorageError
+from symsimpson.support.array_types import Floats
 from symsimpson.support.files import read_path, written_beside
 
 __all__ = ["read_solution", "write_solution"]
 
-Floats = NDArray[np.float64]
 #: What a file may raise that is not there, not whole, or not what it should be.
 DAMAGE = (
     *(OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error),

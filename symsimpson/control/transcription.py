@@ -17,15 +17,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from symsimpson.control.point_functions import PointFunctions
+from symsimpson.support.array_types import Floats, Ints
 
 __all__ = ["Block", "Programme"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,10 +26,10 @@ from symsimpson.run.resolution import has_energy
 from symsimpson.run.start import started
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec
+from symsimpson.support.array_types import Reals
 
 __all__ = ["Backward", "Objective", "Way", "differentiate_back"]
 
-Reals = NDArray[Any]
 #: Records of all steps are kept where they have no more numbers than this: 64 MB.
 RECORDED = 8_000_000
 

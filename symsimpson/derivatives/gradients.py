@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.derivatives.adjoint_run import Objective, differentiate_back
 from symsimpson.derivatives.state_costs import read_cost, read_samples
@@ -21,11 +20,11 @@ from symsimpson.stepping.driving import Samples, given_inputs, steps_a_period
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec, read_run
 from symsimpson.stepping.variations import read_varied, refuse_retimed, varied_program
+from symsimpson.support.array_types import Reals
 from symsimpson.support.names import spelled
 
 __all__ = ["Wanted", "gradient_of"]
 
-Reals = NDArray[Any]
 #: The initial state, by what was given of it.
 STATE = {"q": "q", "v": "v", "p": "p", "q0": "q", "v0": "v", "p0": "p"}
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.derivatives.adjoint_run import Way
 from symsimpson.program.program import Program
@@ -15,11 +14,10 @@ from symsimpson.results.linearisation import Linearisation
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec, read_run
 from symsimpson.stepping.variations import read_varied, refuse_retimed, varied_program
+from symsimpson.support.array_types import Reals
 from symsimpson.support.names import spelled
 
 __all__ = ["linearise"]
-
-Reals = NDArray[Any]
 
 
 def linearise(program: Program, request: Request, wrt: Any, progress: bool | None) -> Linearisation:

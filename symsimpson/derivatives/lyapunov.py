@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_count, whole_number
@@ -19,10 +18,9 @@ from symsimpson.run.start import started
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec, read_run
 from symsimpson.stepping.variations import refuse_retimed, varied_program
+from symsimpson.support.array_types import Floats
 
 __all__ = ["directions", "lyapunov", "run_lyapunov"]
-
-Floats = NDArray[np.float64]
 
 
 def directions(size: int, count: int) -> Floats:

@@ -8,7 +8,7 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from symsimpson.errors import InputError
 from symsimpson.module.quantity import SCALARS
@@ -19,10 +19,9 @@ from symsimpson.program.observed import read_expression
 from symsimpson.program.program import Program
 from symsimpson.program.workspace import workspace
 from symsimpson.stepping.variations import STEP
+from symsimpson.support.array_types import Reals
 
 __all__ = ["Measured", "Slopes", "StateCost", "pull_velocities", "read_cost", "read_samples"]
-
-Reals = NDArray[Any]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from symsimpson.errors import InputError
 from symsimpson.module.matrices import equations_of, held_equations_of
@@ -18,11 +18,9 @@ from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.inputs import read_step
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.variations import read_varied, varied_program
+from symsimpson.support.array_types import Reals
 
 __all__ = ["At", "evaluate_curvature", "evaluate_equations"]
-
-#: float64, or numbers of mpmath in an object array.
-Reals = NDArray[Any]
 
 
 class At(NamedTuple):

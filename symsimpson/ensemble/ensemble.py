@@ -24,13 +24,12 @@ from symsimpson.results.states import States, with_units
 from symsimpson.results.tables import dataframe, write
 from symsimpson.results.work import WORK, named_parts
 from symsimpson.stepping.driving import Driven, inputs_there
+from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
 from symsimpson.support.names import counted
 
 __all__ = ["Ensemble", "names_in_dataset", "spread"]
-
-Floats = NDArray[np.float64]
 
 #: Names that a dataset has for itself.
 STATES = ("q", "p", "q0", "v0", "p0", "variations")

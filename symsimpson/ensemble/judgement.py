@@ -19,6 +19,7 @@ from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.run.requested import run
 from symsimpson.run.resolution import FEWEST, LAST_LIMIT
+from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import warn
 
 __all__ = ["look_at_ends", "look_at_steps"]
@@ -29,8 +30,6 @@ LOOKED_AT, MEASURED = 8, 256
 AGAIN = 2
 #: A run of more steps than this keeps some of its states alone.
 WHOLE = 100_000
-
-Floats = NDArray[np.float64]
 
 
 def look_at_steps(program: Program, task: Task) -> None:

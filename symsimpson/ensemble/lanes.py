@@ -9,7 +9,6 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.derivatives.lyapunov import directions
 from symsimpson.ensemble.arrivals import take_last_parts
@@ -21,6 +20,7 @@ from symsimpson.program.observed import KINDS
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder, driver_layout, growth, with_clock
 from symsimpson.stepping.recording import recorders_of
+from symsimpson.support.array_types import Floats
 from symsimpson.support.signals import listening
 
 __all__ = ["run_blocks"]
@@ -31,8 +31,6 @@ PATIENCE = 0.02
 CACHE_LINE = 8
 #: Steps of a block before their cost is known.
 FIRST_BUDGET = 2000
-
-Floats = NDArray[np.float64]
 
 
 def run_blocks(program: Program, task: Task, count: Callable[[int], None]) -> tuple[Ensemble, bool]:

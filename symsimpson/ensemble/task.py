@@ -18,10 +18,9 @@ from symsimpson.stepping.driving import driven
 from symsimpson.stepping.recording import recorders_of
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec
+from symsimpson.support.array_types import Floats
 
 __all__ = ["Results", "Task", "ensemble_of"]
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import sympy as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from symsimpson.errors import InputError, ModelError
 from symsimpson.graph.derive import gradient
@@ -19,10 +19,10 @@ from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.declared import Declared
 from symsimpson.mechanics.given_states import read_values, read_vector
 from symsimpson.mechanics.plain import Plain, Symbols
+from symsimpson.support.array_types import Floats
 
 __all__ = ["equations", "linearised", "terms"]
 
-Floats = NDArray[np.float64]
 #: How far a state may be from one that satisfies the constraints, relative to it.
 NEAR = 1e-6
 

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.mechanics.points import points_of
+from symsimpson.support.array_types import Floats
 
 __all__ = ["Link", "Scene", "scene_of"]
 
-Floats = NDArray[np.float64]
 #: Distances that change by less than this, of the size of the scene, do not change.
 RIGID = 1e-6
 #: A trail has the length of so many frames.

@@ -6,18 +6,16 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_array
 from symsimpson.program.observed import Observed, observing_kernel
 from symsimpson.program.program import Program
 from symsimpson.program.workspace import NO_INPUTS, workspace
+from symsimpson.support.array_types import Reals
 
 __all__ = ["evaluate", "evaluate_energy", "evaluate_in", "evaluate_members", "observer", "watching"]
-
-#: float64, or numbers of mpmath in an object array.
-Reals = NDArray[Any]
 
 
 def evaluate(

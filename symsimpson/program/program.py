@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.module.header import Header, read_header
@@ -17,13 +16,11 @@ from symsimpson.program.input_values import read_parameters
 from symsimpson.program.name_table import Names
 from symsimpson.program.numbers import FLOAT64, Numbers
 from symsimpson.program.sets import KernelSets
+from symsimpson.support.array_types import Reals
 from symsimpson.support.derivation import Derivation, Report
 from symsimpson.support.names import spelled
 
 __all__ = ["Findings", "Program", "Tools", "new_program", "read_program", "report_of"]
-
-#: float64, or numbers of mpmath in an object array.
-Reals = NDArray[Any]
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.results.trajectory import Trajectory
+from symsimpson.support.array_types import Floats
 
 pass
 
 __all__ = ["Chaos", "chaos_of"]
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -18,11 +18,11 @@ from symsimpson.program.status import Status
 from symsimpson.results.interpolate import DenseOutput
 from symsimpson.results.states import States
 from symsimpson.results.stored import Stored
+from symsimpson.support.array_types import Floats
 from symsimpson.support.names import did_you_mean, spelled
 
 __all__ = ["Events", "find_events", "gather", "of_run", "read_zeros", "zeros"]
 
-Floats = NDArray[np.float64]
 Zeros = tuple[Observed, int]
 #: Angles that differ by this are one.
 TURN = 2 * np.pi

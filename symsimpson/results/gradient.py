@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from symsimpson.support.array_types import Reals
+
 __all__ = ["Gradient", "hessian_product"]
 
-Reals = NDArray[Any]
 #: A central difference of exact gradients loses the fewest digits at this part of the point.
 DIFFERENCE = np.finfo(np.float64).eps ** (1 / 3)
 

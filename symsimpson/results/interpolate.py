@@ -16,10 +16,10 @@ from symsimpson.results.stored import Stored
 from symsimpson.stepping.arrival import states_at
 from symsimpson.stepping.driving import at_places, places, since
 from symsimpson.stepping.parts import Parts, steps_from
+from symsimpson.support.array_types import Reals
 
 __all__ = ["DenseOutput"]
 
-Reals = NDArray[Any]
 #: A part of a step as small as this is none.
 NOTHING = 1e-14
 #: So many steps are taken before Ctrl-C is heard.

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
-from numpy.typing import NDArray
-
+from symsimpson.support.array_types import Reals
 from symsimpson.support.names import counted
 
 __all__ = ["Linearisation"]
-
-#: float64, or numbers of mpmath in an object array.
-Reals = NDArray[Any]
 
 
 @dataclass(frozen=True)

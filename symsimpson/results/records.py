@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from symsimpson.results.events import Events, of_run
 from symsimpson.results.states import States
+from symsimpson.support.array_types import Floats
 
 __all__ = ["Actions", "Record", "actions_of"]
-
-Floats = NDArray[np.float64]
 
 
 class Record(NamedTuple):

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.evaluating import evaluate
@@ -21,11 +20,11 @@ from symsimpson.program.recorders import Recorder, driver_layout
 from symsimpson.program.workspace import workspace
 from symsimpson.results.stored import Stored
 from symsimpson.stepping.variations import varied_program
+from symsimpson.support.array_types import Reals
 from symsimpson.support.derivation import LAGRANGIAN
 
 __all__ = ["changes", "shadow_energy"]
 
-Reals = NDArray[Any]
 #: What is summed of H and of its error at four steps: around a state, and at the first two states.
 AROUND = np.array([-1, 7, 7, -1]) / 12
 FIRST, SECOND = np.array([25, -23, 13, -3]) / 12, np.array([3, 13, -5, 1]) / 12

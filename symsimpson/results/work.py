@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.evaluating import evaluate
@@ -15,6 +12,7 @@ from symsimpson.program.workspace import workspace
 from symsimpson.results.stored import Stored
 from symsimpson.stepping.driving import inputs_there, since
 from symsimpson.stepping.run import FALLBACK_STRETCH
+from symsimpson.support.array_types import Reals
 
 __all__ = ["TOTAL", "WORK", "integrals", "named_parts", "parts_of_work", "powers", "rough_parts"]
 
@@ -22,7 +20,6 @@ __all__ = ["TOTAL", "WORK", "integrals", "named_parts", "parts_of_work", "powers
 TOTAL, WORK = "total", "work"
 #: The name of what velocity constraints that move do.
 CONSTRAINTS = "constraints"
-Reals = NDArray[Any]
 
 
 def powers(run: Stored) -> dict[str, Reals]:

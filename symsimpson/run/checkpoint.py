@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, StorageError
 from symsimpson.module.header import digest
@@ -27,6 +26,7 @@ from symsimpson.run.keeping import Keeper
 from symsimpson.stepping.kept import KeptStates
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec
+from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import warn
 from symsimpson.support.signals import undisturbed
 
@@ -41,7 +41,6 @@ FEWEST = 4096
 #: So many bytes of states at most are kept in memory.
 BUFFER = 2**24
 
-Floats = NDArray[np.float64]
 Content = TypeVar("Content")
 
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, UnknownNameError
 from symsimpson.program.input_values import read_array, read_number
@@ -22,11 +21,10 @@ from symsimpson.stepping.driving import driven
 from symsimpson.stepping.inputs import read_failure, read_step, refuse_too_many
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec
+from symsimpson.support.array_types import Reals
 from symsimpson.support.names import spelled
 
 __all__ = ["chosen_run", "last_time"]
-
-Reals = NDArray[Any]
 
 
 def chosen_run(

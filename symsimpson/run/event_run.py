@@ -24,6 +24,7 @@ from symsimpson.stepping.event import Impact
 from symsimpson.stepping.parts import Parts
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.run_events import RunEvents
+from symsimpson.support.array_types import Floats
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 
 __all__ = ["EventRun"]
 
-Floats = NDArray[np.float64]
 #: So many actions within one step are too many; a start may be so far behind a wall, relative to
 #: its size; where an expression is zero behind an action, its sign is that after so much of a step.
 MOST_ACTIONS, BEHIND, AHEAD = 500, 1e-9, 1e-6

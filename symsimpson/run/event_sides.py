@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from symsimpson.module.interface import ZERO
 from symsimpson.program.observed import FADED
 from symsimpson.run.event_actions import EventActions
+from symsimpson.support.array_types import Floats
 
 __all__ = ["Sides"]
 
-Floats = NDArray[np.float64]
 State = tuple[Floats, Floats]
 
 

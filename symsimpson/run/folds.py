@@ -17,6 +17,7 @@ from symsimpson.results.trajectory import Trajectory
 from symsimpson.stepping.constrained_start import DEPENDENT, name_dependent
 from symsimpson.stepping.kept import KeptStates
 from symsimpson.stepping.run import Run
+from symsimpson.support.array_types import Reals
 from symsimpson.support.calling import warn
 
 __all__ = [
@@ -29,7 +30,6 @@ __all__ = [
     "unknown_values",
 ]
 
-Reals = NDArray[Any]
 #: What a run may have a row of for each state.
 BY_STATE = ("t", "q", "p", "newton_iterations", "tau_values", "variations")
 #: Where they are less independent than this, constraints follow from one another.

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from mpmath import mp
-from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.graph.derive import gradient
@@ -17,11 +16,11 @@ from symsimpson.program.program import Program
 from symsimpson.program.reader import OF_MATH
 from symsimpson.stepping.event import Impact
 from symsimpson.stepping.run_events import RunEvents
+from symsimpson.support.array_types import Floats
 from symsimpson.support.names import speed_of_approach
 
 __all__ = ["DIGITS", "Jumps", "slope"]
 
-Floats = NDArray[np.float64]
 #: So many digits, and differences that leave as many of a derivative as doubles have, and more.
 DIGITS, DIFFERENCE = 60, "1e-20"
 #: Functions that expressions may have, in many digits.

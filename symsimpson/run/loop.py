@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from numpy.typing import NDArray
-
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import MOST_STEPS
 from symsimpson.program.numbers import NOTHING
@@ -16,6 +14,7 @@ from symsimpson.run.start import started
 from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.request import of_a_step
 from symsimpson.stepping.spec import RunSpec
+from symsimpson.support.array_types import Reals
 from symsimpson.support.calling import explaining
 from symsimpson.support.names import counted
 from symsimpson.support.signals import undisturbed
@@ -26,8 +25,6 @@ if TYPE_CHECKING:
     from symsimpson.results.trajectory import Trajectory
 
 __all__ = ["ControlLoop"]
-
-Reals = NDArray[Any]
 
 
 @explaining()

@@ -6,7 +6,6 @@ from itertools import repeat
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.driver.impacts import EVENT, IMPULSE, STATES_OF, STEP_OF, TIME_OF
 from symsimpson.program.evaluating import observer
@@ -16,10 +15,10 @@ from symsimpson.run.event_actions import constant_restitution
 from symsimpson.stepping.parts import Parts
 from symsimpson.stepping.run_events import RunEvents
 from symsimpson.stepping.spec import RunSpec
+from symsimpson.support.array_types import Floats
 
 __all__ = ["PlainImpacts", "plain_restitution"]
 
-Floats = NDArray[np.float64]
 #: So many impacts are kept before Python takes their records.
 ROOM = 1024
 

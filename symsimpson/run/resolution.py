@@ -26,6 +26,7 @@ from symsimpson.results.work import parts_of_work, rough_parts
 from symsimpson.stepping.kept import KeptStates
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec
+from symsimpson.support.array_types import Floats, Reals
 
 __all__ = [
     "Sampled",
@@ -57,9 +58,7 @@ ROUNDING = 1e-9
 #: Digits in which energies are evaluated anew, and at most so many positions in Python.
 DIGITS, MOST_BY_TEXT = 50, 10_000
 
-Floats = NDArray[np.float64]
 Places = NDArray[np.int64]
-Reals = NDArray[Any]
 
 
 def sampling_stride(program: Program, count: int) -> int:

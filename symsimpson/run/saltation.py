@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from mpmath import workdps
-from numpy.typing import NDArray
 
 from symsimpson.errors import ResolutionWarning
 from symsimpson.program.program import Program
@@ -22,11 +21,11 @@ from symsimpson.stepping.driving import since
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.run_events import RunEvents, check_variations
 from symsimpson.stepping.variations import STEP_ITSELF, varied_program
+from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import warn
 
 __all__ = ["Saltation"]
 
-Floats = NDArray[np.float64]
 State = tuple[Floats, Floats]
 #: What is zero with a rate below this part of that over the part of the step is grazed.
 GRAZED = 1e-3

@@ -32,6 +32,7 @@ from symsimpson.stepping.arrival import STRIDE, resolution
 from symsimpson.stepping.inputs import read_steps, read_times
 from symsimpson.stepping.request import Request
 from symsimpson.support.ahead import compiles_late
+from symsimpson.support.array_types import Floats
 from symsimpson.support.names import Named
 
 __all__ = ["MOST_ROWS", "brief_run"]
@@ -45,7 +46,6 @@ PLAIN, DOUBLE = frozenset({int, float}), np.dtype(np.float64)
 #: What is returned of a run with too many steps for this.
 TOO_LONG = -2
 
-Floats = NDArray[np.float64]
 #: h, t0 and the number of steps.
 Times = tuple[float, float, int]
 #: q and p at stored states, shape (2, N, n, 1); iterations, shape (N, 1).

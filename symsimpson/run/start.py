@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.program import Program
@@ -17,10 +15,9 @@ from symsimpson.stepping.recording import recorders_of
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.stepping.variations import begin_variations
+from symsimpson.support.array_types import Reals
 
 __all__ = ["recorders_for", "started"]
-
-Reals = NDArray[Any]
 
 
 def started(

@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.program.evaluating import evaluate_energy
 from symsimpson.program.program import Program
@@ -22,10 +21,9 @@ from symsimpson.run.integrate import integrate
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec, read_run
 from symsimpson.stepping.variations import varied_program
+from symsimpson.support.array_types import Reals
 
 __all__ = ["timed_run"]
-
-Reals = NDArray[Any]
 
 
 def timed_run(

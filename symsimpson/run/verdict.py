@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.errors import ResolutionWarning
 from symsimpson.program.program import Program
@@ -17,6 +15,7 @@ from symsimpson.run.folds import ended_after, first_states, look_at_folds, unkno
 from symsimpson.run.resolution import Sampled, energies_at, look_at_energy
 from symsimpson.stepping.kept import KeptStates
 from symsimpson.stepping.run import Run
+from symsimpson.support.array_types import Reals
 from symsimpson.support.calling import warn
 
 __all__ = ["verdict"]
@@ -29,8 +28,6 @@ AT_POLES = (
     Status.SINGULAR_JACOBIAN,
     Status.NOT_FINITE,
 )
-
-Reals = NDArray[Any]
 
 #: So many runs may show that a motion goes where there are singular points.
 TRIES = 3

@@ -16,10 +16,10 @@ from symsimpson.program.recorders import with_clock
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import NO_INPUTS, workspace
 from symsimpson.stepping.run import Run
+from symsimpson.support.array_types import Reals
 
 __all__ = ["STRIDE", "last_part", "reduced_at_ends", "resolution", "states_at", "with_end"]
 
-Reals = NDArray[Any]
 #: Where no states are asked for, each so-many-th step is stored to be looked at.
 STRIDE = 16
 

@@ -12,11 +12,11 @@ from symsimpson.errors import InputError, ModelError
 from symsimpson.module.matrices import slopes_of
 from symsimpson.program.evaluating import evaluate, evaluate_members
 from symsimpson.program.program import Program
+from symsimpson.support.array_types import Reals
 from symsimpson.support.lengths import bending_length
 
 __all__ = ["DEPENDENT", "name_dependent", "project_start"]
 
-Reals = NDArray[Any]
 #: Starts that miss constraints by more than this, relative to their slopes and to q, are refused,
 #: whatever the unit of q. Velocities are held against v, or what the forces make of rest. Each
 #: coordinate has its own size, or this part of the largest one, if a constraint bends no earlier.

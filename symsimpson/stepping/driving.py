@@ -14,6 +14,7 @@ from symsimpson.errors import InputError
 from symsimpson.program.input_values import MOST_STEPS, read_array, read_count, read_number
 from symsimpson.program.workspace import NO_INPUTS
 from symsimpson.stepping.inputs import read_step
+from symsimpson.support.array_types import Reals
 from symsimpson.support.calling import explained
 
 if TYPE_CHECKING:
@@ -32,8 +33,6 @@ __all__ = [
     "samples",
     "since",
 ]
-
-Reals = NDArray[Any]
 
 #: A period may miss a whole number of steps by so much of a step.
 STEP_FRACTION = 1e-6

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.module.header import Header
 from symsimpson.program.status import Status
+from symsimpson.support.array_types import Reals
 
 __all__ = ["failure"]
-
-Reals = NDArray[Any]
 
 
 def failure(header: Header, column: Reals, *, last_resort: bool) -> Status:

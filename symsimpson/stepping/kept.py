@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["KeptStates"]
+from symsimpson.support.array_types import Reals
 
-Reals = NDArray[Any]
+__all__ = ["KeptStates"]
 
 
 class KeptStates(NamedTuple):

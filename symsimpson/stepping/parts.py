@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import work
@@ -13,13 +12,12 @@ from symsimpson.program.status import Status
 from symsimpson.program.workspace import workspace
 from symsimpson.stepping.driving import at_places, places
 from symsimpson.stepping.run import Run
+from symsimpson.support.array_types import Floats
 
 __all__ = ["Parts", "steps_from"]
 
 #: Parts of steps that end beside a place are shorter, or longer, by so much.
 NUDGES = (-(2.0**-50), 2.0**-50, -(2.0**-46))
-
-Floats = NDArray[np.float64]
 
 
 class Parts:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_vector
@@ -20,10 +19,9 @@ from symsimpson.stepping.recording import read_record
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run_events import RunEvents, read_run_events
 from symsimpson.stepping.variations import read_tangents
+from symsimpson.support.array_types import Reals
 
 __all__ = ["RunSpec", "read_run"]
-
-Reals = NDArray[Any]
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_array, whole_number
+from symsimpson.support.array_types import Reals
 from symsimpson.support.names import did_you_mean, spelled
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ __all__ = [
     "varied_program",
 ]
 
-Reals = NDArray[Any]
 #: What a step has besides parameters and inputs.
 STEP = ("h", "t")
 #: The same where parameters may be called so: no name of a user's has parentheses.

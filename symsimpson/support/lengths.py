@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from symsimpson.support.array_types import Reals
 
 __all__ = ["bending_length"]
 
-Reals = NDArray[Any]
 #: Displacements that are tried, and the part of itself by which a slope is to change.
 TRIED, CHANGED = 10.0 ** np.arange(-24, 25), 1e-3
 

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from symsimpson.api.stepper import Stepper
+from symsimpson.support.array_types import Floats
 
 __all__ = ["Mixing", "Reversal", "mixing", "reversal"]
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

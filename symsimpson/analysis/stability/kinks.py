@@ -25,10 +25,9 @@ from symsimpson.graph.nodes import Exact, Value
 from symsimpson.mechanics.checks import spell
 from symsimpson.mechanics.plain import Plain, Symbols
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.support.array_types import Floats
 
 __all__ = ["has_kinks", "kink_passed"]
-
-Floats = NDArray[np.float64]
 
 #: A zero is passed if the line between two states misses it by less than this part of the line.
 NEAR = 0.1

@@ -12,12 +12,11 @@ from symsimpson.api.compiling import compile as compile_system
 from symsimpson.api.stepper import Stepper
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
+from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import without_step_warnings
 from symsimpson.systems import harmonic_oscillator
 
 __all__ = ["energy_map", "linear_limits", "theory_limits"]
-
-Floats = NDArray[np.float64]
 
 STEPS = 4000
 #: A trajectory from (1, 0) that comes further than this is unstable.

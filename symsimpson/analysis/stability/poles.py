@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
 from symsimpson.api.compiling import compile as compile_system
 from symsimpson.api.stepper import Stepper
@@ -23,11 +22,10 @@ from symsimpson.errors import ResolutionWarning
 from symsimpson.program.status import Status
 from symsimpson.reference import FirstOrder, rk4
 from symsimpson.schemes.scheme import Scheme
+from symsimpson.support.array_types import Floats
 from symsimpson.systems import lagrange_top, spherical_pendulum
 
 __all__ = ["PolePass", "pole_sweep"]
-
-Floats = NDArray[np.float64]
 
 #: Steps of the solution in space for each step of the scheme.
 FINER = 200
