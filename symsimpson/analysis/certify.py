@@ -35,6 +35,7 @@ from symsimpson.program.numbers import FLOAT64
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.schemes.named import read_scheme
 from symsimpson.stepping.inputs import read_step
+from symsimpson.support.array_types import Floats
 from symsimpson.support.progress import waiting
 
 __all__ = ["certify"]
@@ -330,7 +331,7 @@ def _constraints(s: Subject) -> Iterator[Check]:
     )
 
 
-def _largest(contained: NDArray[np.bool_], x: NDArray[np.float64]) -> NDArray[np.float64]:
+def _largest(contained: NDArray[np.bool_], x: Floats) -> Floats:
     """Return the largest of the coordinates that each constraint contains, at each state."""
     return np.stack([np.abs(x[:, some]).max(axis=1, initial=0.0) for some in contained], axis=1)
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from symsimpson.support.array_types import Floats
 
 __all__ = ["observed_orders"]
 
 
-def observed_orders(errors: ArrayLike, ratio: float = 2.0) -> NDArray[np.float64]:
+def observed_orders(errors: ArrayLike, ratio: float = 2.0) -> Floats:
     """Return the observed order between each error and the next.
 
     Parameters

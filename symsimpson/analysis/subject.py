@@ -9,7 +9,6 @@ from typing import Any
 
 import mpmath
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
@@ -22,6 +21,7 @@ from symsimpson.reference.extrapolation import extrapolate
 from symsimpson.reference.first_order import canonical
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.stepping.driving import read_driving
+from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.names import read_mapping
 
 __all__ = ["SHORT", "Subject", "with_inputs"]
@@ -67,7 +67,7 @@ class Subject:
 
     stepper: Stepper
     precise: Precise
-    z: NDArray[Any]
+    z: Reals
     h: float
     timed: Precise | None = None
 
@@ -77,11 +77,11 @@ class Subject:
         return self.stepper.n
 
     @cached_property
-    def scale(self) -> NDArray[np.float64]:
+    def scale(self) -> Floats:
         """Sizes of the coordinates and the momenta, to measure errors by."""
         return self._scale_of(self.compiled(100, every=1))
 
-    def _scale_of(self, run: Trajectory) -> NDArray[np.float64]:
+    def _scale_of(self, run: Trajectory) -> Floats:
         q, p = (np.abs(x).max(axis=0) for x in (run.q, run.p))
         # a coordinate that hardly moves has no size of its own: that of others, in small units
         least = min(1.0, q.max() or 1.0)
@@ -98,7 +98,7 @@ class Subject:
         return np.concatenate([places, np.where(light, each, most)])
 
     @cached_property
-    def sizes(self) -> NDArray[Any]:
+    def sizes(self) -> Reals:
         """The same in many digits, as powers of two, by which nothing is rounded.
 
         Of a run that fails they are those of its states up to there.
@@ -200,11 +200,11 @@ class Subject:
         return float(max(abs(x) for x in (np.asarray(a) - np.asarray(b)) / self.scale))
 
 
-def _masses(run: Trajectory, push: float) -> NDArray[np.float64]:
+def _masses(run: Trajectory, push: float) -> Floats:
     """Return the masses of the coordinates, by what velocity a push of each gives it."""
     n = run.program.n
     p = run.p[0] + push * np.vstack([np.zeros(n), np.eye(n)])
     states = np.full(n + 1, run.t[0]), np.tile(run.q[0], (n + 1, 1)), p
     v = evaluate(run.program, "energy", "VELOCITY", n, states, run.parameter_values)
-    masses: NDArray[np.float64] = push / np.diagonal(v[1:] - v[0])
+    masses: Floats = push / np.diagonal(v[1:] - v[0])
     return masses

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.analysis.precise import Precise
+from symsimpson.support.array_types import Floats, Reals
 
 __all__ = ["Symmetry", "block_size", "linear_symmetries"]
 
@@ -41,16 +42,16 @@ SHOWN = 12
 class Symmetry:
     """The generator q -> A q + b of a symmetry."""
 
-    A: NDArray[np.float64]  #: shape (n, n)
-    b: NDArray[np.float64]  #: shape (n,)
-    exact: NDArray[Any]  #: A and b side by side, shape (n, n + 1).
+    A: Floats  #: shape (n, n)
+    b: Floats  #: shape (n,)
+    exact: Reals  #: A and b side by side, shape (n, n + 1).
     name: str  #: The momentum, written out.
 
-    def momentum(self, q: ArrayLike, p: ArrayLike) -> NDArray[Any]:
+    def momentum(self, q: ArrayLike, p: ArrayLike) -> Reals:
         """Return p (A q + b) for states of shape (..., n), in the digits that these have."""
         q, p = np.asarray(q), np.asarray(p)
         A, b = (self.A, self.b) if q.dtype != object else (self.exact[:, :-1], self.exact[:, -1])
-        terms: NDArray[Any] = p * (q @ A.T + b)
+        terms: Reals = p * (q @ A.T + b)
         return terms.sum(axis=-1)
 
     def size(self, q: ArrayLike, p: ArrayLike) -> float:
@@ -68,7 +69,7 @@ def block_size(n: int) -> int:
     return n if n <= MANY else next((d for d in BLOCKS if n % d == 0), 0)
 
 
-def linear_symmetries(precise: Precise, z: NDArray[Any]) -> list[Symmetry]:
+def linear_symmetries(precise: Precise, z: Reals) -> list[Symmetry]:
     """Find the linear point symmetries of a system around a state.
 
     G = p (A q + b) is conserved if its Poisson bracket with H vanishes, a linear equation for A
@@ -87,7 +88,7 @@ def linear_symmetries(precise: Precise, z: NDArray[Any]) -> list[Symmetry]:
     light = precise.sizes[n:].astype(np.float64)
     size[n:] = 0.2 * np.minimum(np.abs(middle[n:]).max() or light.max(), light)
     random = np.random.default_rng(1)
-    rows: list[NDArray[Any]] = []
+    rows: list[Reals] = []
     for _ in range(MOST * count):
         if len(rows) == count:
             break
@@ -118,9 +119,7 @@ def linear_symmetries(precise: Precise, z: NDArray[Any]) -> list[Symmetry]:
     return symmetries
 
 
-def _sizes_of_columns(
-    matrix: NDArray[np.float64], unit: float, sizes: NDArray[np.float64], d: int
-) -> NDArray[np.float64]:
+def _sizes_of_columns(matrix: Floats, unit: float, sizes: Floats, d: int) -> Floats:
     """Return the sizes of columns; of those that are nothing but rounding, what they might have.
 
     Coordinates may have units of their own, as metres and radians: what b and A multiply, H_q and
@@ -133,14 +132,14 @@ def _sizes_of_columns(
     return np.where(largest < NOTHING, scale.max(), scale) * units
 
 
-def _by_block(left: NDArray[Any], right: NDArray[Any], d: int) -> NDArray[Any]:
+def _by_block(left: Reals, right: Reals, d: int) -> Reals:
     """Return left.E.right for each A that has a 1 in the same place of all its blocks, (d, d)."""
     if not d:
         return np.zeros((0, 0), dtype=left.dtype)
     return left.reshape(-1, d).T @ right.reshape(-1, d)
 
 
-def _blocks(entries: NDArray[Any], n: int, d: int) -> NDArray[Any]:
+def _blocks(entries: Reals, n: int, d: int) -> Reals:
     """Return the matrix with equal blocks on its diagonal, (n, n)."""
     A = np.zeros((n, n), dtype=entries.dtype) + 0 * entries.sum()
     for first in range(0, n, d) if d else ():
@@ -149,8 +148,8 @@ def _blocks(entries: NDArray[Any], n: int, d: int) -> NDArray[Any]:
 
 
 def _of_constraints(
-    precise: Precise, z: NDArray[np.float64], random: np.random.Generator, unit: float, d: int
-) -> list[NDArray[Any]]:
+    precise: Precise, z: Floats, random: np.random.Generator, unit: float, d: int
+) -> list[Reals]:
     """Ask that a symmetry moves along the constraints: Phi (A q + b) = 0 where phi = 0."""
     n, held = precise.n, len(precise.stepper.program.header.constraints)
     rows = []
@@ -164,7 +163,7 @@ def _of_constraints(
     return rows
 
 
-def _refined(row: NDArray[np.float64], matrix: NDArray[Any], context: Any) -> NDArray[Any]:
+def _refined(row: Floats, matrix: Reals, context: Any) -> Reals:
     """Solve for those entries of a null vector that are no round numbers, in many digits.
 
     A ratio of parameters may be near a round number: where these solve nothing, all are solved for
@@ -181,9 +180,7 @@ def _refined(row: NDArray[np.float64], matrix: NDArray[Any], context: Any) -> ND
     return full
 
 
-def _solved(
-    row: NDArray[Any], open_: NDArray[np.bool_], matrix: NDArray[Any], context: Any
-) -> NDArray[Any]:
+def _solved(row: Reals, open_: NDArray[np.bool_], matrix: Reals, context: Any) -> Reals:
     """Solve for the open entries of a null vector, with the others as they are."""
     full = np.where(open_, context.zero, row)
     if open_.any():
@@ -195,7 +192,7 @@ def _solved(
     return full
 
 
-def _off(row: NDArray[Any], matrix: NDArray[Any]) -> float:
+def _off(row: Reals, matrix: Reals) -> float:
     """Return how far a row is from a null vector, relative to its terms."""
     terms = matrix * row
     return float(abs(terms.sum(axis=1)).max() / (abs(terms).max() or 1))
@@ -207,7 +204,7 @@ def _fraction(value: float, context: Any) -> Any:
     return context.mpf(twelfths) / 12 if value == twelfths / 12 else None
 
 
-def _reduced(rows: NDArray[np.float64], scale: NDArray[np.float64]) -> NDArray[np.float64]:
+def _reduced(rows: Floats, scale: Floats) -> Floats:
     """Bring an orthonormal basis into reduced echelon form, divided by the scale of its columns.
 
     No pivot is a small entry of such a row, which is rounding, however the scales differ. What is
@@ -230,7 +227,7 @@ def _reduced(rows: NDArray[np.float64], scale: NDArray[np.float64]) -> NDArray[n
     return _rounded(rows / rows[np.arange(len(pivots)), pivots][:, None], scale)
 
 
-def _rounded(rows: NDArray[np.float64], scale: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rounded(rows: Floats, scale: Floats) -> Floats:
     """Return halves, thirds and quarters where entries are as near to these as rounding.
 
     What is small in the sizes of its columns is 0.
@@ -242,7 +239,7 @@ def _rounded(rows: NDArray[np.float64], scale: NDArray[np.float64]) -> NDArray[n
     return np.where(nothing, 0.0, np.where(close, twelfths, rows))
 
 
-def _name(A: NDArray[np.float64], b: NDArray[np.float64], names: Sequence[str]) -> str:
+def _name(A: Floats, b: Floats, names: Sequence[str]) -> str:
     """Write p (A q + b), of a long sum its first terms."""
     terms = [(b[i], f"p_{x}") for i, x in enumerate(names) if b[i]]
     terms += [(A[i, j], f"p_{names[i]}*{names[j]}") for i, j in np.argwhere(A)]

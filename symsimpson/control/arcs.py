@@ -6,7 +6,8 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from symsimpson.support.array_types import Floats, Ints
 
 __all__ = ["arcs_of", "labels_of"]
 
@@ -32,7 +33,7 @@ def arcs_of(result: Any) -> list[dict[Any, float]]:
     return arcs
 
 
-def labels_of(part: NDArray[np.float64]) -> NDArray[np.int64]:
+def labels_of(part: Floats) -> Ints:
     """Return -1 or 1 where an input is at a bound, 0 where it is between them for some steps.
 
     A few steps between two bounds have a switch in them, and belong to the nearer one.

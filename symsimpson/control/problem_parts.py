@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import shortened
+from symsimpson.support.array_types import Floats
 from symsimpson.support.names import spelled
 
 __all__ = ["read_duration", "read_mapping", "read_pair", "read_reals", "read_signals"]
@@ -103,7 +103,7 @@ def read_signals(system: Any, given: Any) -> dict[sp.Symbol, Any]:
     return signals
 
 
-def read_reals(what: str, given: Any, how: str) -> NDArray[np.float64]:
+def read_reals(what: str, given: Any, how: str) -> Floats:
     """Read real numbers in an array of any shape.
 
     Raises InputError if they are none: text, nothing, rows of unequal lengths, complex numbers, of

@@ -13,7 +13,6 @@ from math import isqrt
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.derivatives.state_costs import Measured, StateCost, pull_velocities
 from symsimpson.program.program import Program
@@ -26,7 +25,7 @@ from symsimpson.run.resolution import has_energy
 from symsimpson.run.start import started
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec
-from symsimpson.support.array_types import Reals
+from symsimpson.support.array_types import Ints, Reals
 
 __all__ = ["Backward", "Objective", "Way", "differentiate_back"]
 
@@ -199,7 +198,7 @@ class _Back:
             jumps[here] = self._sampled(numbered[here] // every, q[here + 1], p[here + 1])
         return jumps
 
-    def _sampled(self, places: NDArray[np.int64], q: Reals, p: Reals) -> Reals:
+    def _sampled(self, places: Ints, q: Reals, p: Reals) -> Reals:
         """Add the samples at some states to the cost; return its derivatives by these states."""
         spec, numbers = self._spec, self.program.numbers
         steps = numbers.read(places * self._objective.every)

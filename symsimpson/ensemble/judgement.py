@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.ensemble.ensemble import Ensemble, spread
 from symsimpson.ensemble.lanes import run_blocks
@@ -19,7 +18,7 @@ from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.run.requested import run
 from symsimpson.run.resolution import FEWEST, LAST_LIMIT
-from symsimpson.support.array_types import Floats
+from symsimpson.support.array_types import Floats, Ints
 from symsimpson.support.calling import warn
 
 __all__ = ["look_at_ends", "look_at_steps"]
@@ -100,9 +99,7 @@ def _refuse(program: Program, task: Task) -> None:
         return
 
 
-def _energies_left(
-    program: Program, task: Task, ensemble: Ensemble, some: NDArray[np.int64]
-) -> Floats:
+def _energies_left(program: Program, task: Task, ensemble: Ensemble, some: Ints) -> Floats:
     """Return how far energies are from those at the start, in units of the kinetic energy."""
     if not some.size:
         return np.zeros(0)

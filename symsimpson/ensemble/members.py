@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.ensemble.task import Task
 from symsimpson.errors import InputError
@@ -22,6 +21,7 @@ from symsimpson.stepping.recording import read_record
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run_events import check_variations, read_run_events
 from symsimpson.stepping.variations import read_tangents
+from symsimpson.support.array_types import Floats
 from symsimpson.support.names import by_name
 
 __all__ = ["read_task"]
@@ -106,7 +106,7 @@ def read_task(
     )
 
 
-def _columns(program: Program, tangents: Any) -> NDArray[np.float64]:
+def _columns(program: Program, tangents: Any) -> Floats:
     """Return variations of the state, and behind them those of what is varied, which begin at 0."""
     varied = len(program.header.varied_by or ())
     state_columns = read_tangents(program, tangents)
@@ -115,7 +115,7 @@ def _columns(program: Program, tangents: Any) -> NDArray[np.float64]:
     )
 
 
-def _states(name: str, value: Any, program: Program) -> NDArray[np.float64]:
+def _states(name: str, value: Any, program: Program) -> Floats:
     names, value = program.names.coordinates, by_name(value)
     if isinstance(value, Mapping):
         rows = names.in_order(name, value)
@@ -149,7 +149,7 @@ def _states(name: str, value: Any, program: Program) -> NDArray[np.float64]:
 
 def _parameters(
     program: Program, given: Mapping[Any, Any] | None, beside: Any
-) -> dict[str, NDArray[np.float64]]:
+) -> dict[str, Floats]:
     """Read parameter values, one or K of each."""
     program.check_given(given)
     names = program.names.parameters

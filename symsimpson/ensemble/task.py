@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.ensemble.ensemble import Ensemble
 from symsimpson.module.header import Header
@@ -18,7 +17,7 @@ from symsimpson.stepping.driving import driven
 from symsimpson.stepping.recording import recorders_of
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec
-from symsimpson.support.array_types import Floats
+from symsimpson.support.array_types import Floats, Ints
 
 __all__ = ["Results", "Task", "ensemble_of"]
 
@@ -76,7 +75,7 @@ class Task(RunSpec):
         count = np.arange(first, self.stored + first, dtype=np.float64)
         return self.t0 + self.h * (count * stride)  # rounded as those of single runs are
 
-    def part(self, members: slice | NDArray[np.int64]) -> Task:
+    def part(self, members: slice | Ints) -> Task:
         """Return the task of some of the members."""
         return replace(
             self,

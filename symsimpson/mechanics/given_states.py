@@ -6,16 +6,16 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.mechanics.declared import Declared
+from symsimpson.support.array_types import Floats
 from symsimpson.support.names import Named, read_mapping, spelled
 
 __all__ = ["read_values", "read_vector"]
 
 
-def read_vector(system: Declared, name: str, given: Any) -> NDArray[np.float64]:
+def read_vector(system: Declared, name: str, given: Any) -> Floats:
     """Read a number for each coordinate, in order or by name; raises InputError."""
     table = Named("coordinate", [spelled(q) for q in system.coordinates])
     try:

@@ -8,18 +8,16 @@ from typing import Any
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
 from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.declared import Declared
+from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.literals import float_literals
 
 __all__ = ["points_of"]
 
 
-def points_of(
-    system: Declared, t: NDArray[Any], q: NDArray[Any], values: NDArray[Any]
-) -> dict[str, NDArray[np.float64]]:
+def points_of(system: Declared, t: Reals, q: Reals, values: Reals) -> dict[str, Floats]:
     """Evaluate the positions that were declared with a system, at t of shape (...), q (..., n).
 
     They are of shape (..., 2) or (..., 3) for a point, (..., corners, 2 or 3) for a body; there are

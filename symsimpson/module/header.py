@@ -13,12 +13,12 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.errors import StaleKernelError
 from symsimpson.module.definitions import definitions, outline, redefined
 from symsimpson.module.interface import INTERFACE, PIVOTED
 from symsimpson.module.workspace_layout import ADJACENT, BLOCKS, DRIVER_LAYOUT
+from symsimpson.support.array_types import Ints
 
 __all__ = ["SIGNED", "Header", "digest", "read_header", "signed_anew", "with_facts"]
 
@@ -124,7 +124,7 @@ class Header:
         return PIVOTED in self.functions
 
     @cached_property
-    def driver_layout(self) -> NDArray[np.int64]:
+    def driver_layout(self) -> Ints:
         """The numbers of the layout that the driver must know, in its order."""
         more = {
             "STATE_END": self.layout["INCREMENT"] + self.layout["UNKNOWNS"],

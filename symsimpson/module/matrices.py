@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.module.header import Header
+from symsimpson.support.array_types import Reals
 
 __all__ = ["equations_of", "held_equations_of", "slopes_of"]
 
 
-def equations_of(header: Header, run: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+def equations_of(header: Header, run: Any) -> tuple[Reals, Reals]:
     """Read residual (d, n) and Jacobian (d, n, d, n) that the equations left in a workspace.
 
     Rows are those of the module; columns are brought into the order X_1..X_d.
@@ -37,7 +37,7 @@ def _columns(header: Header) -> list[int]:
     return [order.index(k) for k in range(1, header.degree + 1)]
 
 
-def held_equations_of(header: Header, run: Any, h: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+def held_equations_of(header: Header, run: Any, h: Any) -> tuple[Reals, Reals]:
     """Read residual and Jacobian with constraints: rows of phi and columns of mu come last.
 
     In the workspace they are divided by h, as what they stand beside.
@@ -62,7 +62,7 @@ def held_equations_of(header: Header, run: Any, h: Any) -> tuple[NDArray[Any], N
     return np.concatenate([own_residual.ravel(), phi]), jacobian
 
 
-def slopes_of(header: Header, rows: NDArray[Any]) -> NDArray[Any]:
+def slopes_of(header: Header, rows: Reals) -> Reals:
     """Read Phi, shape (..., m, n), from second derivatives of lambda.phi, shape (..., rows)."""
     at, n = header.layout, header.n
     place = np.array(header.tables["HELD_PLACE"], dtype=np.int32)

@@ -28,6 +28,7 @@ from symsimpson.program.driver import driver_text
 from symsimpson.program.input_values import whole_number
 from symsimpson.program.numbers import Numbers
 from symsimpson.program.sets import KernelSets
+from symsimpson.support.array_types import Reals
 from symsimpson.support.extras import library
 
 __all__ = ["read_precision"]
@@ -133,7 +134,7 @@ class Digits(Numbers):
     def make_ready(self, kernels: KernelSets) -> None:
         """Compile nothing."""
 
-    def read(self, value: Any) -> NDArray[Any]:
+    def read(self, value: Any) -> Reals:
         """Convert numbers, decimal strings and SymPy numbers, each to all digits."""
         given = np.array(value, dtype=object)
         array = self.zeros(given.shape)
@@ -160,11 +161,11 @@ class Digits(Numbers):
         """Return a number as the kernels take it."""
         return number
 
-    def zeros(self, shape: int | tuple[int, ...]) -> NDArray[Any]:
+    def zeros(self, shape: int | tuple[int, ...]) -> Reals:
         """Return an array of zeros."""
         return np.full(shape, self._inner(self.context.zero), dtype=object)
 
-    def finite(self, array: NDArray[Any]) -> NDArray[np.bool_]:
+    def finite(self, array: Reals) -> NDArray[np.bool_]:
         """Return which numbers are finite."""
         finite = np.frompyfunc(lambda x: bool(self.context.isfinite(self._outer(x))), 1, 1)
         return cast(NDArray[np.bool_], np.asarray(finite(array), dtype=bool))
@@ -173,7 +174,7 @@ class Digits(Numbers):
         """Return a number as a user gets it."""
         return number
 
-    def counted(self, first: int, stop: int, stride: int) -> NDArray[Any]:
+    def counted(self, first: int, stop: int, stride: int) -> Reals:
         """Return whole numbers to multiply with."""
         return np.array(range(first, stop, stride), dtype=object)
 
@@ -185,7 +186,7 @@ class Digits(Numbers):
         single = sp.lambdify(symbols, expressions, [functions, "mpmath"], cse=True)
         outer, inner = np.frompyfunc(self._outer, 1, 1), np.frompyfunc(self._inner, 1, 1)
 
-        def every(*arguments: Any) -> list[NDArray[Any]]:
+        def every(*arguments: Any) -> list[Reals]:
             given = np.broadcast_arrays(*map(outer, arguments))
             rows = [single(*row) for row in zip(*(x.ravel() for x in given), strict=True)]
             columns = zip(*rows, strict=True)
@@ -220,11 +221,11 @@ class Digits(Numbers):
         }
         return bind(driver_text(), replaced)
 
-    def _room(self, shape: int | tuple[int, ...], dtype: type | None = None) -> NDArray[Any]:
+    def _room(self, shape: int | tuple[int, ...], dtype: type | None = None) -> Reals:
         """Return zeros as the driver asks for them: of these numbers, unless it counts."""
         return self.zeros(shape) if dtype is None else np.zeros(shape, dtype)
 
-    def _call(self, kernel: Callable[..., None], h: Any, t: Any, W: NDArray[Any]) -> None:
+    def _call(self, kernel: Callable[..., None], h: Any, t: Any, W: Reals) -> None:
         kernel(h, t, W)
 
 
@@ -258,9 +259,9 @@ class Arb(Digits):
         """Return a number of mpmath."""
         return self._outer(number)
 
-    def result(self, array: NDArray[Any]) -> NDArray[Any]:
+    def result(self, array: Reals) -> Reals:
         """Return numbers of mpmath."""
-        return cast(NDArray[Any], np.frompyfunc(self._outer, 1, 1)(array))
+        return cast(Reals, np.frompyfunc(self._outer, 1, 1)(array))
 
     def kernels(self, text: str, header: Header, lanes: int = 1) -> _Functions:
         """Bind the kernels of a module."""
@@ -279,7 +280,7 @@ class Arb(Digits):
 
         return cast(AbstractContextManager[Any], flint.ctx.workprec(self.context.prec))
 
-    def _call(self, kernel: Callable[..., None], h: Any, t: Any, W: NDArray[Any]) -> None:
+    def _call(self, kernel: Callable[..., None], h: Any, t: Any, W: Reals) -> None:
         """Call a kernel, and forget the radii: they bound rounding, which Newton's method mends.
 
         What no other kernel reads may keep them.

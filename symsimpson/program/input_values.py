@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.support.array_types import Reals
 from symsimpson.support.names import Named, read_mapping, shortened
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ __all__ = [
 MOST_STEPS = 2**53
 
 
-def read_vector(name: str, value: Any, coordinates: Named, numbers: Numbers) -> NDArray[Any]:
+def read_vector(name: str, value: Any, coordinates: Named, numbers: Numbers) -> Reals:
     """Read one finite number for each coordinate: in their order, or a mapping by name."""
     vector = read_array(name, coordinates.in_order(name, value), numbers)
     n = len(coordinates)
@@ -62,7 +62,7 @@ def read_number(name: str, value: Any, numbers: Numbers) -> Any:
     return array.item()
 
 
-def read_array(name: str, value: Any, numbers: Numbers) -> NDArray[Any]:
+def read_array(name: str, value: Any, numbers: Numbers) -> Reals:
     """Read an array of real numbers of any shape."""
     if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
         raise InputError(
@@ -101,10 +101,10 @@ def whole_number(value: Any) -> int | None:
 def read_parameters(
     names: Named,
     signs: tuple[str, ...],
-    defaults: NDArray[Any],
+    defaults: Reals,
     given: Mapping[Any, Any] | None,
     numbers: Numbers,
-) -> NDArray[Any]:
+) -> Reals:
     """Merge run-time values, by symbol or by name, into the defaults."""
     values = defaults.copy()
     seen: set[int] = set()

@@ -14,6 +14,7 @@ from symsimpson.module.header import Header
 from symsimpson.program.compiled import Kernels
 from symsimpson.program.driver import driver
 from symsimpson.program.sets import KernelSets
+from symsimpson.support.array_types import Reals
 from symsimpson.support.literals import float_literals
 
 __all__ = ["FLOAT64", "Numbers"]
@@ -39,7 +40,7 @@ class Numbers:
         """Return whether a value needs no conversion."""
         return type(value) is float and math.isfinite(value)
 
-    def read(self, value: Any) -> NDArray[Any]:
+    def read(self, value: Any) -> Reals:
         """Convert numbers of any shape; raises TypeError, ValueError or OverflowError."""
         array = np.array(value)
         if array.dtype == np.float64:
@@ -48,22 +49,22 @@ class Numbers:
             raise TypeError(array.dtype)
         return array.astype(np.float64)
 
-    def zeros(self, shape: int | tuple[int, ...]) -> NDArray[Any]:
+    def zeros(self, shape: int | tuple[int, ...]) -> Reals:
         """Return an array of zeros."""
         return np.zeros(shape)
 
-    def finite(self, array: NDArray[Any]) -> NDArray[np.bool_]:
+    def finite(self, array: Reals) -> NDArray[np.bool_]:
         """Return which numbers are finite."""
         return np.isfinite(array)
 
-    def all_finite(self, array: NDArray[Any]) -> bool:
+    def all_finite(self, array: Reals) -> bool:
         """Return whether all numbers are finite; quick where there are few."""
         few = array.dtype.char == "d" and array.ndim == 1 and len(array) <= FEW
         if few and math.isfinite(sum(array.tolist())):
             return True  # a sum of finite ones may be infinite
         return bool(self.finite(array).all())
 
-    def counted(self, first: int, stop: int, stride: int) -> NDArray[Any]:
+    def counted(self, first: int, stop: int, stride: int) -> Reals:
         """Return whole numbers to multiply with."""
         return np.arange(first, stop, stride, dtype=np.float64)
 
@@ -71,7 +72,7 @@ class Numbers:
         """Return one number as a user gets it."""
         return number
 
-    def result(self, array: NDArray[Any]) -> NDArray[Any]:
+    def result(self, array: Reals) -> Reals:
         """Return an array as a user gets it."""
         return array
 

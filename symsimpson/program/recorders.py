@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.module.header import Header
 from symsimpson.module.workspace_layout import DRIVER_LAYOUT
+from symsimpson.support.array_types import Ints, Reals
 
 __all__ = [
     "NAMED",
@@ -102,13 +101,13 @@ def with_clock(header: Header, recorders: Sequence[Recorder]) -> tuple[Recorder,
 
 
 def split(
-    recorders: Sequence[Recorder], recorded: NDArray[Any], n: int
-) -> tuple[NDArray[Any] | None, dict[str, NDArray[Any]]]:
+    recorders: Sequence[Recorder], recorded: Reals, n: int
+) -> tuple[Reals | None, dict[str, Reals]]:
     """Split what was recorded at states: variations, shape (..., 2 n, k), and rows by their names.
 
     The variations are None unless :func:`tangents` recorded them; rows without a name are left out.
     """
-    variations, named, first = None, dict[str, NDArray[Any]](), 0
+    variations, named, first = None, dict[str, Reals](), 0
     for recorder in recorders:
         rows = recorded[..., first : first + recorder.rows]
         first += recorder.rows
@@ -119,7 +118,7 @@ def split(
     return variations, named
 
 
-def driver_layout(header: Header, recorders: Sequence[Recorder]) -> NDArray[np.int64]:
+def driver_layout(header: Header, recorders: Sequence[Recorder]) -> Ints:
     """Return the layout for the driver, of a module and of the recorders of a run.
 
     Behind the places of DRIVER_LAYOUT stand the first row and the number of rows of each recorder.

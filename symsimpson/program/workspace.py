@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.module.header import Header
+from symsimpson.support.array_types import Reals
 
 if TYPE_CHECKING:
     from symsimpson.program.numbers import Numbers
@@ -18,9 +18,7 @@ __all__ = ["NO_INPUTS", "workspace"]
 NO_INPUTS = np.zeros((1, 1, 1, 0))
 
 
-def workspace(
-    header: Header, numbers: Numbers, parameters: NDArray[Any], more: int = 0
-) -> NDArray[Any]:
+def workspace(header: Header, numbers: Numbers, parameters: Reals, more: int = 0) -> Reals:
     """Make the workspace of one lane, with the parameters in it and so many further rows.
 
     The last row is the driver's: what the terms of forces add to positions, over h^4.

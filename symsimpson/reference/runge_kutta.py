@@ -6,9 +6,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from symsimpson.reference.first_order import FirstOrder
+from symsimpson.support.array_types import Floats
 
 __all__ = ["compiled_rates", "compiled_rk4", "rk4"]
 
@@ -21,7 +22,7 @@ def rk4(
     steps: int,
     every: int = 1,
     parameters: Mapping[Any, float] | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Integrate with the classical method of order four and a fixed step.
 
     Parameters

@@ -18,8 +18,9 @@ from typing import Any
 
 import mpmath
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from symsimpson.support.array_types import Floats
 from symsimpson.support.extras import library
 
 __all__ = ["ExactTop"]
@@ -184,7 +185,7 @@ class ExactTop:
         P = e3 + (e1 - e3) / sn**2
         return self._give(context.acos(context.re(P / scale + mean)))
 
-    def nutation(self, t: ArrayLike) -> NDArray[np.float64]:
+    def nutation(self, t: ArrayLike) -> Floats:
         """Return theta at many times in double precision.
 
         Raises InputError if SciPy is not installed (the extra ``notebooks``).

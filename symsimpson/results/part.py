@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from symsimpson.results.states import States
 from symsimpson.results.stored import Stored
+from symsimpson.support.array_types import Ints
 
 if TYPE_CHECKING:
     from symsimpson.plotting.animate import Animation
@@ -52,7 +53,7 @@ class Part(States):
     """
 
     _run: Any = field(repr=False)
-    _places: NDArray[np.int64] = field(repr=False)
+    _places: Ints = field(repr=False)
 
     def __getattr__(self, name: str) -> Any:
         if name not in ROWS:
@@ -78,7 +79,7 @@ class Part(States):
         return animate(self, seconds=seconds, fps=fps)
 
 
-def part_of(run: Stored, places: NDArray[np.int64], key: Any) -> Part:
+def part_of(run: Stored, places: Ints, key: Any) -> Part:
     """Return the states of a run that a key selects among those with numbers ``places``."""
     some = np.atleast_1d(places[key])
     return Part(

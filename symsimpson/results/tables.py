@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.support.array_types import Reals
 from symsimpson.support.extras import library
 from symsimpson.support.files import check_folder, read_path, written_beside
 
@@ -46,9 +46,7 @@ def check_kind(place: Path) -> str:
     return place.suffix
 
 
-def apart(
-    columns: Mapping[str, NDArray[Any]], taken: Container[str], prefix: str
-) -> dict[str, NDArray[Any]]:
+def apart(columns: Mapping[str, Reals], taken: Container[str], prefix: str) -> dict[str, Reals]:
     """Return columns for a table that has some: a prefix stands before names that are taken."""
     added = {}
     for given, column in columns.items():
@@ -60,7 +58,7 @@ def apart(
 
 
 def dataframe(
-    table: Mapping[str, NDArray[Any]],
+    table: Mapping[str, Reals],
     index: str,
     about: dict[str, Any],
     units: Mapping[str, str] | None = None,
@@ -129,7 +127,7 @@ def write(
             library("pandas", "a .parquet file", "data").DataFrame(dict(table())).to_parquet(whole)
 
 
-def csv_of(table: Mapping[str, Any]) -> tuple[str, NDArray[Any]]:
+def csv_of(table: Mapping[str, Any]) -> tuple[str, Reals]:
     """Return the line of names and the rows of a table."""
     rows = np.column_stack([np.asarray(x, dtype=np.float64) for x in table.values()])
     return ",".join(f'"{x}"' if set(x) & set(',"\n') else x for x in table), rows

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.driver.impacts import NOTHING, TOGETHER
 from symsimpson.errors import InputError
@@ -24,7 +23,7 @@ from symsimpson.stepping.event import Impact
 from symsimpson.stepping.parts import Parts
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.run_events import RunEvents
-from symsimpson.support.array_types import Floats
+from symsimpson.support.array_types import Floats, Reals
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
@@ -50,7 +49,7 @@ class EventRun(Run):
         run_events: RunEvents,
         stride: int,
         stored: int,
-        inputs: NDArray[Any],
+        inputs: Reals,
         recorders: Sequence[Recorder],
     ) -> None:
         first = program.header.rows + sum(recorder.room for recorder in recorders)
@@ -76,7 +75,7 @@ class EventRun(Run):
             plain = PlainImpacts(program, run_events, self._parts, restitution, first, self.records)
             self._take_steps = plain.take_steps
 
-    def beside(self, recorded: NDArray[Any], result: Any) -> dict[str, Any]:
+    def beside(self, recorded: Reals, result: Any) -> dict[str, Any]:
         """Return what is known beside states, with what events did."""
         acted = {"records": tuple(self.records), "event_names": self._events.names}
         return {**super().beside(recorded, result), **acted, "ended_by": self.ended_by}

@@ -17,7 +17,7 @@ from symsimpson.results.trajectory import Trajectory
 from symsimpson.stepping.constrained_start import DEPENDENT, name_dependent
 from symsimpson.stepping.kept import KeptStates
 from symsimpson.stepping.run import Run
-from symsimpson.support.array_types import Reals
+from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.calling import warn
 
 __all__ = [
@@ -43,7 +43,7 @@ UNSOLVED = (
 NEAR, AHEAD = 0.1, 4
 
 
-def independence_of(pivots: Reals) -> NDArray[np.float64]:
+def independence_of(pivots: Reals) -> Floats:
     """Return how far constraints are from following from one another at states one by one.
 
     It is 1 where each is held best, 0 where one follows from others; ``pivots`` are what is left of
@@ -51,11 +51,11 @@ def independence_of(pivots: Reals) -> NDArray[np.float64]:
     """
     # roots, as sizes of slopes are; each relative to its largest, since units may differ
     sizes = np.sqrt(np.maximum(pivots.astype(np.float64), 0.0))
-    independence: NDArray[np.float64] = (sizes / sizes.max(axis=-2, keepdims=True)).min(axis=-1)
+    independence: Floats = (sizes / sizes.max(axis=-2, keepdims=True)).min(axis=-1)
     return independence
 
 
-def close(independence: NDArray[np.float64]) -> NDArray[np.bool_]:
+def close(independence: Floats) -> NDArray[np.bool_]:
     """Return between which states one constraint may have followed from others."""
     return np.asarray(independence[..., 1:] < np.abs(np.diff(independence, axis=-1)))
 

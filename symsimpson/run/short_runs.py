@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.program.input_values import MOST_STEPS, read_vector
 from symsimpson.program.numbers import FLOAT64
@@ -32,7 +31,7 @@ from symsimpson.stepping.arrival import STRIDE, resolution
 from symsimpson.stepping.inputs import read_steps, read_times
 from symsimpson.stepping.request import Request
 from symsimpson.support.ahead import compiles_late
-from symsimpson.support.array_types import Floats
+from symsimpson.support.array_types import Floats, Ints
 from symsimpson.support.names import Named
 
 __all__ = ["MOST_ROWS", "brief_run"]
@@ -49,7 +48,7 @@ TOO_LONG = -2
 #: h, t0 and the number of steps.
 Times = tuple[float, float, int]
 #: q and p at stored states, shape (2, N, n, 1); iterations, shape (N, 1).
-Stored = tuple[Floats, NDArray[np.int64]]
+Stored = tuple[Floats, Ints]
 
 
 class BriefRequest(NamedTuple):

@@ -16,7 +16,7 @@ from symsimpson.program.recorders import with_clock
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import NO_INPUTS, workspace
 from symsimpson.stepping.run import Run
-from symsimpson.support.array_types import Reals
+from symsimpson.support.array_types import Ints, Reals
 
 __all__ = ["STRIDE", "last_part", "reduced_at_ends", "resolution", "states_at", "with_end"]
 
@@ -48,7 +48,7 @@ def states_at(
     values: Reals,
     h: Any,
     states: tuple[Reals, Reals, Reals],
-    start: NDArray[np.int64],
+    start: Ints,
     asked: Reals,
     every: int,
 ) -> tuple[Reals, Reals, Reals, NDArray[np.bool_]]:

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from symsimpson.support.array_types import Reals
+from symsimpson.support.array_types import Ints, Reals
 
 __all__ = ["KeptStates"]
 
@@ -20,6 +17,6 @@ class KeptStates(NamedTuple):
     p: Reals
     #: Since the state before, shape (N,); or, of a run of which none is asked for, all of them,
     #: shape (1,).
-    iterations: NDArray[np.int64]
+    iterations: Ints
     recorded: Reals  #: What recorders left beside them, shape (N, k).
     every: int  #: Steps from one to the next; 0 where none were kept.

@@ -10,7 +10,6 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.module.interface import ARRIVED, RATE_NOT_POSITIVE
 from symsimpson.program.numbers import NOTHING
@@ -21,6 +20,7 @@ from symsimpson.program.status import Status
 from symsimpson.program.workspace import NO_INPUTS, workspace
 from symsimpson.stepping.failing import failure
 from symsimpson.stepping.kept import KeptStates
+from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.progress import Watcher
 from symsimpson.support.signals import listening
 
@@ -48,13 +48,13 @@ class Run:
     def __init__(
         self,
         program: Program,
-        parameters: NDArray[Any],
+        parameters: Reals,
         h: Any,
         t0: Any,
         every: int,
         stored: int,
         fallbacks: Sequence[str] | None = None,
-        inputs: NDArray[Any] = NO_INPUTS,
+        inputs: Reals = NO_INPUTS,
         recorders: Sequence[Recorder] = (),
     ) -> None:
         header, kernels, numbers = program.header, program.kernels, program.numbers
@@ -91,12 +91,12 @@ class Run:
         self.end_within: tuple[Any, Any, Any] | None = None
         self._set, self._set_until, self._still = 0, -1, 0
         #: The time at the start, and q and p there, shape (2, n).
-        self.begun: tuple[Any, NDArray[Any]] = t0, numbers.zeros((2, header.n))
+        self.begun: tuple[Any, Reals] = t0, numbers.zeros((2, header.n))
 
     def begin(
         self,
-        q: NDArray[Any],
-        other: NDArray[Any],
+        q: Reals,
+        other: Reals,
         *,
         velocity: bool,
         any_angle: bool = False,
@@ -157,7 +157,7 @@ class Run:
         address = self.kernels.address(kernel)
         self._driver("apply")(address, self.h, self._time(), self.W)
 
-    def begin_growth(self, directions: NDArray[Any]) -> None:
+    def begin_growth(self, directions: Reals) -> None:
         """Begin variations of the state in these directions, orthonormal columns."""
         self._driver("begin_growth")(self.W, self.driver_layout, directions)
 
@@ -168,12 +168,12 @@ class Run:
         self.p[place, :, 0] = self.rows("MOMENTUM", n)
         self.recorded[place, :, 0] = self.left()
 
-    def left(self) -> NDArray[Any]:
+    def left(self) -> Reals:
         """Return what recorders have left beside the present state."""
         rows = [self._column[x.first : x.first + x.rows] for x in self._recorders]
         return np.concatenate([self._column[:0], *rows])
 
-    def beside(self, recorded: NDArray[Any], result: Callable[[Any], Any]) -> dict[str, Any]:
+    def beside(self, recorded: Reals, result: Callable[[Any], Any]) -> dict[str, Any]:
         """Return what was recorded at states, numbers as results, as trajectories have it."""
         variations, named = split(self._recorders, result(recorded), self.header.n)
         return {"variations": variations, "recorded_values": tuple(named.items())}
@@ -190,7 +190,7 @@ class Run:
         self._interrupted |= bool(self._heard)
         self._watcher = None
 
-    def rows(self, block: str, count: int) -> NDArray[Any]:
+    def rows(self, block: str, count: int) -> Reals:
         """Return rows of the workspace."""
         first = self.header.layout[block]
         return self._column[first : first + count]
@@ -199,7 +199,7 @@ class Run:
         """Return the number in a block of one row."""
         return self._column[self.header.layout[block]]
 
-    def end(self) -> tuple[NDArray[Any], NDArray[Any]]:
+    def end(self) -> tuple[Reals, Reals]:
         """Return q and p where the run is, shape (1, n)."""
         n = self.header.n
         return self.rows("POSITION", n)[None].copy(), self.rows("MOMENTUM", n)[None].copy()
@@ -261,7 +261,7 @@ class Run:
         return not (self.alive or self.arrived) and self.status not in HOPELESS
 
     @property
-    def parameters(self) -> NDArray[Any]:
+    def parameters(self) -> Reals:
         """Values of the parameters, with those that follow from the start."""
         return self.rows("PARAMETER", self._parameters.size).copy()
 
@@ -379,7 +379,7 @@ class Run:
         """Return what tells, beside the workspace, where the run is."""
         return [self.first, self._progress.item(0), self._set, self._set_until]
 
-    def put_back(self, position: Sequence[Any], workspace: NDArray[np.float64]) -> None:
+    def put_back(self, position: Sequence[Any], workspace: Floats) -> None:
         """Go on where another run was."""
         self.first, self._progress[0], self._set, self._set_until = position
         self._column[:] = workspace

@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from numpy.typing import NDArray
-
 from symsimpson.errors import InputError
 from symsimpson.module.header import Header
 from symsimpson.program.observed import Observed, read_expression, refuse_constant, watchers
@@ -17,6 +15,7 @@ from symsimpson.program.recorders import Recorder
 from symsimpson.stepping.event import CHANGED, Change, Event, Impact
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.variations import STEP
+from symsimpson.support.array_types import Reals
 from symsimpson.support.names import speed_of_approach, spelled
 
 __all__ = ["RunEvents", "read_run_events"]
@@ -97,7 +96,7 @@ def read_run_events(program: Program, request: Request) -> RunEvents | None:
     return events
 
 
-def check_variations(program: Program, inputs: NDArray[Any]) -> None:
+def check_variations(program: Program, inputs: Reals) -> None:
     """Refuse derivatives of a run with events where they are not known.
 
     Raises InputError if the system is not known, or inputs vary within a step.

@@ -5,10 +5,10 @@ from __future__ import annotations
 import html
 import re
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from symsimpson.support.array_types import Reals
 
 __all__ = ["box", "curves", "facts", "scatter", "table"]
 
@@ -54,7 +54,7 @@ def _cell(value: object) -> str:
     return value if isinstance(value, Markup) else html.escape(str(value))
 
 
-def curves(x: NDArray[Any], columns: Sequence[NDArray[Any]]) -> Markup:
+def curves(x: Reals, columns: Sequence[Reals]) -> Markup:
     """Draw columns over x in one picture, each in its colour."""
     stride = max(1, -(-len(x) // POINTS))
     x = np.asarray(x[::stride], dtype=float)
@@ -67,7 +67,7 @@ def curves(x: NDArray[Any], columns: Sequence[NDArray[Any]]) -> Markup:
     return _picture(lines)
 
 
-def scatter(x: NDArray[Any], y: NDArray[Any]) -> Markup:
+def scatter(x: Reals, y: Reals) -> Markup:
     """Draw points."""
     stride = max(1, -(-len(x) // (4 * POINTS)))
     x, y = (np.asarray(values[::stride], dtype=float) for values in (x, y))
@@ -82,18 +82,18 @@ def scatter(x: NDArray[Any], y: NDArray[Any]) -> Markup:
 class _Frame:
     """Where points of finite numbers lie in a picture."""
 
-    def __init__(self, x: NDArray[Any], y: NDArray[Any]) -> None:
+    def __init__(self, x: Reals, y: Reals) -> None:
         self._x, self._y = (self._range(values) for values in (x, y))
 
     @staticmethod
-    def _range(values: NDArray[Any]) -> tuple[float, float]:
+    def _range(values: Reals) -> tuple[float, float]:
         finite = values[np.isfinite(values)]
         if not finite.size:
             return 0.0, 1.0
         low, high = float(finite.min()), float(finite.max())
         return low, (high - low) or 1.0
 
-    def __call__(self, x: NDArray[Any], y: NDArray[Any]) -> str:
+    def __call__(self, x: Reals, y: Reals) -> str:
         finite = np.isfinite(x) & np.isfinite(y)
         across = MARGIN + (x[finite] - self._x[0]) / self._x[1] * (WIDTH - 2 * MARGIN)
         down = HEIGHT - MARGIN - (y[finite] - self._y[0]) / self._y[1] * (HEIGHT - 2 * MARGIN)

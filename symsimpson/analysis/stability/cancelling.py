@@ -6,11 +6,11 @@ from collections.abc import Iterable
 
 import mpmath
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.evaluate import evaluated, moduli
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.support.array_types import Floats
 
 __all__ = ["changes_of_potential", "force_terms"]
 
@@ -26,7 +26,7 @@ def force_terms(
     values: Iterable[float],
     t: float = 0.0,
     v: Iterable[float] | None = None,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the sums of the moduli of the terms of dL/dq + f at rest, one for each coordinate.
 
     At velocities, those of its derivatives by them. ``values`` are those of all parameters, in the
@@ -49,11 +49,8 @@ def force_terms(
 
 
 def changes_of_potential(
-    system: MechanicalSystem,
-    t: NDArray[np.float64],
-    q: NDArray[np.float64],
-    values: Iterable[float],
-) -> NDArray[np.float64] | None:
+    system: MechanicalSystem, t: Floats, q: Floats, values: Iterable[float]
+) -> Floats | None:
     """Return V at some states less V at the first of them, as if it were not rounded.
 
     ``values`` are those of all parameters, in the order of the system. The result is NaN where V
