@@ -7,7 +7,6 @@ from typing import Any
 import mpmath
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
 from symsimpson.analysis.subject import Subject
 from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
@@ -16,12 +15,12 @@ from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.reference.first_order import Lines
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
+from symsimpson.support.array_types import Reals
 
 __all__ = ["momentum_balance"]
 
 #: So many steps are looked at, and so often Newton's method corrects each.
 STEPS, ITERATIONS = 5, 8
-Vector = NDArray[Any]
 
 
 def momentum_balance(s: Subject) -> tuple[float, list[Symmetry]]:
@@ -66,7 +65,7 @@ def _force(system: MechanicalSystem) -> Any:
     return lines.function((*plain.q, *plain.v), "mpmath")
 
 
-def _nodes(s: Subject, scheme: Scheme, j: int) -> tuple[Vector, Vector, Vector]:
+def _nodes(s: Subject, scheme: Scheme, j: int) -> tuple[Reals, Reals, Reals]:
     """Solve the equations of a step once more; return q, v and t at its nodes."""
     context, d, n = s.precise.context, scheme.degree, s.n
     m = len(s.precise.program.header.constraints)
@@ -83,7 +82,7 @@ def _nodes(s: Subject, scheme: Scheme, j: int) -> tuple[Vector, Vector, Vector]:
         pulls = None if pulls is None else pulls - change[d * n :].reshape(d, m)
     moved = points - q
 
-    def combined(table: Any) -> Vector:
+    def combined(table: Any) -> Reals:
         rows = [[_number(s, x) for x in row[1:]] for row in table]
         return np.array(rows, dtype=object) @ moved
 

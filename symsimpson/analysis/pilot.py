@@ -11,13 +11,11 @@ from symsimpson.api.stepper import Stepper
 from symsimpson.errors import ConvergenceError, InputError
 from symsimpson.program.evaluating import evaluate
 from symsimpson.program.status import Status
-from symsimpson.support.array_types import Floats
+from symsimpson.support.array_types import Floats, State
 from symsimpson.support.calling import without_step_warnings
 from symsimpson.support.names import shortened
 
 __all__ = ["choose_state", "choose_step"]
-
-State = tuple[Floats, Floats]
 
 #: The first step that is tried, unless the time scale of the motion is so many times as long, or as
 #: short: units of time in which 4 means nothing.

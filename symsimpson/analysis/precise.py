@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.api.stepper import Stepper
 from symsimpson.module.matrices import slopes_of
@@ -19,10 +18,10 @@ from symsimpson.results.trajectory import Trajectory
 from symsimpson.stepping.constrained_start import project_start
 from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.run import Run
+from symsimpson.support.array_types import Reals
 
 __all__ = ["Precise"]
 
-Vector = NDArray[Any]
 #: States that are placed on constraints may miss them by so much.
 NEARBY = 1e-3
 #: What moves by a smaller part of what moves most is displaced as if it moved by so much.
@@ -50,10 +49,10 @@ class Precise:
         #: A displacement whose square and whose inverse cost a third of the digits each.
         self.small = self.context.mpf(10) ** -(digits // 3)
         #: Sizes of q and p, of which displacements for differences are a small part.
-        self.sizes: Vector = np.array([self.context.mpf(1)] * (2 * stepper.n), dtype=object)
+        self.sizes: Reals = np.array([self.context.mpf(1)] * (2 * stepper.n), dtype=object)
 
     def run(
-        self, z: Vector, h: Any, steps: int, *, every: int | None = 1, t0: Any = 0
+        self, z: Reals, h: Any, steps: int, *, every: int | None = 1, t0: Any = 0
     ) -> Trajectory:
         """Integrate from a state."""
         return self.stepper.integrate(
@@ -66,12 +65,12 @@ class Precise:
             parameters=self.parameters,
         )
 
-    def flow(self, z: Vector, h: Any, steps: int = 1, *, t0: Any = 0) -> Vector:
+    def flow(self, z: Reals, h: Any, steps: int = 1, *, t0: Any = 0) -> Reals:
         """Return the state after some steps."""
         end = self.run(z, h, steps, every=None, t0=t0)
         return np.concatenate([end.q[0], end.p[0]])
 
-    def placed(self, z: Iterable[Any], t: Any = 0) -> Vector:
+    def placed(self, z: Iterable[Any], t: Any = 0) -> Reals:
         """Return a state without what constraints do not allow; as it is, where there are none.
 
         Those of velocities may ask for others at another time.
@@ -86,13 +85,13 @@ class Precise:
         taken = self._at("start", "MULTIPLIER", len(held), q, p, t)
         return np.concatenate([q, p - taken @ self.slopes(q, t)])
 
-    def slopes(self, q: Vector, t: Any = 0) -> Vector:
+    def slopes(self, q: Reals, t: Any = 0) -> Reals:
         """Return dphi/dq of all constraints, shape (m, n), and behind them A of A v = b."""
         header = self.program.header
         rows = self._at("multipliers", "CONSTRAINT_QQ", header.layout["HELD_SIZE"], q, 0 * q, t)
         return slopes_of(header, rows)
 
-    def _at(self, kernel: str, block: str, count: int, q: Vector, p: Vector, t: Any = 0) -> Vector:
+    def _at(self, kernel: str, block: str, count: int, q: Reals, p: Reals, t: Any = 0) -> Reals:
         """Evaluate a kernel at a state."""
         numbers, at = self._numbers, self.program.header.layout
         with numbers.working():
@@ -103,7 +102,7 @@ class Precise:
             # a copy: the next kernel writes into the same rows
             return numbers.result(W[at[block] : at[block] + count, 0].copy())
 
-    def _call(self, kernel: str, W: Vector, t: Any = 0) -> None:
+    def _call(self, kernel: str, W: Reals, t: Any = 0) -> None:
         """Call a kernel of a state."""
         unit, zero = self._one_and_zero
         time = self._numbers.read([t])[0] if t else zero
@@ -115,7 +114,7 @@ class Precise:
         unit, zero = self._numbers.read([1.0, 0.0])
         return unit, zero
 
-    def tangent(self, z: Vector, h: Any, steps: int = 1) -> tuple[Vector, Vector]:
+    def tangent(self, z: Reals, h: Any, steps: int = 1) -> tuple[Reals, Reals]:
         """Differentiate the map of some steps by differences, Newton's method included.
 
         Returns the derivatives of the end and of the start by a displacement that is placed on the
@@ -130,7 +129,7 @@ class Precise:
         )
         return of_end, of_start
 
-    def gradient(self, z: Iterable[Any]) -> Vector:
+    def gradient(self, z: Iterable[Any]) -> Reals:
         """Differentiate the energy: dH/dq by differences, and dH/dp, which is v.
 
         In a time of its own a system has no kernel of v; there both are differences.
@@ -161,7 +160,7 @@ class Precise:
             return numbers.result(slopes)
 
     @cached_property
-    def _prepared(self) -> Vector:
+    def _prepared(self) -> Reals:
         """A workspace in which kernels of a state may be called."""
         numbers, program = self._numbers, self.program
         W = workspace(program.header, numbers, numbers.read(program.values(self.parameters)))
@@ -180,11 +179,11 @@ class Precise:
         rate = self._at("energy", "RATE", 1, at[: self.n], at[self.n :])
         return [*self.rates(at), rate[0]]
 
-    def from_start(self, z: Vector) -> dict[str, Any]:
+    def from_start(self, z: Reals) -> dict[str, Any]:
         """Return the parameters of a run from a state, with those that follow from it."""
         return dict(zip(self.stepper.parameters, self.run(z, 1, 0).parameter_values, strict=True))
 
-    def corrections(self, z: Vector, h: Any, count: int) -> list[Any]:
+    def corrections(self, z: Reals, h: Any, count: int) -> list[Any]:
         """Return the sizes of the first Newton corrections, relative to the increments."""
         ratios = []
         with self._numbers.working():
@@ -202,7 +201,7 @@ class Precise:
                     break
         return ratios
 
-    def jacobian_defect(self, z: Vector, h: Any) -> float:
+    def jacobian_defect(self, z: Reals, h: Any) -> float:
         """Measure how far an iteration from beside the solution misses it, relatively.
 
         With the exact Jacobian J it misses by a second-order term; with another one, K, by
@@ -232,14 +231,14 @@ class Precise:
                     worst = max(worst, float(max(map(abs, off)) / step))
         return worst
 
-    def decay(self, z: Vector, h: Any) -> Any:
+    def decay(self, z: Reals, h: Any) -> Any:
         """Return exp(-2 gamma h), by which a step shrinks momenta that are damped alike."""
         nodes = self.program.header.layout["NODES"]
         with self._numbers.working():
             last = self._begun(z, h).rows("GROWTH", nodes + 1)[-1:]
             return 1 / self._numbers.result(last)[0]
 
-    def step_by(self, kernels: str, z: Vector, h: Any) -> Vector | None:
+    def step_by(self, kernels: str, z: Reals, h: Any) -> Reals | None:
         """Return the state after a step by some of the kernels that may; None if they do not."""
         with self._numbers.working():
             run = self._begun(z, h, kernels)
@@ -248,7 +247,7 @@ class Precise:
                 return None
             return self._numbers.result(np.concatenate(run.end(), axis=1)[0])
 
-    def _begun(self, z: Vector, h: Any, kernels: str = "newton") -> Run:
+    def _begun(self, z: Reals, h: Any, kernels: str = "newton") -> Run:
         numbers, program = self._numbers, self.program
         values = program.values(self.parameters)
         step, start = numbers.read(h).item(), numbers.read(list(z))
@@ -265,7 +264,7 @@ class Precise:
             self.program.kernels.address("newton"), run.h, 0 * run.h, run.W
         )
 
-    def _moved(self, z: Iterable[Any]) -> list[tuple[Vector, Vector]]:
+    def _moved(self, z: Iterable[Any]) -> list[tuple[Reals, Reals]]:
         point = np.array([self.context.convert(x) for x in z], dtype=object)
         pairs = []
         for k in range(2 * self.n):

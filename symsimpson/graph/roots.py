@@ -13,14 +13,12 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.graph.field import Angles, Evaluation, raised
 from symsimpson.graph.nodes import Graph
+from symsimpson.support.array_types import Ints
 
 __all__ = ["dependent_radicands", "radicands"]
-
-Row = NDArray[np.int64]
 
 #: A product of two numbers modulo this fits into 64 bits.
 PRIME = 2**31 - 1
@@ -89,7 +87,7 @@ class _Rows:
     def __init__(self, count: int, varied: str | None = None) -> None:
         self._count, self._varied = count, varied
 
-    def draw(self, *key: object) -> Row:
+    def draw(self, *key: object) -> Ints:
         """Return random numbers that are the same for the same key."""
         text = repr([k.tobytes() if isinstance(k, np.ndarray) else k for k in key]).encode()
         seed = int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "big")
@@ -97,11 +95,11 @@ class _Rows:
         drawn = np.random.default_rng(seed).integers(1, PRIME, 1 if still else self._count)
         return np.broadcast_to(drawn, self._count)
 
-    def inverse(self, x: Any) -> Row:
+    def inverse(self, x: Any) -> Ints:
         """Return 1/x."""
         return _power(np.broadcast_to(np.asarray(x, dtype=np.int64), self._count), PRIME - 2)
 
-    def root(self, x: Any) -> Row:
+    def root(self, x: Any) -> Ints:
         """Radicands with roots in them are not evaluated."""
         raise AssertionError
 
@@ -114,12 +112,12 @@ class _Rows:
         return (x + y) % PRIME
 
 
-def _power(x: Row, e: int) -> Row:
-    power: Row = raised(lambda a, b: a * b % PRIME, np.ones_like(x), x, e)
+def _power(x: Ints, e: int) -> Ints:
+    power: Ints = raised(lambda a, b: a * b % PRIME, np.ones_like(x), x, e)
     return power
 
 
-def _bits(values: Row) -> int:
+def _bits(values: Ints) -> int:
     """Return the points at which a radicand is no square, as the bits of a number."""
     character = _power(values.astype(np.int64), (PRIME - 1) // 2)
     return int("".join("1" if c == PRIME - 1 else "0" for c in character), 2)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import sympy as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sympy.core.function import AppliedUndef
 
 from symsimpson.errors import InputError, ModelError, ModelWarning
@@ -20,11 +20,11 @@ from symsimpson.mechanics.rotations import (
     read_scalar,
     rotation_matrix,
 )
+from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explaining, warn
 
 __all__ = ["RigidBody"]
 
-Vector = NDArray[np.float64]
 #: A quaternion or a rotation matrix may be off by so much.
 ROUNDED = 1e-9
 #: Moments are written in two digits or more.
@@ -176,7 +176,7 @@ class RigidBody:
         angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
         position: ArrayLike = (0.0, 0.0, 0.0),
         velocity: ArrayLike = (0.0, 0.0, 0.0),
-    ) -> tuple[Vector, Vector]:
+    ) -> tuple[Floats, Floats]:
         """Return numbers to start from; the body is as in space unless one of the first is given.
 
         Parameters
@@ -272,7 +272,7 @@ def _moments(matrix: sp.ImmutableDenseMatrix) -> tuple[float, float]:
     return first if -first > ROUNDED * size else 0.0, excess if excess > WRITTEN * size else 0.0
 
 
-def _numbers(name: str, given: ArrayLike, shape: tuple[int, ...]) -> Vector:
+def _numbers(name: str, given: ArrayLike, shape: tuple[int, ...]) -> Floats:
     try:
         array = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -282,19 +282,19 @@ def _numbers(name: str, given: ArrayLike, shape: tuple[int, ...]) -> Vector:
     return array
 
 
-def _product(p: Vector, q: Vector) -> Vector:
+def _product(p: Floats, q: Floats) -> Floats:
     """Return the product of two quaternions."""
     scalar = p[0] * q[0] - p[1:] @ q[1:]
     return np.concatenate([[scalar], p[0] * q[1:] + q[0] * p[1:] + np.cross(p[1:], q[1:])])
 
 
-def _from_angles(angles: Vector) -> Vector:
+def _from_angles(angles: Floats) -> Floats:
     c, s = np.cos(angles / 2), np.sin(angles / 2)
     about_z = [np.array([c[k], 0.0, 0.0, s[k]]) for k in (0, 2)]
     return _product(_product(about_z[0], np.array([c[1], s[1], 0.0, 0.0])), about_z[1])
 
 
-def _from_matrix(R: Vector) -> Vector:
+def _from_matrix(R: Floats) -> Floats:
     """Return the quaternion of a rotation, its largest component from the diagonal."""
     if not (np.abs(R @ R.T - np.eye(3)).max() <= ROUNDED and np.linalg.det(R) > 0):
         raise InputError(
@@ -309,5 +309,5 @@ def _from_matrix(R: Vector) -> Vector:
             [0, 0, 0, R[2, 2] - R[0, 0] - R[1, 1]],
         ]
     )
-    eigenvector: Vector = np.linalg.eigh(K, UPLO="U")[1][:, -1]
+    eigenvector: Floats = np.linalg.eigh(K, UPLO="U")[1][:, -1]
     return eigenvector if eigenvector[0] >= 0 else -eigenvector

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from symsimpson.errors import InputError
 from symsimpson.graph.evaluate import doubles
@@ -14,12 +14,12 @@ from symsimpson.graph.nodes import Value
 from symsimpson.mechanics import constraints
 from symsimpson.mechanics.declared import Declared
 from symsimpson.mechanics.given_states import read_values, read_vector
+from symsimpson.support.array_types import Floats
 from symsimpson.support.lengths import bending_length
 from symsimpson.support.names import spelled
 
 __all__ = ["consistent"]
 
-Reals = NDArray[np.float64]
 #: Iterations for positions; what is left of constraints, relative to their slopes and to q.
 MOST, NEAR = 200, 1e-15
 #: What may be left of constraints of positions, likewise.
@@ -41,7 +41,7 @@ def consistent(
     fixed: Iterable[Any],
     parameters: Mapping[Any, Any] | None,
     t: float,
-) -> tuple[Reals, Reals]:
+) -> tuple[Floats, Floats]:
     """Return the nearest q and v with phi(q) = 0, Phi v = 0 and A v = b, measured by M(q0)."""
     names = [spelled(q) for q in system.coordinates]
     q, v = read_vector(system, "q0", q0), read_vector(system, "v0", v0)
@@ -71,7 +71,7 @@ def consistent(
     _, slopes, mass = at(q)
     metric = _positive(mass, slopes)[np.ix_(free, free)]
 
-    def of_positions(q: Reals) -> tuple[Reals, Reals]:
+    def of_positions(q: Floats) -> tuple[Floats, Floats]:
         values, slopes, _ = at(q)
         return values[:m], slopes[:m]
 
@@ -117,13 +117,13 @@ def consistent(
 
 
 def _followed(
-    at: Callable[[Reals], tuple[Reals, Reals]],
-    start: Reals,
+    at: Callable[[Floats], tuple[Floats, Floats]],
+    start: Floats,
     free: Sequence[int],
-    metric: Reals,
+    metric: Floats,
     *,
     nearest: bool,
-) -> tuple[Reals, float]:
+) -> tuple[Floats, float]:
     """Return positions that satisfy the constraints, and how far off they are."""
     q, goal, best, stalled = start.copy(), start[free], np.inf, 0
     for _ in range(MOST):
@@ -157,8 +157,8 @@ def _followed(
 
 
 def _unwound(
-    at: Callable[[Reals], tuple[Reals, Reals]], q: Reals, goal: Reals, free: Sequence[int]
-) -> Reals:
+    at: Callable[[Floats], tuple[Floats, Floats]], q: Floats, goal: Floats, free: Sequence[int]
+) -> Floats:
     """Leave whole turns out, where constraints are met without them, too: those of angles are."""
     turns = 2 * np.pi * np.round((q - goal) / (2 * np.pi))
     for i in [i for i in free if turns[i]]:
@@ -171,15 +171,15 @@ def _unwound(
 
 
 def _slid(
-    at: Callable[[Reals], tuple[Reals, Reals]],
-    q: Reals,
-    goal: Reals,
+    at: Callable[[Floats], tuple[Floats, Floats]],
+    q: Floats,
+    goal: Floats,
     free: Sequence[int],
-    metric: Reals,
-) -> Reals:
+    metric: Floats,
+) -> Floats:
     """Go along the constraints, from a state that satisfies them, as near to a goal as may be."""
 
-    def away(q: Reals) -> float:
+    def away(q: Floats) -> float:
         miss = q[free] - goal
         return float(miss @ metric @ miss)
 
@@ -199,17 +199,17 @@ def _slid(
     return q
 
 
-def _relative(miss: Reals, slopes: Reals, reach: float) -> Reals:
+def _relative(miss: Floats, slopes: Floats, reach: float) -> Floats:
     """Return by how much constraints are missed, in units of their slopes and of a state.
 
     What has no size is missed wholly, or not at all.
     """
     size = np.linalg.norm(slopes, axis=1) * reach
-    ratios: Reals = np.abs(miss) / np.where(size > 0, size, np.maximum(np.abs(miss), 1e-300))
+    ratios: Floats = np.abs(miss) / np.where(size > 0, size, np.maximum(np.abs(miss), 1e-300))
     return ratios
 
 
-def _rounded(at: Callable[[Reals], tuple[Reals, Reals]], q: Reals) -> bool:
+def _rounded(at: Callable[[Floats], tuple[Floats, Floats]], q: Floats) -> bool:
     """Return whether but rounding is left of constraints, whose terms may be large against q."""
     phi, slopes = at(q)
     if not (np.isfinite(phi).all() and np.isfinite(slopes).all()):
@@ -218,12 +218,12 @@ def _rounded(at: Callable[[Reals], tuple[Reals, Reals]], q: Reals) -> bool:
     return bool((np.abs(phi) <= CANCELLED * terms).all())
 
 
-def _shown(numbers: Reals) -> list[float]:
+def _shown(numbers: Floats) -> list[float]:
     """Round numbers for a message, to digits that say something in any unit."""
     return [float(f"{x:.6g}") for x in numbers]
 
 
-def _positive(mass: Reals, slopes: Reals) -> Reals:
+def _positive(mass: Floats, slopes: Floats) -> Floats:
     """Return M, or where that is singular M with weights of what constraints take."""
     units = np.sqrt(np.where(np.diag(mass) > 0, np.diag(mass), 1.0))
     if np.linalg.eigvalsh(mass / np.outer(units, units))[0] > SINGULAR:
@@ -232,7 +232,7 @@ def _positive(mass: Reals, slopes: Reals) -> Reals:
     return mass + np.trace(mass) * slopes.T @ (slopes / np.where(squares > 0, squares, 1)[:, None])
 
 
-def _nearest(metric: Reals, slopes: Reals, wish: Reals, change: Reals) -> Reals:
+def _nearest(metric: Floats, slopes: Floats, wish: Floats, change: Floats) -> Floats:
     """Return the step nearest to a wish with a given change of phi to first order."""
     n, m = len(wish), len(change)
     # in units in which M has a diagonal of one, and each row the length one
@@ -244,13 +244,13 @@ def _nearest(metric: Reals, slopes: Reals, wish: Reals, change: Reals) -> Reals:
     matrix = np.zeros((n + m, n + m))
     matrix[:n, :n], matrix[:n, n:], matrix[n:, :n] = metric / np.outer(units, units), rows.T, rows
     right = np.concatenate([metric @ wish / units, change / length])
-    solution: Reals = np.linalg.lstsq(matrix, right, rcond=None)[0][:n]
+    solution: Floats = np.linalg.lstsq(matrix, right, rcond=None)[0][:n]
     return solution / units
 
 
 def _functions(
     system: Declared, given: Mapping[Any, Any] | None, t: float
-) -> Callable[[Reals], tuple[Reals, Reals, Reals]]:
+) -> Callable[[Floats], tuple[Floats, Floats, Floats]]:
     """Return phi and behind it b, Phi and behind it A, and M, as a function of q."""
     plain, n = system.plain, system.n
     values = read_values("parameters", "parameter", system.parameters, given)
@@ -263,7 +263,7 @@ def _functions(
     known = dict(zip(plain.numbers(plain.parameters), values, strict=True))
     known[plain.time] = t
 
-    def at(q: Reals) -> tuple[Reals, Reals, Reals]:
+    def at(q: Floats) -> tuple[Floats, Floats, Floats]:
         point = known | dict(zip(places, q.tolist(), strict=True))
         numbers = np.array(doubles(graph, wanted, point))
         m = len(phi) + len(rows)

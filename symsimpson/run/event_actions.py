@@ -27,12 +27,11 @@ from symsimpson.stepping.event import Event, Impact
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.run_events import RunEvents
 from symsimpson.stepping.spec import RunSpec
-from symsimpson.support.array_types import Floats
+from symsimpson.support.array_types import Floats, State
 from symsimpson.support.names import speed_of_approach
 
 __all__ = ["EventActions", "constant_restitution"]
 
-State = tuple[Floats, Floats]
 #: So many impacts at one time are taken one after the other.
 MOST_MAPS = 500
 #: States at an event are known to so much of themselves.

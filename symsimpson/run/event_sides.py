@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from symsimpson.module.interface import ZERO
 from symsimpson.program.observed import FADED
 from symsimpson.run.event_actions import EventActions
-from symsimpson.support.array_types import Floats
+from symsimpson.support.array_types import Floats, State
 
 __all__ = ["Sides"]
-
-State = tuple[Floats, Floats]
 
 
 class Sides:

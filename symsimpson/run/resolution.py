@@ -26,7 +26,7 @@ from symsimpson.results.work import parts_of_work, rough_parts
 from symsimpson.stepping.kept import KeptStates
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec
-from symsimpson.support.array_types import Floats, Reals
+from symsimpson.support.array_types import Floats, Ints, Reals
 
 __all__ = [
     "Sampled",
@@ -58,8 +58,6 @@ ROUNDING = 1e-9
 #: Digits in which energies are evaluated anew, and at most so many positions in Python.
 DIGITS, MOST_BY_TEXT = 50, 10_000
 
-Places = NDArray[np.int64]
-
 
 def sampling_stride(program: Program, count: int) -> int:
     """Return the steps between the states to keep of a run that stores none.
@@ -82,7 +80,7 @@ def finer_stride(every: int, count: int) -> int:
     return every // parts if count * parts // every <= MOST_LOOKED_AT else every
 
 
-def each(number: int, q: Reals, p: Reals, iterations: Places, *rows: Reals) -> tuple[Any, ...]:
+def each(number: int, q: Reals, p: Reals, iterations: Ints, *rows: Reals) -> tuple[Any, ...]:
     """Leave out states that were stored to be looked at alone; iterations are added up."""
     if number == 1:
         return q, p, iterations, *rows
@@ -104,7 +102,7 @@ class Sampled:
 
     total: Floats
     kinetic: Floats
-    places: Places
+    places: Ints
     work: Floats
     exchanged: Floats
     standing: NDArray[np.bool_]
@@ -171,9 +169,7 @@ def median(values: Floats) -> float:
     return float(ordered[half] if odd else (ordered[half - 1] + ordered[half]) / 2)
 
 
-def energies_at(
-    program: Program, run: Run, steps: int, kept: KeptStates, places: Places
-) -> Sampled:
+def energies_at(program: Program, run: Run, steps: int, kept: KeptStates, places: Ints) -> Sampled:
     """Evaluate the energy at some states in the workspace of a run that is over."""
     t = run.t0 + run.h * np.minimum(places * kept.every, steps)
     states = t, kept.q[places], kept.p[places]

@@ -21,12 +21,11 @@ from symsimpson.stepping.driving import since
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.run_events import RunEvents, check_variations
 from symsimpson.stepping.variations import STEP_ITSELF, varied_program
-from symsimpson.support.array_types import Floats
+from symsimpson.support.array_types import Floats, State
 from symsimpson.support.calling import warn
 
 __all__ = ["Saltation"]
 
-State = tuple[Floats, Floats]
 #: What is zero with a rate below this part of that over the part of the step is grazed.
 GRAZED = 1e-3
 #: The part of a step over which the vector field is a mean of two derivatives by the length.

@@ -5,9 +5,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Floats", "Ints", "Reals"]
+__all__ = ["Floats", "Ints", "Reals", "State"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 #: float64, or numbers of mpmath in an object array.
 Reals = NDArray[Any]
+#: Positions and momenta.
+State = tuple[Floats, Floats]

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
 from symsimpson.analysis.stability.limits import theory_limits
 from symsimpson.analysis.stability.spinning_bodies import warn_of_turning
@@ -20,6 +19,7 @@ from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.program.program import Program
 from symsimpson.reference.first_order import Lines
 from symsimpson.schemes.named import read_scheme
+from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import warn
 
 __all__ = [
@@ -30,7 +30,6 @@ __all__ = [
     "warn_of_step",
 ]
 
-Reals = NDArray[np.float64]
 #: Limits beyond this are as good as none.
 LARGEST = 12.0
 #: The Hessian of larger systems takes too long for a warning.
@@ -113,7 +112,9 @@ def _matrices(system: MechanicalSystem) -> Callable[..., Any]:
     return _function(system, entries, plain.q, [(n, n), (n,), (m, n), (m, n, n), (n, n)])
 
 
-def _allowed(K: Reals, force: Reals, slopes: Reals, bends: Reals, M: Reals) -> tuple[Reals, Reals]:
+def _allowed(
+    K: Floats, force: Floats, slopes: Floats, bends: Floats, M: Floats
+) -> tuple[Floats, Floats]:
     """Return M and the Hessian of V + lambda.phi for what constraints allow."""
     n, m = len(M), len(slopes)
     matrix = np.block([[M, slopes.T], [slopes, np.zeros((m, m))]])
@@ -157,7 +158,7 @@ def _function(
     entries: dict[str, list[Value]],
     state: tuple[sp.Symbol, ...],
     shapes: Sequence[tuple[int, ...]],
-) -> Callable[..., list[Reals]]:
+) -> Callable[..., list[Floats]]:
     """Return a function of a state, parameters, inputs and t for arrays of shapes, M the last."""
     plain, size = system.plain, range(system.n)
     entries["M"] = [plain.entry(i, j) for i in size for j in size]
@@ -167,7 +168,7 @@ def _function(
     function = Lines(plain, outputs).function(state, "math")
     ends = np.cumsum([math.prod(shape) for shape in shapes])[:-1]
 
-    def found(*numbers: float) -> list[Reals]:
+    def found(*numbers: float) -> list[Floats]:
         parts = np.split(np.array(function(*numbers), dtype=np.float64), ends)
         return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
 

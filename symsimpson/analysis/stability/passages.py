@@ -14,7 +14,6 @@ from typing import Any
 
 import mpmath
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.analysis.stability.kinks import has_kinks
 from symsimpson.errors import SymsimpsonError
@@ -26,10 +25,10 @@ from symsimpson.reference.first_order import Lines
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.requested import run as run_again
 from symsimpson.stepping.request import Request
+from symsimpson.support.array_types import Floats
 
 __all__ = ["at_pole", "regular_box", "unresolved_pole"]
 
-Reals = NDArray[np.float64]
 #: In larger systems det M is not looked at.
 MOST_COORDINATES = 12
 #: First so many states are looked at: where det M is nowhere small, no others are.
@@ -67,7 +66,7 @@ def _mass(system: MechanicalSystem) -> tuple[Callable[..., Any] | None, tuple[in
     return Lines(plain, entries).function(plain.q, "numpy"), depends
 
 
-def _masses(system: MechanicalSystem, t: Reals, q: Reals, values: Sequence[float]) -> Reals:
+def _masses(system: MechanicalSystem, t: Floats, q: Floats, values: Sequence[float]) -> Floats:
     """Return M at states, shape (N, n, n)."""
     function, n = _mass(system)[0], system.n
     assert function is not None
@@ -76,7 +75,7 @@ def _masses(system: MechanicalSystem, t: Reals, q: Reals, values: Sequence[float
     return np.stack([np.asarray(x, dtype=np.float64) for x in entries], axis=1).reshape(-1, n, n)
 
 
-def _sizes(system: MechanicalSystem, t: Reals, q: Reals, values: Sequence[float]) -> Reals:
+def _sizes(system: MechanicalSystem, t: Floats, q: Floats, values: Sequence[float]) -> Floats:
     return np.abs(np.linalg.det(_masses(system, t, q, values)))
 
 
@@ -123,7 +122,7 @@ def unresolved_pole(
 
 
 def _vanishes_near(
-    system: MechanicalSystem, t: float, q: Reals, values: Sequence[float], usual: float
+    system: MechanicalSystem, t: float, q: Floats, values: Sequence[float], usual: float
 ) -> bool:
     """Return whether det M has a zero near q; light bodies, sharp bends make it small alone.
 
@@ -142,8 +141,8 @@ def _vanishes_near(
 
 
 def regular_box(
-    system: MechanicalSystem, values: Sequence[float], low: Reals, high: Reals, t: float
-) -> tuple[Reals, Reals] | None:
+    system: MechanicalSystem, values: Sequence[float], low: Floats, high: Floats, t: float
+) -> tuple[Floats, Floats] | None:
     """Return a box of positions without singular points; None if there may be some, or kinks.
 
     It is the box from ``low`` to ``high`` that was asked about, or all of space where M is
@@ -156,7 +155,7 @@ def regular_box(
         return np.full(system.n, -np.inf), np.full(system.n, np.inf)
     numbers, width = np.random.default_rng(2), len(depends)
 
-    def sizes_at(places: Reals) -> Reals:
+    def sizes_at(places: Floats) -> Floats:
         q = np.tile((low + high) / 2, (len(places), 1))
         q[:, depends] = low[depends] + places * (high - low)[depends]
         return _sizes(system, np.full(len(q), t), q, values)
@@ -177,7 +176,7 @@ def regular_box(
     return low, high
 
 
-def _states(run: Trajectory) -> tuple[Reals, Reals, list[float]]:
+def _states(run: Trajectory) -> tuple[Floats, Floats, list[float]]:
     inputs = np.asarray(run.input_values, dtype=np.float64)[0, 0, 0]
     values = [*map(float, run.parameter_values), *map(float, inputs)]
     return run.t.astype(np.float64), run.q.astype(np.float64), values
@@ -231,7 +230,7 @@ def _apart(program: Program, system: MechanicalSystem, run: Trajectory, place: i
     return float(gap @ end @ gap / moved) if moved > 0 else 0.0
 
 
-def _within(moves: Reals, turn: Reals) -> Reals:
+def _within(moves: Floats, turn: Floats) -> Floats:
     """Leave whole turns out of moves."""
     known = np.where(np.isfinite(turn), turn, 1.0)
     whole = np.where(np.isfinite(turn), known * np.round(moves / known), 0.0)
@@ -248,7 +247,7 @@ def _periodic(system: MechanicalSystem) -> tuple[bool, ...]:
     state = numbers.uniform(0.3, 1.2, 2 * n)
     rest = [*map(float, system.parameters.values()), *numbers.uniform(0.3, 1.2, len(plain.u) + 1)]
 
-    def value(turned: int | None) -> Reals:
+    def value(turned: int | None) -> Floats:
         q = state.copy()
         if turned is not None:
             q[turned] += 2 * np.pi
