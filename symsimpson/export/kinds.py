@@ -75,12 +75,11 @@ class Kinds:
             case ast.Assign(targets=[ast.Tuple(elts=targets)], value=value):
                 self.of(value, name)
                 local.update({ast.unparse(element): REAL for element in targets})
-            case ast.Assign(targets=[target], value=value):
-                self.of(target, name)
-                self.of(value, name)
             case ast.AugAssign(target=ast.Name(id=target), value=value):
                 local[target] = _joined(local[target], self.of(value, name))
-            case ast.AugAssign(target=place, value=value):
+            case (
+                ast.Assign(targets=[place], value=value) | ast.AugAssign(target=place, value=value)
+            ):
                 self.of(place, name)
                 self.of(value, name)
             case ast.Return(value=ast.Tuple(elts=values)):
@@ -124,11 +123,7 @@ class Kinds:
                 for operand in (left, *others):
                     self.of(operand, name)
                 return INT
-            case ast.BoolOp(values=values):
-                for operand in values:
-                    self.of(operand, name)
-                return INT
-            case ast.Tuple(elts=values):
+            case ast.BoolOp(values=values) | ast.Tuple(elts=values):
                 for element in values:
                     self.of(element, name)
                 return INT
