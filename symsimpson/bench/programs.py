@@ -198,10 +198,8 @@ def _numbalsoda(problem: Problem) -> Iterator[Contender[Runnable]]:
         rates(carray(y, (size,)), known, carray(out, (size,)))
 
     address = right.address
-    start, times = (
-        np.array(problem.canonical.state(problem.q0, problem.p0)),
-        np.array([0.0, problem.t_end]),
-    )
+    start = np.array(problem.canonical.state(problem.q0, problem.p0))
+    times = np.array([0.0, problem.t_end])
     for method in ("lsoda", "dop853"):
         solve = getattr(numbalsoda, method)
 

@@ -43,10 +43,8 @@ def differentiating(
     storage = loops.held.storage if loops.held else loops.storage
     differentials = HeldDifferentials(low, loops, tuple(places), following, in_order)
     kernels = [*_tangent_kernels(differentials), *adjoint_kernels(differentials)]
-    functions, tables = (
-        differentials.functions(),
-        differentials.tables() | _tables(storage, loops.degree),
-    )
+    functions = differentials.functions()
+    tables = differentials.tables() | _tables(storage, loops.degree)
     if low.equations.second:
         kernels.append(curvature_kernel(differentials))
         functions += curvature_functions(differentials)

@@ -62,10 +62,8 @@ def _linearise(
     size, W = 2 * program.n, workspace(header, numbers, spec.parameters)
     begun, every = header.layout["ADJOINT"], np.arange(slopes[0, 0].size)
     kernels = tuple(map(program.kernels.address, ("prepare", "adjoint")))
-    setting, places = (
-        (spec.h, spec.t0, W, header.driver_layout),
-        (begun, header.layout["COST_SLOPE"]),
-    )
+    setting = (spec.h, spec.t0, W, header.driver_layout)
+    places = (begun, header.layout["COST_SLOPE"])
     carry_back, no_jumps = numbers.driver("carry_back"), numbers.zeros((0, 0))
     unit = numbers.read(np.eye(size))
     totals, row_slopes = numbers.zeros((2, every.size)), numbers.zeros((1, every.size))

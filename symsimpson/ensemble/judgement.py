@@ -43,10 +43,8 @@ def look_at_steps(program: Program, task: Task) -> None:
             continue
         v = other
         if not task.velocities:
-            kernel, state = (
-                velocities_by(program.header),
-                (np.full(1, task.t0), q[None], other[None]),
-            )
+            kernel = velocities_by(program.header)
+            state = (np.full(1, task.t0), q[None], other[None])
             v = evaluate(program, kernel, "VELOCITY", program.n, state, values)[0]
         inputs = task.inputs[min(member, len(task.inputs) - 1), 0, 0]
         with warnings.catch_warnings(record=True) as warned:

@@ -285,10 +285,8 @@ class Evaluation:
                 return unit
             back = times(a.prime - 1, a.inverse(unit))
             half = (a.prime + 1) // 2
-            sinh, cosh = (
-                times(half, plus(unit, back)),
-                times(half, plus(unit, times(a.prime - 1, back))),
-            )
+            sinh = times(half, plus(unit, back))
+            cosh = times(half, plus(unit, times(a.prime - 1, back)))
             if name == "tanh":
                 return times(sinh, a.inverse(cosh))
             return sinh if name == "sinh" else cosh

@@ -127,12 +127,10 @@ def watching(
     (prepare, energy, kernel), W = observer(program, observed, values)
     # asked for one state often: all but the states is found once
     addresses = prepare, energy if any(quantity.energetic for quantity in observed) else 0, kernel
-    driver, first, about, count = (
-        numbers.driver("evaluate"),
-        header.rows,
-        header.driver_layout,
-        len(observed),
-    )
+    driver = numbers.driver("evaluate")
+    first = header.rows
+    about = header.driver_layout
+    count = len(observed)
 
     def watch(t: Reals, q: Reals, p: Reals) -> Reals:
         out = np.zeros((len(q), count))

@@ -129,10 +129,8 @@ def driver_layout(header: Header, recorders: Sequence[Recorder]) -> Ints:
     for entry in recorders:
         if entry.renewed:
             numbers[DRIVER_LAYOUT["GROWN"]] = entry.first
-            numbers[DRIVER_LAYOUT["RENEWED"]], numbers[DRIVER_LAYOUT["RENEWAL"]] = (
-                entry.renewed,
-                entry.renewal,
-            )
+            numbers[DRIVER_LAYOUT["RENEWED"]] = entry.renewed
+            numbers[DRIVER_LAYOUT["RENEWAL"]] = entry.renewal
     stored = [
         number
         for recorder in recorders

@@ -165,10 +165,8 @@ def zeros(run: Stored, sought: Zeros, *, begins: bool = True) -> tuple[Floats, .
     passing = np.flatnonzero((turns[1:] != turns[:-1]).any(axis=1))
     start, turn = np.append(begin, passing), np.concatenate([turns[:-1], turns[passing + 1]])
     values = value(times, positions, momenta, turns)  # each state in its own turn
-    first, last = (
-        np.append(values[:-1], values[passing]),
-        np.append(values[1:], values[passing + 1]),
-    )
+    first = np.append(values[:-1], values[passing])
+    last = np.append(values[1:], values[passing + 1])
     if passing.size:  # an interval has one turn for both of its ends
         new, end = np.arange(len(begin), len(start)), passing + 1
         first[new] = value(times[passing], positions[passing], momenta[passing], turn[new])

@@ -72,10 +72,8 @@ class BriefRunner:
         header, kernels = program.header, program.kernels
         numbers = program.numbers
         recorders = with_clock(header, ())
-        self.W, self.driver_layout = (
-            workspace(header, numbers, program.defaults),
-            driver_layout(header, recorders),
-        )
+        self.W = workspace(header, numbers, program.defaults)
+        self.driver_layout = driver_layout(header, recorders)
         self.kernels = kernels.set(kernels.fallbacks[0], recorders)
         self.legendre, self.energy = kernels.address("legendre"), kernels.address("energy")
         iterated = header.newton_unknowns > 0

@@ -54,10 +54,8 @@ class RunEvents:
 
     def watchers(self, header: Header, first: int) -> tuple[Recorder, ...]:
         """Return what looks for the events, with rows from the first free one on."""
-        signs, gaps = (
-            [event.sign for event in self.events],
-            [rate is not None for rate in self.rate],
-        )
+        signs = [event.sign for event in self.events]
+        gaps = [rate is not None for rate in self.rate]
         return watchers(header, self.watched[: len(self.events)], signs, gaps, first)
 
 

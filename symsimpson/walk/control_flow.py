@@ -73,11 +73,9 @@ class Blocks(Rows):
             name = module.get_unique_name(".table")
             variable = ir.GlobalVariable(module, ir.ArrayType(kind, len(numbers)), name)
             variable.initializer = ir.Constant(variable.value_type, numbers)
-            variable.global_constant, variable.linkage, variable.unnamed_addr = (
-                True,
-                "internal",
-                True,
-            )
+            variable.global_constant = True
+            variable.linkage = "internal"
+            variable.unnamed_addr = True
             self._tables[key] = variable, array.shape
         return self._tables[key]
 

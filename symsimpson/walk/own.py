@@ -95,11 +95,8 @@ class _Accesses:
 
     def _called(self, function: ast.FunctionDef, given: list[frozenset[str]]) -> bool:
         self._depth += 1
-        names, counts, self._counts = (
-            [parameter.arg for parameter in function.args.args],
-            self._counts,
-            {},
-        )
+        names = [parameter.arg for parameter in function.args.args]
+        counts, self._counts = self._counts, {}
         fine = self.follow(function.body, dict(zip(names, given, strict=True)))
         self._depth, self._counts = self._depth - 1, counts
         return fine
