@@ -189,14 +189,8 @@ def _derived(
     if system.retiming is not None or running is not None or system.too_large_for_sympy:
         return derived()
     energies = (system.kinetic, system.potential, system.gyroscopic)
-    parts: list[object] = [
-        system.digest,
-        *energies,
-        astuple(scheme),
-        sorted(exploit),
-        varied,
-        second,
-    ]
+    wanted = sorted(exploit), varied, second
+    parts: list[object] = [system.digest, *energies, astuple(scheme), *wanted]
     parts += [(symbol.name, value) for symbol, value in system.parameters.items()]
     return kept_text(map(str, parts), derived)
 

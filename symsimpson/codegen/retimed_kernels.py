@@ -34,12 +34,8 @@ def keeping_time(
     retimed = _Retimed(low, loops)
     replacements = {kernel.name: kernel for kernel in (retimed.legendre(), retimed.energy())}
     others = [replacements.get(kernel.name, kernel) for kernel in kernels]
-    return [retimed.rate_function()], [
-        *others,
-        retimed.energy_in_tau(),
-        retimed.retime(),
-        retimed.clock(),
-    ]
+    more = retimed.energy_in_tau(), retimed.retime(), retimed.clock()
+    return [retimed.rate_function()], [*others, *more]
 
 
 class _Retimed:

@@ -218,11 +218,8 @@ class FamilyWriter:
         Loads that are the same for all members stand before the loop; ``more`` indices are looked
         up in each turn.
         """
-        columns = [
-            *self.indices,
-            *([self.constraint] if self.constraint else []),
-            *self._coefficient_rows,
-        ]
+        constraint = [self.constraint] if self.constraint else []
+        columns = [*self.indices, *constraint, *self._coefficient_rows]
         used: list[Statement] = [
             Index(target, f"{self.table}[term, {column}]") for column, target in enumerate(columns)
         ]

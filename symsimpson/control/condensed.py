@@ -68,13 +68,9 @@ class Condensed:
     def bounds(self, of_unknowns: Any, of_rows: Any) -> tuple[Any, Any]:
         """Return bounds of unknowns and of rows, of those of the full form."""
         states = self._states[self._bounded]
-        return (
-            tuple(x[self.unknowns] for x in of_unknowns),
-            tuple(
-                np.concatenate([y[self._rest], x[states]])
-                for x, y in zip(of_unknowns, of_rows, strict=True)
-            ),
-        )
+        pairs = zip(of_unknowns, of_rows, strict=True)
+        rows = tuple(np.concatenate([y[self._rest], x[states]]) for x, y in pairs)
+        return tuple(x[self.unknowns] for x in of_unknowns), rows
 
     def values(self, w: Floats) -> tuple[float, Floats]:
         """Return the cost and the rows; NaN where no motion was found."""

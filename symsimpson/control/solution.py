@@ -105,13 +105,11 @@ def _solved(
     form: Scaled | Condensed = scaled_form
     begun = scaled_form.inside(x0)
     if condensed:
-        form = Condensed(
-            scaled_form,
-            layout,
-            lambda x: scaled_form.inside(moved(layout, scaled_form.outside(x))),
-            begun,
-            bounds,
-        )
+
+        def motion(x: Floats) -> Floats:
+            return scaled_form.inside(moved(layout, scaled_form.outside(x)))
+
+        form = Condensed(scaled_form, layout, motion, begun, bounds)
         begun = form.inside(begun)
         bounds, limits = form.bounds(bounds, limits)
 

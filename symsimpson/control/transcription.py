@@ -130,11 +130,9 @@ class _Pattern:
             offset += size
         row, column, part = (np.concatenate([place[k] for place in places]) for k in (1, 2, 3))
         more = sparse.coo_matrix(shape if constant is None else constant)
-        keys, inverse = np.unique(
-            np.concatenate([column, more.col]).astype(np.int64) * shape[0]
-            + np.concatenate([row, more.row]),
-            return_inverse=True,
-        )
+        of_entries = np.concatenate([column, more.col]).astype(np.int64) * shape[0]
+        of_entries += np.concatenate([row, more.row])
+        keys, inverse = np.unique(of_entries, return_inverse=True)
         self.column, self.row = keys // shape[0], keys % shape[0]
         count = len(row)
         self._linear = sparse.csr_matrix(

@@ -69,11 +69,8 @@ def gradient_of(
     program = varied_program(program, read_varied(program, names), running)
     spec = read_run(program, request)
     every = read_count("every", wanted.every, least=1)
-    objective = Objective(
-        read_cost(program, wanted.cost),
-        read_samples(program, wanted.samples, spec.steps, every),
-        every,
-    )
+    samples = read_samples(program, wanted.samples, spec.steps, every)
+    objective = Objective(read_cost(program, wanted.cost), samples, every)
     header = program.header
     varied = header.varied_by or ()
     of_inputs = [j for j, name in enumerate(varied) if name in header.inputs]

@@ -88,13 +88,8 @@ class DiscreteEquations:
 
         Loops over terms do without.
         """
-        reader = Reader(
-            self.plain.graph,
-            {
-                symbol: self.plain.graph.symbol(symbol.name)
-                for symbol in (*self.plain.q, *self.plain.parameters)
-            },
-        )
+        graph, symbols = self.plain.graph, (*self.plain.q, *self.plain.parameters)
+        reader = Reader(graph, {symbol: graph.symbol(symbol.name) for symbol in symbols})
         more: dict[Key, Value] = {}
         halves: dict[int, None] = {}
         for part in self.parts:

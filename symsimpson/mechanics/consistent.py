@@ -267,10 +267,7 @@ def _functions(
         point = known | dict(zip(places, q.tolist(), strict=True))
         numbers = np.array(doubles(graph, wanted, point))
         m = len(phi) + len(rows)
-        return (
-            numbers[:m],
-            numbers[m : m + m * n].reshape(m, n),
-            numbers[m + m * n :].reshape(n, n),
-        )
+        slopes, mass = numbers[m : m + m * n], numbers[m + m * n :]
+        return numbers[:m], slopes.reshape(m, n), mass.reshape(n, n)
 
     return at

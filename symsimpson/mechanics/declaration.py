@@ -46,12 +46,11 @@ def energies(
     if entries > LARGE:
         return lagrangian - linear + potential, linear, potential
     velocities = [symbols.back[x] for x in symbols.v]
-    kinetic = sp.Add(
-        *(
-            restored(value) * velocities[i] * velocities[j] / (2 if i == j else 1)
-            for (i, j), value in parts.M.items()
-        )
+    terms = (
+        restored(value) * velocities[i] * velocities[j] / (2 if i == j else 1)
+        for (i, j), value in parts.M.items()
     )
+    kinetic = sp.Add(*terms)
     return kinetic, linear, potential
 
 

@@ -64,13 +64,8 @@ def read_kane(
         )
     forces = {"loads": loads, "rolling": rolling}
     rows += [row.xreplace(speeds) for row in parts.f_v]
-    return (
-        kinetic - potential,
-        coordinates,
-        {key: force for key, force in forces.items() if force},
-        held,
-        _others(rows, known),
-    )
+    forces = {key: force for key, force in forces.items() if force}
+    return kinetic - potential, coordinates, forces, held, _others(rows, known)
 
 
 def _speeds(name: str, kane: Any) -> tuple[tuple[Any, ...], dict[Any, sp.Expr], list[sp.Expr]]:

@@ -139,13 +139,12 @@ def body_rates(q: Sequence[Any], rates: Sequence[Any] | None = None) -> sp.Immut
     """
     a, b, c, d = _four(q)
     u, x, y, z = _four([s.diff(time) for s in _four(q)] if rates is None else rates)
-    return sp.ImmutableDenseMatrix(
-        [
-            2 * (a * x - b * u - c * z + d * y),
-            2 * (a * y + b * z - c * u - d * x),
-            2 * (a * z - b * y + c * x - d * u),
-        ]
-    )
+    rates_of_axes = [
+        2 * (a * x - b * u - c * z + d * y),
+        2 * (a * y + b * z - c * u - d * x),
+        2 * (a * z - b * y + c * x - d * u),
+    ]
+    return sp.ImmutableDenseMatrix(rates_of_axes)
 
 
 def coincide(first: Any, second: Any) -> list[sp.Expr]:

@@ -91,12 +91,8 @@ class ExactTop:
         p_phi, p_psi, u0 = self.p_phi, self.p_psi, self._u0
         c = I * (self._v_theta**2 + v_phi**2 * (1 - u0**2)) / 2 + G * u0
         # (1 - u^2)(2 c - 2 G u) I - (p_phi - p_psi u)^2 = 0, highest power first
-        cubic = [
-            2 * G * I,
-            -2 * c * I - p_psi**2,
-            -2 * G * I + 2 * p_phi * p_psi,
-            2 * c * I - p_phi**2,
-        ]
+        linear, constant = -2 * G * I + 2 * p_phi * p_psi, 2 * c * I - p_phi**2
+        cubic = [2 * G * I, -2 * c * I - p_psi**2, linear, constant]
         if self._v_theta == 0:
             a, b = cubic[0], cubic[1] + cubic[0] * u0
             rest = cubic[2] + b * u0

@@ -136,13 +136,8 @@ def _trajectory(dataset: Any, program: Program) -> Trajectory:
         tau = np.asarray(dataset["tau"], dtype=np.float64)
         stored += int(every > 0 and len(tau) == stored + 1)  # the end, behind part of a step
     shapes = (t.shape, q.shape, p.shape, iterations.shape, values.shape)
-    wanted = (
-        (stored,),
-        (stored, program.n),
-        (stored, program.n),
-        (stored,),
-        (len(program.parameters),),
-    )
+    many = stored, program.n
+    wanted = (stored,), many, many, (stored,), (len(program.parameters),)
     if shapes != wanted or not np.isfinite(h) or h == 0:
         raise ValueError(f"arrays have shapes {shapes}, not {wanted}")
     whole = steps // every + 1 if every > 0 else 0

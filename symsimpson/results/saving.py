@@ -87,16 +87,8 @@ def digest_of(run: Stored) -> str:
     beside = [] if run.variations is None else [run.variations]
     beside += [] if run.begun is None else [np.array(run.begun[0]), run.begun[1]]
     beside += [rows for _, rows in run.recorded_values]
-    arrays = (
-        run.t,
-        run.q,
-        run.p,
-        run.parameter_values,
-        run.newton_iterations,
-        run.input_values,
-        *tau,
-        *beside,
-    )
-    for array in arrays:
+    states = run.t, run.q, run.p
+    arrays = run.parameter_values, run.newton_iterations, run.input_values, *tau, *beside
+    for array in (*states, *arrays):
         content.update(np.ascontiguousarray(array).tobytes())
     return content.hexdigest()

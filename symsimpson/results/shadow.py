@@ -128,11 +128,9 @@ def _accelerations(q: Reals, v: Reals, h: Any) -> Reals:
 def _hermite(degree: int) -> list[Polynomial]:
     """Return the polynomials for value, slope (and second derivative) at 0, then at 1."""
     count = (degree + 1) // 2
-    rows = np.array(
-        [
-            [Polynomial.basis(k).deriv(m)(place) for k in range(degree + 1)]
-            for place in (0, 1)
-            for m in range(count)
-        ]
-    )
-    return [Polynomial(column) for column in np.linalg.inv(rows).T]
+    rows = [
+        [Polynomial.basis(k).deriv(m)(place) for k in range(degree + 1)]
+        for place in (0, 1)
+        for m in range(count)
+    ]
+    return [Polynomial(column) for column in np.linalg.inv(np.array(rows)).T]

@@ -46,14 +46,8 @@ def by_pieces(
         run = started(program, spec, 1, piece + 1)
         stride = STRIDE if spec.t_end is not None else sampling_stride(program, spec.steps)
         pieces = Pieces(program, run, spec, take)
-        last, _ = follow(
-            program,
-            run,
-            replace(spec, every=0),
-            Samples(run, stride or max(1, spec.steps)),
-            [pieces],
-            progress,
-        )
+        samples = Samples(run, stride or max(1, spec.steps))
+        last, _ = follow(program, run, replace(spec, every=0), samples, [pieces], progress)
         return run, last, pieces.up_to(last)
 
 

@@ -79,11 +79,8 @@ class PlainImpacts:
     def _acted(self) -> list[Record]:
         """Return the records of impacts in the rows for them."""
         rows = self._records[: self._count[0]].copy()
-        numbers = (
-            rows[:, EVENT].astype(int).tolist(),
-            rows[:, TIME_OF].tolist(),
-            rows[:, STEP_OF].astype(int).tolist(),
-        )
+        events, steps = rows[:, EVENT].astype(int).tolist(), rows[:, STEP_OF].astype(int).tolist()
+        numbers = events, rows[:, TIME_OF].tolist(), steps
         states = np.split(rows[:, STATES_OF:], 4, axis=1)
         impulses = rows[:, IMPULSE].tolist()
         # there may be many

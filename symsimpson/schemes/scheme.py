@@ -192,13 +192,11 @@ class Scheme:
     def stiffness(self) -> Table:
         """S_km = sum_i b_i B_ik B_im: kinetic energy of the path is X.S.X M/(2h), M constant."""
         b, d = self.quadrature.weights, self.degree
-        return tuple(
-            tuple(
-                _number(sp.Add(*(b[i] * row[k] * row[m] for i, row in enumerate(self.B))))
-                for m in range(d + 1)
-            )
-            for k in range(d + 1)
-        )
+
+        def entry(k: int, m: int) -> sp.Expr:
+            return _number(sp.Add(*(b[i] * row[k] * row[m] for i, row in enumerate(self.B))))
+
+        return tuple(tuple(entry(k, m) for m in range(d + 1)) for k in range(d + 1))
 
     @cached_property
     def extrapolation(self) -> Table:

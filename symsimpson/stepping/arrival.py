@@ -121,13 +121,8 @@ def with_end(states: tuple[Reals, ...], end: tuple[Any, ...], every: bool) -> tu
         return np.append(t[:0], t_end), np.append(tau[:0], tau_end), q_end, p_end, iterations
     if t_end == t[-1]:
         return states
-    return (
-        np.append(t, t_end),
-        np.append(tau, tau_end),
-        np.vstack([q, q_end]),
-        np.vstack([p, p_end]),
-        np.append(iterations, last),
-    )
+    t, tau = np.append(t, t_end), np.append(tau, tau_end)
+    return t, tau, np.vstack([q, q_end]), np.vstack([p, p_end]), np.append(iterations, last)
 
 
 def resolution(numbers: Numbers) -> float:

@@ -33,11 +33,8 @@ class Parts:
         self._program, self.parameters, self._h, self._inputs = program, parameters, h, inputs
         kernels = program.kernels.set(program.kernels.fallbacks[0], again=True)
         #: The kernels that take a part, their workspace, and the layout for the driver.
-        self.parting = (
-            kernels,
-            workspace(header, numbers, numbers.read(parameters)),
-            header.driver_layout,
-        )
+        W = workspace(header, numbers, numbers.read(parameters))
+        self.parting = kernels, W, header.driver_layout
         self._between = numbers.driver("between")
         self._places = places(program)
         self.works = works

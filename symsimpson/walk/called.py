@@ -60,14 +60,8 @@ class Functions(Expressions):
         if not self._width:
             return self._call(self._values.builder, function, [values.real(x) for x in arguments])
         spread = [values.spread(values.real(x), self._width) for x in arguments]
-        return values.joined(
-            [
-                self._call(
-                    self._values.builder, function, [values.element(x, lane) for x in spread]
-                )
-                for lane in range(self._width)
-            ]
-        )
+        lanes = ([values.element(x, lane) for x in spread] for lane in range(self._width))
+        return values.joined([self._call(self._values.builder, function, x) for x in lanes])
 
     def _numpy(self, name: str, kind: str, arguments: list[Any]) -> Any:
         """Call a function of numpy."""
