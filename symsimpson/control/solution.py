@@ -260,10 +260,8 @@ def initial_point(layout: Layout, guess: Any) -> Floats:
         whole = _number("duration", given.pop("duration", whole))
         if whole <= 0:
             raise InputError(f"guess['duration'] is {whole:g}.\nPass a positive number.")
-        values = [
-            _number(name, given.pop(name, x))
-            for name, x in zip(read.found_names, values, strict=True)
-        ]
+        pairs = zip(read.found_names, values, strict=True)
+        values = [_number(name, given.pop(name, x)) for name, x in pairs]
         functions = {
             name: read_function(f"guess[{name!r}]", value, whole) for name, value in given.items()
         }

@@ -46,10 +46,8 @@ def read_task(
     how = "Pass initial velocities v0=... or initial momenta p0=..., of shape (K, n)."
     second, other0 = read_given("an ensemble", how, request)
     names = ("q0", second)
-    states = [
-        _states(name, given, program)
-        for name, given in zip(names, (request.q0, other0), strict=True)
-    ]
+    pairs = zip(names, (request.q0, other0), strict=True)
+    states = [_states(name, given, program) for name, given in pairs]
     columns = _parameters(program, request.parameters, (request.events, request.reduce))
     sizes = {name: len(rows) for name, rows in zip(names, states, strict=True) if rows.ndim == 2}
     sizes |= {f"parameter {name}": x.size for name, x in columns.items() if x.ndim == 1}

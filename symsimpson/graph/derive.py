@@ -82,10 +82,8 @@ def slopes(graph: Graph, n: int) -> Iterable[tuple[int, Value]]:
     if kind == "function":
         name, *arguments = parts
         outer = _outer(graph, n, name, arguments)
-        return [
-            (m, graph.multiply([(c, 0), slope]))
-            for (c, m), slope in zip(arguments, outer, strict=True)
-        ]
+        pairs = zip(arguments, outer, strict=True)
+        return [(m, graph.multiply([(c, 0), slope])) for (c, m), slope in pairs]
     return []
 
 

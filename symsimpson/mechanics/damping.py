@@ -26,10 +26,8 @@ def damping_rate(plain: Plain) -> Value | None:
         return None
     rate = scaled(-1, graph.multiply([slope, (1, graph.kept((2 * mass[0], mass[1])), -1)]))
     momenta = gradient(graph, plain.L, v)
-    left = [
-        graph.add([f, graph.multiply([(2, 0), rate, p])])
-        for f, p in zip(plain.f, momenta, strict=True)
-    ]
+    pairs = zip(plain.f, momenta, strict=True)
+    left = [graph.add([f, graph.multiply([(2, 0), rate, p])]) for f, p in pairs]
     findings = Findings(graph, [rate, *left])
     if not all(map(findings.vanishes, left)):
         return None

@@ -130,10 +130,8 @@ def read_energies(
     forces = read_forces(name, coordinates, given.forces, given.dissipation, s, read_moving)
     check_used(name, given.inputs, s, forces)
     positions = _read_positions(name, given, s, read)
-    of_momenta = {
-        user: s.graph.symbol(symbol.name)
-        for user, symbol in zip(momenta(*coordinates), s.p, strict=True)
-    }
+    pairs = zip(momenta(*coordinates), s.p, strict=True)
+    of_momenta = {user: s.graph.symbol(symbol.name) for user, symbol in pairs}
     for both in s.known.keys() & of_momenta.keys() if given.invariants is not None else ():
         raise fail(
             name,

@@ -59,10 +59,8 @@ def walking_function(text: Callable[[], Text], name: str, signature: Any, bits: 
         }
         for attribute in apart[name]:
             builder.function.attributes.add(attribute)
-        given = [
-            _argument(context, values, kind, argument)
-            for kind, argument in zip(called.args, arguments, strict=True)
-        ]
+        pairs = zip(called.args, arguments, strict=True)
+        given = [_argument(context, values, kind, argument) for kind, argument in pairs]
         return_value = Walker(whole, values, library(context), FEW, apart).function(name, given)
         if called.return_type == types.void:
             return context.get_dummy_value()
