@@ -18,16 +18,33 @@ __all__ = ["Certificate", "Check"]
 
 @dataclass(frozen=True)
 class Check:
-    """One row of a certificate."""
+    """One row of a certificate.
+
+    Attributes
+    ----------
+    name : str
+    measured : float
+        NaN where there is nothing to measure, or it could not be measured.
+    bound : {"at least", "at most"}
+    threshold : float
+    what : str
+        What was measured.
+    reason : str
+        Why the threshold is what it is.
+    failure : str
+        Why it could not be measured.
+    exempt : bool
+        Whether there is nothing to measure.
+    """
 
     name: str
-    measured: float  #: NaN where there is nothing to measure, or it could not be measured.
+    measured: float
     bound: Literal["at least", "at most"]
     threshold: float
-    what: str  #: What was measured.
-    reason: str  #: Why the threshold is what it is.
-    failure: str = ""  #: Why it could not be measured.
-    exempt: bool = False  #: Whether there is nothing to measure.
+    what: str
+    reason: str
+    failure: str = ""
+    exempt: bool = False
 
     @classmethod
     def at_most(cls, name: str, measured: float, threshold: float, what: str, reason: str) -> Check:

@@ -20,16 +20,28 @@ FORMAT = 1
 
 @dataclass(frozen=True)
 class Point:
-    """One choice of one contender."""
+    """One choice of one contender.
+
+    Attributes
+    ----------
+    name : str
+    what : str
+        "steps" or "tolerance".
+    choice : float
+    error : float
+    best, median : float
+        Seconds.
+    evaluations : int
+        Newton iterations, evaluations of the right-hand side, or Taylor steps.
+    """
 
     name: str
-    what: str  #: "steps" or "tolerance".
+    what: str
     choice: float
     error: float
-    #: Seconds.
     best: float
     median: float
-    evaluations: int  #: Newton iterations, evaluations of the right-hand side, or Taylor steps.
+    evaluations: int
 
 
 @dataclass(frozen=True, repr=False)

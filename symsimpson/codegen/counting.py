@@ -19,11 +19,19 @@ class Cost:
     """The cost of a step, in operations on numbers.
 
     Sine and cosine of an angle count as one; signs, absolute values and comparisons as none.
+
+    Attributes
+    ----------
+    unknowns : int
+        Newton unknowns; 0 where a step needs no iteration.
+    iteration : int
+        Operations of one Newton iteration.
+    closing : int
+        Operations that close a step and predict the next, or of a whole step without iterations.
     """
 
-    unknowns: int  #: Newton unknowns; 0 where a step needs no iteration.
-    iteration: int  #: Operations of one Newton iteration.
-    #: Operations that close a step and predict the next, or of a whole step without iterations.
+    unknowns: int
+    iteration: int
     closing: int
 
 

@@ -29,17 +29,31 @@ MOST_AFFINE = 16
 
 @dataclass(frozen=True)
 class Subsystem:
-    """Coordinates that move by themselves, by their places in the system."""
+    """Coordinates that move by themselves, by their places in the system.
 
-    coordinates: tuple[int, ...]  #: Those of the subsystem.
-    #: Those among them that neither L nor a force depends on, and on which no force acts.
+    Attributes
+    ----------
+    coordinates : tuple of int
+        Those of the subsystem.
+    cyclic : tuple of int
+        Those among them that neither L nor a force depends on, and on which no force acts.
+    constant_mass : bool
+        Its block of M depends neither on q nor on t.
+    separable : bool
+        L = T(v) - V(t, q): M is constant, there are no terms linear in v, and no force depends
+        on v.
+    linear : bool
+        Separable, without t, and V is quadratic and the only force: it is linear in q.
+    affine : bool
+        Forces act, or t stands there; M is constant, and forces and momenta are affine in q and v,
+        with coefficients of parameters alone.
+    """
+
+    coordinates: tuple[int, ...]
     cyclic: tuple[int, ...]
-    constant_mass: bool  #: Its block of M depends neither on q nor on t.
-    #: L = T(v) - V(t, q): M is constant, there are no terms linear in v, and no force depends on v.
+    constant_mass: bool
     separable: bool
-    linear: bool  #: Separable, without t, and V is quadratic and the only force: it is linear in q.
-    #: Forces act, or t stands there; M is constant, and forces and momenta are affine in q and v,
-    #: with coefficients of parameters alone.
+    linear: bool
     affine: bool = False
 
 

@@ -25,14 +25,29 @@ Key = tuple[Hashable, ...]
 
 @dataclass(frozen=True)
 class FirstOrder:
-    """Ordinary differential equations y' = f(y)."""
+    """Ordinary differential equations y' = f(y).
+
+    Attributes
+    ----------
+    name : str
+    unknowns : tuple of sympy symbols
+        The components of y.
+    definitions : tuple of (symbol, expression)
+        Values that the rates use, each made of those before it.
+    rates : tuple of sympy expressions
+        f, in unknowns, parameters and definitions.
+    parameters : mapping from sympy symbol to float
+        With the values used unless others are given.
+    names : tuple of str
+        The parameters' names, in the same order.
+    """
 
     name: str
-    unknowns: tuple[sp.Symbol, ...]  #: The components of y.
-    definitions: tuple[Definition, ...]  #: Values that the rates use, each made of those before it.
-    rates: tuple[sp.Expr, ...]  #: f, in unknowns, parameters and definitions.
-    parameters: Mapping[sp.Symbol, float]  #: With the values used unless others are given.
-    names: tuple[str, ...]  #: The parameters' names, in the same order.
+    unknowns: tuple[sp.Symbol, ...]
+    definitions: tuple[Definition, ...]
+    rates: tuple[sp.Expr, ...]
+    parameters: Mapping[sp.Symbol, float]
+    names: tuple[str, ...]
 
     def function(self, modules: str) -> Callable[..., Any]:
         """Make f as a Python function of the unknowns and the parameters, one argument each.

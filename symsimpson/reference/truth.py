@@ -21,11 +21,19 @@ Vector = list[Any]
 
 @dataclass(frozen=True)
 class Truth:
-    """States at some times, as numbers of mpmath."""
+    """States at some times, as numbers of mpmath.
+
+    Attributes
+    ----------
+    t : tuple
+    y : tuple of tuples
+        The state at each time.
+    errors : tuple
+        Each component's largest difference to a solution with a tolerance 1000 times as large.
+    """
 
     t: tuple[Any, ...]
-    y: tuple[tuple[Any, ...], ...]  #: The state at each time.
-    #: Each component's largest difference to a solution with a tolerance 1000 times as large.
+    y: tuple[tuple[Any, ...], ...]
     errors: tuple[Any, ...]
 
     @property

@@ -25,13 +25,22 @@ _x = sp.Symbol("x", real=True)
 
 @dataclass(frozen=True)
 class Quadrature:
-    """A quadrature rule on [0, 1]."""
+    """A quadrature rule on [0, 1].
 
-    kind: str  #: ``"gauss"``, ``"lobatto"`` or ``"radau"``.
-    #: c_i in increasing order, and b_i.
+    Attributes
+    ----------
+    kind : str
+        ``"gauss"``, ``"lobatto"`` or ``"radau"``.
+    nodes, weights : tuple of sympy numbers
+        c_i in increasing order, and b_i.
+    order : int
+        Polynomials of degree ``order - 1`` are integrated exactly.
+    """
+
+    kind: str
     nodes: tuple[sp.Expr, ...]
     weights: tuple[sp.Expr, ...]
-    order: int  #: Polynomials of degree ``order - 1`` are integrated exactly.
+    order: int
 
     @property
     def symmetric(self) -> bool:

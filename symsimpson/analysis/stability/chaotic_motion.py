@@ -17,12 +17,23 @@ __all__ = ["Mixing", "Reversal", "mixing", "reversal"]
 
 @dataclass(frozen=True)
 class Reversal:
-    """A run with h and back with -h."""
+    """A run with h and back with -h.
+
+    Attributes
+    ----------
+    steps : int
+    error : float
+        Distance from the start, relative to the state's size.
+    growth : float
+        By how much a displacement of 1e-9 grew on the way there.
+    shadow : float
+        Largest relative energy error on the way.
+    """
 
     steps: int
-    error: float  #: Distance from the start, relative to the state's size.
-    growth: float  #: By how much a displacement of 1e-9 grew on the way there.
-    shadow: float  #: Largest relative energy error on the way.
+    error: float
+    growth: float
+    shadow: float
 
     @property
     def rounding(self) -> float:
@@ -48,10 +59,19 @@ def reversal(stepper: Stepper, h: float, steps: int, *, state: Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Mixing:
-    """Whether two steppers give a quantity the same distribution."""
+    """Whether two steppers give a quantity the same distribution.
 
-    distance: float  #: Largest distance of the two distribution functions (Kolmogorov and Smirnov).
-    threshold: float  #: Exceeded by chance once in a thousand.
+    Attributes
+    ----------
+    distance : float
+        Largest distance of the two distribution functions (Kolmogorov and Smirnov).
+    threshold : float
+        Exceeded by chance once in a thousand.
+    members : int
+    """
+
+    distance: float
+    threshold: float
     members: int
 
     @property

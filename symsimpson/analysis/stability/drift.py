@@ -23,28 +23,48 @@ Floats = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class Drift:
-    """How the energy of several trajectories moved."""
+    """How the energy of several trajectories moved.
+
+    Attributes
+    ----------
+    scheme : str
+    h : float
+    steps : int
+    t : ndarray, shape (blocks - 1,)
+        Times between the first block of samples and the others.
+    rms : ndarray, shape (blocks - 1,)
+        Root mean square, over the members, of the relative change of a block's mean energy since
+        the first block.
+    noise : float
+        Part of ``rms`` that comes from sampling an oscillation alone.
+    exponent : float
+        Exponent a of the fit rms ~ t^a; NaN if the last ``rms`` is at most three times the noise.
+    bias : float
+        Mean change of the energy of all members at the end, in units of its standard error:
+        unbiased rounding stays below 3.
+    truncation : float
+        Rms oscillation within a block, relative to the energy.
+    solver : float
+        Rms change of the last block's mean if Newton's method is iterated until it stagnates, less
+        twice the noise.
+    momenta : float
+        Largest relative change of a momentum that does not change in the first steps.
+    failed : int
+        Members that did not reach the end.
+    """
 
     scheme: str
     h: float
     steps: int
-    t: Floats  #: Times between the first block of samples and the others, shape (blocks - 1,).
-    #: Root mean square, over the members, of the relative change of a block's mean energy since the
-    #: first block, shape (blocks - 1,).
+    t: Floats
     rms: Floats
-    noise: float  #: Part of ``rms`` that comes from sampling an oscillation alone.
-    #: Exponent a of the fit rms ~ t^a; NaN if the last ``rms`` is at most three times the noise.
+    noise: float
     exponent: float
-    #: Mean change of the energy of all members at the end, in units of its standard error: unbiased
-    #: rounding stays below 3.
     bias: float
-    truncation: float  #: Rms oscillation within a block, relative to the energy.
-    #: Rms change of the last block's mean if Newton's method is iterated until it stagnates, less
-    #: twice the noise.
+    truncation: float
     solver: float
-    #: Largest relative change of a momentum that does not change in the first steps.
     momenta: float
-    failed: int  #: Members that did not reach the end.
+    failed: int
 
     def __repr__(self) -> str:
         grown = f"{self.exponent:.2f}" if self.exponent == self.exponent else "none seen"

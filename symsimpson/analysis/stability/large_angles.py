@@ -15,13 +15,24 @@ __all__ = ["Turned", "turned"]
 
 @dataclass(frozen=True)
 class Turned:
-    """A run from an angle that is some million radians away."""
+    """A run from an angle that is some million radians away.
 
-    angle: float  #: By how much the start is turned.
-    #: Largest difference of the states, less the turn, to the run from the plain start.
+    Attributes
+    ----------
+    angle : float
+        By how much the start is turned.
+    difference : float
+        Largest difference of the states, less the turn, to the run from the plain start.
+    resolution : float
+        Spacing of floating-point numbers at that angle.
+    energy : float
+        Difference of the largest relative energy errors.
+    """
+
+    angle: float
     difference: float
-    resolution: float  #: Spacing of floating-point numbers at that angle.
-    energy: float  #: Difference of the largest relative energy errors.
+    resolution: float
+    energy: float
 
 
 def turned(

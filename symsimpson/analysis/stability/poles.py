@@ -35,17 +35,30 @@ SPIN = 252.0
 
 @dataclass(frozen=True)
 class PolePass:
-    """One run past a pole."""
+    """One run past a pole.
+
+    Attributes
+    ----------
+    system, scheme : str
+    distance : float
+        Of the closest approach, in radians.
+    status : Status
+    error : float
+        Largest difference of the axis to the motion in space at the end of the run, or before the
+        step at which it stopped.
+    energy_error : float
+        Largest relative energy error.
+    warned : bool
+        Whether the run warned that its steps did not resolve the pass.
+    """
 
     system: str
     scheme: str
-    distance: float  #: Of the closest approach, in radians.
+    distance: float
     status: Status
-    #: Largest difference of the axis to the motion in space at the end of the run, or before the
-    #: step at which it stopped.
     error: float
-    energy_error: float  #: Largest relative energy error.
-    warned: bool  #: Whether the run warned that its steps did not resolve the pass.
+    energy_error: float
+    warned: bool
 
 
 @dataclass(frozen=True)
