@@ -6,12 +6,12 @@ from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import Any
 
+import numpy as np
 import sympy as sp
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import ModelError
 from symsimpson.mechanics.declared import Declared
-from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explaining
 
 __all__ = ["Described"]
@@ -64,7 +64,7 @@ class Described(Declared):
         parameters: Mapping[Any, float] | None = None,
         inputs: Mapping[Any, float] | None = None,
         t: float = 0.0,
-    ) -> tuple[Floats, Floats]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the linear equations of motion about a state, x' = A x + B u.
 
         Constraints hold on, so multipliers change with the state. The eigenvalues of A are those of
@@ -113,7 +113,7 @@ class Described(Declared):
         fixed: Iterable[Any] = (),
         parameters: Mapping[Any, Any] | None = None,
         t: float = 0.0,
-    ) -> tuple[Floats, Floats]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the nearest state that satisfies the constraints.
 
         Parameters
