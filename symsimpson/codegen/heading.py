@@ -138,7 +138,6 @@ def folded(head: str, text: str, pad: str, *, parentheses: bool = False) -> list
             _WIDTH,
             subsequent_indent=pad,
             break_long_words=False,
-            drop_whitespace=True,
             break_on_hyphens=False,
         )
     return [line.replace("\0", " ") for line in lines]

@@ -140,14 +140,8 @@ def held_blocks(layout: Any, rows: Any) -> list[Any]:
         blocks.append((*points, parts))
     if rates:
         places, *tables = (np.array(x, dtype=np.float64) for x in layout.scheme.at_gauss_points)
-        inner = layout.block(
-            rates,
-            [*read.q, *read.v],
-            [matrix for table in tables for matrix in layout.on_path(table[j], k)],
-            k,
-            places[j],
-            len(rates),
-        )
+        maps = [matrix for table in tables for matrix in layout.on_path(table[j], k)]
+        inner = layout.block(rates, [*read.q, *read.v], maps, k, places[j], len(rates))
         parts = []
         for name in names[len(phi) :]:
             at = rows.add(N * d, 0.0, 0.0, f"velocity constraint {name!r}")

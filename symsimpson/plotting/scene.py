@@ -91,15 +91,8 @@ def scene_of(some: Any, stride: int = 1) -> Scene:
     low = np.min([x.min(axis=(0, 1)) for x in drawn if x.size], axis=0)
     high = np.max([x.max(axis=(0, 1)) for x in drawn if x.size], axis=0)
     reach = 0.55 * float((high - low).max()) or 1.0
-    return Scene(
-        tuple(points),
-        joined,
-        tuple(x[::stride] for x in bodies),
-        links,
-        (low + high) / 2,
-        reach,
-        stride,
-    )
+    thinned, middle = tuple(x[::stride] for x in bodies), (low + high) / 2
+    return Scene(tuple(points), joined, thinned, links, middle, reach, stride)
 
 
 def _links(points: Floats) -> tuple[Link, ...]:

@@ -47,9 +47,6 @@ def turned(
     turn = np.zeros(stepper.n)
     turn[coordinate] = far.q[0, coordinate] - plain.q[0, coordinate]
     energy = abs(np.abs(far.energy_error).max() - np.abs(plain.energy_error).max())
-    return Turned(
-        angle,
-        float(np.abs(far.q - turn - plain.q).max()),
-        float(np.spacing(abs(angle) + np.abs(plain.q).max())),
-        float(energy),
-    )
+    difference = float(np.abs(far.q - turn - plain.q).max())
+    resolution = float(np.spacing(abs(angle) + np.abs(plain.q).max()))
+    return Turned(angle, difference, resolution, float(energy))
