@@ -47,7 +47,8 @@ class EventActions:
 
     def __init__(self, program: Program, spec: RunSpec, run_events: RunEvents) -> None:
         self._program, self._events, self._values = program, run_events, spec.parameters
-        self._watch = watching(program, run_events.watched, spec.parameters)
+        #: Returns all that is asked for at states.
+        self.rows = watching(program, run_events.watched, spec.parameters)
         self._sign = 1.0 if spec.h > 0 else -1.0
         self.failed, self._known = "", list[tuple[float, State, Floats]]()
         #: Which events are impacts.
@@ -58,10 +59,6 @@ class EventActions:
             else None
             for event in run_events.events
         ]
-
-    def rows(self, t: Floats, q: Floats, p: Floats) -> Floats:
-        """Return all that is asked for at states."""
-        return self._watch(t, q, p)
 
     def row(self, t: float, state: State) -> Floats:
         """Return all that is asked for at one state; of the last ones it is known."""
