@@ -296,12 +296,12 @@ class Reading:
 
     def _check_moving(self) -> None:
         """Refuse conditions on what is given."""
-        found = {*self.q, *self.v, *self.u, *(self.parameters[i] for i in self.found)}
-        timed = found | ({self.t} if self.duration[0] < self.duration[1] else set())
+        unknown = {*self.q, *self.v, *self.u, *(self.parameters[i] for i in self.found)}
+        timed = unknown | ({self.t} if self.duration[0] < self.duration[1] else set())
         asked = [
             (what, limit.name, [limit.value], free)
             for what, limits, free in (
-                ("start", self.ends[0], found),
+                ("start", self.ends[0], unknown),
                 ("end", self.ends[1], timed),
                 ("bounds or path", self.within, timed),
             )

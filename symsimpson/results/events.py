@@ -77,10 +77,9 @@ class Events(States):
         return {"direction": (("time",), self.direction)}
 
     def _table(self) -> dict[str, NDArray[Any]]:
-        table = super()._table()
-        for name, (_, values) in self._further().items():
-            table.setdefault(name, values)  # what the user named comes first
-        return table
+        further = {name: values for name, (_, values) in self._further().items()}
+        columns = self._columns()  # what the user named comes first
+        return {"t": self.t, **columns, **{x: further[x] for x in further if x not in columns}}
 
     def _about(self) -> dict[str, Any]:
         return super()._about() | {"zeros of": self.expression, "message": self.message}
