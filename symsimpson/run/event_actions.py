@@ -51,6 +51,8 @@ class EventActions:
         self.rows = watching(program, run_events.watched, spec.parameters)
         self._sign = 1.0 if spec.h > 0 else -1.0
         self.failed, self._known = "", list[tuple[float, State, Floats]]()
+        #: Impacts whose gap, and its rate, are zero behind the last actions.
+        self.touched = set[int]()
         #: Which events are impacts.
         self.impacts = np.array([place is not None for place in run_events.rate])
         self._restitution = [
@@ -121,6 +123,14 @@ class EventActions:
     def touching(self, values: Floats, small: Floats) -> NDArray[np.bool_]:
         """Return which impacts have a gap of zero."""
         return self.impacts & (np.abs(values) <= small)
+
+    def pressed(
+        self, t: float, state: State, part: float, events: Sequence[int], small: Floats
+    ) -> bool:
+        """Return whether what touched has not gone away by more than rounding, a part before."""
+        moved = np.abs(part * self.rates(self.row(t, state)))
+        near = self.touched.issuperset(events) and not (moved > small)[[*events]].any()
+        return near and self.may_all_hit(t, state, events)
 
     def rates(self, row: Floats) -> Floats:
         """Return the rates of gaps, and 0 for other expressions."""
@@ -219,13 +229,12 @@ class EventActions:
             near = [k for k in range(len(small)) if k in forced or touch[k]]
             rates = {k: row[self.rate(k)] for k in near if self.allowed(row, k)}
             velocities = self._velocities(t, state[0], state[1][None])[0]
-            closing = {
-                k: -self._sign * rate
-                for k, rate in rates.items()
-                if -self._sign * rate > STILL * self._terms_of_rate(row, velocities, k)
-            }
+            still = {k: STILL * self._terms_of_rate(row, velocities, k) for k in rates}
+            nearing = {k: -self._sign * rate for k, rate in rates.items()}
+            closing = {k: speed for k, speed in nearing.items() if speed > still[k]}
             forced.clear()
             if not closing:
+                self.touched = {k for k, speed in nearing.items() if speed >= -still[k]}
                 return
             k = max(closing, key=lambda k: closing[k])
             before = state

@@ -212,9 +212,9 @@ class EventRun(Run):
 
     def _split(self, step: int, start: Any) -> Any:
         """Take a step with events in it; None where the run ends within it."""
-        h, t0 = float(self.h), float(self.t0 + self.h * step)
-        state, done = start, 0.0
-        times: Times = {}
+        h, t0, done = float(self.h), float(self.t0 + self.h * step), 0.0
+        state, times = start, Times()
+        self._actions.touched.clear()
         if self._saltation is not None:
             self._saltation.begin(self._variations)
         for _ in range(MOST_ACTIONS):
@@ -240,14 +240,14 @@ class EventRun(Run):
                 return end
             part, behind, events = crossing
             self._flow(state, t0 + done, part, step, events[0])
-            state, done = behind, done + part
-            state = self._act(t0 + done, step, state, events, times)
+            done += part
+            pressed = self._actions.pressed(t0 + done, behind, part, events, self.sides.small)
+            state = behind if pressed else self._act(t0 + done, step, behind, events, times)
             if state is None:
                 return None
-            still = not part and state is behind
+            still = pressed or (not part and state is behind)
             if still and self._actions.may_all_hit(t0 + done, state, events):
-                name = self._events.names[events[0]]
-                why = f"{name!r} is touched at rest at t={float(t0 + done)!r}. "
+                why = f"{self._events.names[events[0]]!r} is touched at rest at t={t0 + done!r}. "
                 return self._fail(Status.EVENTS_ACCUMULATE, why)
         why = f"More than {MOST_ACTIONS} events act within one step, or one acts for ever. "
         return self._fail(Status.EVENTS_ACCUMULATE, why + "Take a smaller h if they do not. ")

@@ -279,6 +279,27 @@ def test_jumps_are_no_zeros():
         assert len(run.events(text, direction=-1)) == 0
 
 
+@pytest.mark.parametrize(
+    ("gap", "potential", "hits"),
+    [(y - x, -x, 1), (y - x, (y - 3) ** 2, 2), (y + 1 - x**2 / 20, 0 * x, 1)],
+)
+def test_plastic_bodies_that_move_on_together_are_at_rest(gap, potential, hits):
+    """A rate of rounding lifts them by rounding: they have not parted, and hit each other once."""
+    pair = ss.MechanicalSystem(
+        "pair",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + 2 * y.diff() ** 2) / 2,
+        potential=potential,
+    )
+    plastic = ss.Event(gap, name="plastic", action=ss.Impact(0))
+    run = ss.compile(pair).integrate(
+        [0.0, 1.0], v0=[2.0, -1.0], h=0.05, t_end=5, events=[plastic], on_failure="return"
+    )
+    assert run.status is ss.Status.EVENTS_ACCUMULATE
+    assert "'plastic' is touched at rest" in run.message
+    assert len(run.events("plastic")) == hits
+
+
 def test_a_gap_without_a_value_beyond_its_wall_ends_the_run():
     run = drop(ss.Event(sp.sqrt(z), name="w", action=ss.Impact(0.8)), on_failure="return")
     assert run.status is ss.Status.NOT_FINITE
