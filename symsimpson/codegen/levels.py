@@ -90,6 +90,8 @@ class Definitions(Expressions):
         self._known: dict[Expression, Expression] = {}
         self._constant_of: dict[Expression | str, Expression] = {}
         self._pairs: dict[tuple[Any, ...], tuple[Expression, Expression]] = {}
+        #: Values that a text asks for which computes all of them, in that order, with its sections.
+        self.asked: dict[Expression, str] = {}
 
     def declare(self, name: str, level: Level) -> Expression:
         """Return the symbol of a value that comes from outside."""
@@ -125,6 +127,8 @@ class Definitions(Expressions):
             definition = Definition((first, second), values, level, section, function)
             self.definitions |= {first: definition, second: definition}
             self._pairs[function, *values] = first, second
+        for symbol in self._pairs[function, *values]:
+            self.asked.setdefault(symbol, section)
         return self._pairs[function, *values]
 
     def level(self, expression: Expression) -> Level:
@@ -221,6 +225,7 @@ class Definitions(Expressions):
     def _name(self, value: Expression, hint: str, section: str) -> Expression:
         """Return the symbol that stands for a value already split, or for its opposite."""
         if -value in self._known:
+            self.asked.setdefault(self._known[-value], section)
             return -self._known[-value]
         level = self.level(value)
         if level == Level.CONSTANT:
@@ -229,6 +234,7 @@ class Definitions(Expressions):
             symbol = self.fresh(hint, level)
             self.definitions[symbol] = Definition((symbol,), (value,), level, section)
             self._known[value] = symbol
+        self.asked.setdefault(self._known[value], section)
         return self._known[value]
 
     def _number(self, number: Expression) -> Expression:

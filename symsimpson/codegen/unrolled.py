@@ -96,6 +96,7 @@ def solves_all(low: Lowering) -> bool:
 def step_equations(low: Lowering, computed: Iterable[Level]) -> Function:
     """Write out the equations of a step; values of other levels are known before."""
     eqs, every = low.equations, range(low.n)
+    low.graph.asked.clear()
     points = [node_point(low, i, every, moving=True) for i in range(eqs.scheme.stages)]
     unknowns = [(m, a) for m in eqs.columns for a in every]
     matrix, right = newton_rows(low, points, eqs.rows, unknowns, every)
