@@ -45,7 +45,9 @@ class Numbers:
         array = np.array(value)
         if array.dtype == np.float64:
             return array
-        if array.dtype.kind not in "fiuO":
+        # None would be NaN
+        missing = array.dtype.kind == "O" and any(x is None for x in array.flat)
+        if array.dtype.kind not in "fiuO" or missing:
             raise TypeError(array.dtype)
         return array.astype(np.float64)
 

@@ -22,6 +22,7 @@ WRONG = {
     "infinity": ({"p0": [np.inf, 0]}, "p0 is not finite for q1"),
     "complex": ({"q0": [0.5j, 1]}, "q0 is .* not real numbers"),
     "text": ({"q0": ["a", "b"]}, "q0 is .* not real numbers"),
+    "nothing": ({"q0": [None, 0.0]}, r"q0 is \[None, 0.0\], not real numbers"),
     "digits": ({"q0": ["1", "2"]}, "q0 is .* not real numbers"),
     "none": ({"q0": None}, "q0 is None, not real numbers|q0 has shape"),
     "zero step": ({"h": 0.0}, "the step h is 0"),
