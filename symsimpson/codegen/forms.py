@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from symsimpson.codegen.sizes import drifting
 from symsimpson.discrete.equations import DiscreteEquations
-from symsimpson.discrete.reductions import Affine, Composed, Linear, Part, Routh
+from symsimpson.discrete.reductions import Affine, Composed, Coupled, Linear, Part, Routh
 
-__all__ = ["UNROLLED_UNKNOWNS", "few_equations", "part_unknowns", "unrolled"]
+__all__ = ["UNROLLED_UNKNOWNS", "few_equations", "part_unknowns", "solves_all", "unrolled"]
 
 #: Straight lines are written up to about so many: each takes some 3 ms to compile, and loops, of
 #: which each is a function of its own, 12 s in all. They run two to five times as fast.
@@ -16,10 +16,10 @@ UNROLLED_UNKNOWNS = 16
 #: Those with constraints are sparse, and longer unrolled than others are: their loops take 18 s to
 #: compile, and five times as long to run.
 CONSTRAINED_UNKNOWNS, CONSTRAINED_LINES = 32, 5000
-#: All equations are written out beside those of parts if there are no more.
-WRITTEN_UNKNOWNS = 4
 #: Nor are explicit steps with more forces, one for each kick and coordinate.
 UNROLLED_FORCES = 270
+#: All equations of a step are written out beside those of its parts if there are no more.
+WRITTEN_UNKNOWNS = 4
 
 
 def unrolled(equations: DiscreteEquations) -> bool:
@@ -31,6 +31,12 @@ def unrolled(equations: DiscreteEquations) -> bool:
         few = equations.unknowns.size <= CONSTRAINED_UNKNOWNS and not drifting(equations)
     most = CONSTRAINED_LINES if equations.plain.constraints else MOST_LINES
     return equations.scheme.exact and few and _lines(equations) <= most
+
+
+def solves_all(equations: DiscreteEquations) -> bool:
+    """Return whether Newton's method solves the equations of a step as they are."""
+    first, *others = equations.parts
+    return isinstance(first, Coupled) and not others
 
 
 def few_equations(equations: DiscreteEquations) -> bool:

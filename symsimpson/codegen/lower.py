@@ -267,11 +267,8 @@ class Lowering:
             d for s, d in self.graph.definitions.items() if s in needed and d.level in levels
         ]
         if levels == set(Level):  # a text of its own, in whose sections others have no part
-            places = {s: k for k, s in enumerate(self.graph.asked)}
-            defined.sort(key=lambda d: places.get(d.targets[0], -1))
-            defined = [
-                replace(d, section=self.graph.asked.get(d.targets[0], d.section)) for d in defined
-            ]
+            definitions, asked = self.graph.definitions, self.graph.asked.items()
+            defined = [replace(definitions[s], section=x) for s, x in asked if s in needed]
         reads = tuple(Load(s, self.rows.get(s) or self.hoisted[s]) for s in inputs)
         return (
             *((Section("known before", reads),) if reads else ()),

@@ -13,7 +13,7 @@ from symsimpson.codegen.constraint_functions import (
 )
 from symsimpson.codegen.constraint_order import Held, dense, smaller
 from symsimpson.codegen.differentials import few_columns
-from symsimpson.codegen.forms import few_equations, part_unknowns, unrolled
+from symsimpson.codegen.forms import few_equations, part_unknowns, solves_all, unrolled
 from symsimpson.codegen.ir import Function, Kernel, Module, Row, Statement, Store
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.loop_tables import equation_constants, solve_constants, solve_tables
@@ -39,7 +39,6 @@ from symsimpson.codegen.unrolled import (
     increments,
     lanes,
     part_solvers,
-    solves_all,
     step_equations,
     unrolled_kernels,
     velocity,
@@ -77,7 +76,7 @@ def _unrolled_module(equations: DiscreteEquations) -> Module:
     low = Lowering(equations)
     storage, held = dense(low.n, len(low.multipliers))
     degree = equations.scheme.degree
-    written = step_equations(low, (Level.ITERATION,)) if solves_all(low) else None
+    written = step_equations(low, (Level.ITERATION,)) if solves_all(equations) else None
     kernels = [*unrolled_kernels(low, written), _energy(low)]
     if equations.plain.invariants:
         kernels.append(_invariants(low))
@@ -92,9 +91,8 @@ def _unrolled_module(equations: DiscreteEquations) -> Module:
     follow = False
     if equations.rows:
         if written is None or equations.varied is not None:
-            functions += unrolled_functions(low, ("jet",))
+            functions += unrolled_functions(low, ("jet", "mass") if held else ("jet",))
         if held:
-            functions = unrolled_functions(low, ("jet", "mass"))
             functions += constraint_functions(low, held, range(low.n), drifting=False)
             kernels.append(loops.multipliers())
             (part,) = equations.parts

@@ -46,7 +46,6 @@ __all__ = [
     "legendre",
     "momentum_stores",
     "part_solvers",
-    "solves_all",
     "step_equations",
     "unrolled_kernels",
     "velocity",
@@ -85,12 +84,6 @@ def unrolled_kernels(low: Lowering, equations: Function | None) -> list[Kernel]:
     step = [*newton, _advance(low, solvers)]
     # what they need of the left node is known before them: it is kept from step to step
     return [_start(low, solvers, low.hoisted_at(Level.STEP)), legendre(low), *step]
-
-
-def solves_all(low: Lowering) -> bool:
-    """Return whether Newton's method solves the equations of a step as they are."""
-    first, *others = low.equations.parts
-    return isinstance(first, Coupled) and not others
 
 
 def step_equations(low: Lowering, computed: Iterable[Level]) -> Function:

@@ -57,6 +57,7 @@ class Walker(Assigning):
         """
         lanes, self._lanes_own, self._alone = workspace.shape[1], lane_scratch, alone
         self._side_by_side = lanes if vector else 0
+        # a step fails for good in the kernel with pivots, if there is one
         if name not in LOOKED_AT or (name == "newton" and PIVOTED in self._text.functions):
             self._values.wanted = lambda place: self._wanted(place // lanes)
         self._straight = name in self._text.constants.get("STRAIGHT", ())
