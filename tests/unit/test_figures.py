@@ -1,13 +1,26 @@
 """Figures of the package that may only fall."""
 
 import ast
+import graphlib
+import json
+import os
+import re
+import subprocess
+import sys
+from collections import Counter
 from functools import cache
 
 import pytest
-from support.places import PACKAGE
+from support.places import PACKAGE, TESTS
 
 FILES = sorted(PACKAGE.rglob("*.py"))
 SPOKEN = ast.FunctionDef | ast.ClassDef | ast.Module
+#: Words that have a meaning of their own here, and which a newcomer has to guess.
+PRIVATE_WORDS = re.compile(
+    r"\b(held|told|behind|come to|came to|by itself|by themselves|so many|those of|that of|of which"
+    r"|asked for|is asked|in words|begin anew|anew|aside|made of|stands? (?:in|for|beside|there)"
+    r"|as (?:those|that) of|warned of|some \d|lean on|leaves? out|is left|goes on|gone through)\b"
+)
 
 
 @cache
@@ -44,6 +57,108 @@ def repeated_names():
     return len({name for name in names if names.count(name) > 1})
 
 
+def room(path):
+    """Return the folder of the package in which a file lies, or the file at its root."""
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+@cache
+def lines_of_rooms():
+    """Count the lines of all text files, room by room."""
+    lines = Counter()
+    for path in PACKAGE.rglob("*"):
+        if path.is_file() and "__pycache__" not in path.parts:
+            lines[room(path) if path.parent != PACKAGE else "root"] += path.read_text().count("\n")
+    return lines
+
+
+def imported_at_the_top(path):
+    """Yield modules of the package that are imported with a file, not when a function runs."""
+    work = [ast.parse(path.read_text("utf-8"))]
+    while work:
+        node = work.pop()
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            continue
+        names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+        names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        yield from (name for name in names if name.startswith("symsimpson."))
+        if not isinstance(node, ast.FunctionDef | ast.Lambda):
+            work += ast.iter_child_nodes(node)
+
+
+def floors():
+    """Return the length of the longest chain of rooms, each imported by the next."""
+    below = {}
+    for path in FILES:
+        imported = {name.split(".")[1] for name in imported_at_the_top(path)}
+        below.setdefault(room(path), set()).update(imported - {room(path)})
+    floor = {}
+    for name in graphlib.TopologicalSorter(below).static_order():
+        floor[name] = 1 + max((floor[lower] for lower in below.get(name, ())), default=0)
+    return max(floor.values())
+
+
+def repeated_classes():
+    """Count the names that several classes have."""
+    names = Counter(x.name for x in nodes(ast.ClassDef))
+    return sum(count > 1 for count in names.values())
+
+
+def private_words():
+    """Count the docstrings that contain a word with a private meaning."""
+    return sum(bool(PRIVATE_WORDS.search(ast.get_docstring(x) or "")) for x in nodes(SPOKEN))
+
+
+@cache
+def first_calls(cache_folder):
+    """Count what a first compile and a first integrate execute, and the modules loaded then."""
+    path = os.pathsep.join([str(PACKAGE.parent), os.environ.get("PYTHONPATH", "")])
+    given = {**os.environ, "SYMSIMPSON_CACHE_DIR": cache_folder, "PYTHONPATH": path}
+    given.pop("SYMSIMPSON_COMPILE", None)
+    program = [sys.executable, str(TESTS / "support" / "first_calls.py")]
+    done = subprocess.run(program, env=given, capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)
+
+
+#: Lines of text in each room.
+LINES = {
+    "analysis": 4507,
+    "api": 1555,
+    "bench": 1322,
+    "cli": 801,
+    "codegen": 10413,
+    "control": 4114,
+    "derivatives": 934,
+    "discrete": 1847,
+    "driver": 2103,
+    "ensemble": 1865,
+    "export": 1517,
+    "graph": 2237,
+    "mechanics": 6024,
+    "module": 1539,
+    "plotting": 862,
+    "program": 2947,
+    "reference": 882,
+    "results": 3336,
+    "root": 491,
+    "run": 4163,
+    "schemes": 786,
+    "stepping": 2389,
+    "support": 1092,
+    "systems": 1905,
+    "walk": 2867,
+}
+
+#: What a first compile and a first integrate execute, with nothing on disk. Python 3.11 counts
+#: comprehensions as functions.
+FIRST_CALLS = {
+    "functions that a first compile executes": 1132,
+    "files that a first compile executes": 196,
+    "functions that a first integrate executes": 668,
+    "files that a first integrate executes": 106,
+    "modules loaded after ten steps": 291,
+}
+
 #: Figures as they are. One that has fallen is written here, so that it cannot rise again.
 FIGURES = {
     "lines that no formatter may touch": (
@@ -56,6 +171,11 @@ FIGURES = {
     "values called found, made, own or one": (8, lambda: sum(map(is_vague, every_node()))),
     "names that several files have": (4, repeated_names),
     "modules at the root": (3, lambda: len(list(PACKAGE.glob("*.py")))),
+    "lines of the package": (62498, lambda: sum(lines_of_rooms().values())),
+    "files": (424, lambda: len(FILES)),
+    "floors": (12, floors),
+    "class names that occur twice": (22, repeated_classes),
+    "docstrings with private words": (671, private_words),
     "docstrings that cannot be read alone": (
         0,
         lambda: sum(
@@ -73,3 +193,15 @@ def test_no_figure_has_risen():
     risen = {name: (told[name], n) for name, n in found.items() if n > told[name]}
     assert not risen, "these have risen"
     assert found == told, "some have fallen: write that in FIGURES"
+
+
+@pytest.mark.slow
+def test_no_room_has_grown():
+    assert lines_of_rooms() == LINES, "a room has grown, or shrunk: write that in LINES"
+
+
+@pytest.mark.slow
+def test_a_first_call_executes_no_more(tmp_path):
+    counted = dict(zip(FIRST_CALLS, first_calls(str(tmp_path)), strict=True))
+    risen = {name: n for name, n in counted.items() if n > FIRST_CALLS[name]}
+    assert not risen, "these have risen"
