@@ -68,11 +68,13 @@ def test_versions_agree():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     assert project["version"] == ss.__version__
     citation = (ROOT / "CITATION.cff").read_text("utf-8")
-    assert f"version: {ss.__version__}\n" in citation
     changes = (ROOT / "notebooks/contributing/changes.md").read_text("utf-8")
-    dated = re.search(rf"^## {re.escape(ss.__version__)} \((\d{{4}}-\d\d-\d\d)\)$", changes, re.M)
-    assert dated
-    assert f"date-released: {dated[1]}\n" in citation
+    versions = re.findall(r"^## (\S+) \((\d{4}-\d\d-\d\d|unreleased)\)$", changes, re.M)
+    released = next(version for version, date in versions if date != "unreleased")
+    # the citation is that of the last release; between releases the version is one of development
+    assert f"version: {released}\ndate-released: {dict(versions)[released]}\n" in citation
+    newest, date = versions[0]
+    assert ss.__version__ == (f"{newest}.dev0" if date == "unreleased" else newest)
     needed = project["optional-dependencies"]["test-all"]
     pinned = dict(x.split("==") for x in needed if "==" in x)
     hooks = (ROOT / ".pre-commit-config.yaml").read_text("utf-8")
