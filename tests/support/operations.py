@@ -14,9 +14,9 @@ import llvmlite.binding as llvm
 from llvmlite import ir
 
 from support.places import DATA
-from symsimpson.codegen.pipeline import source
+from symsimpson.codegen.pipeline import derive, source
 from symsimpson.errors import SchemeError
-from symsimpson.systems import CATALOGUE
+from symsimpson.systems import CATALOGUE, EVERY
 from symsimpson.walk.arrays import Array
 from symsimpson.walk.calls import Calls
 from symsimpson.walk.rows import BlockBuilder
@@ -68,19 +68,38 @@ def operations(text, name):
 
 
 #: What the table has; a composition stands for all kicks and drifts.
-SCHEMES = ("midpoint", "simpson", "lobatto6", "gauss6", "gauss16", "blanes_moan4")
+SCHEMES = ("midpoint", "simpson", "lobatto6", "gauss4", "gauss6", "gauss16", "blanes_moan4")
+#: The catalogue, systems with constraints and inputs, and one with a time transformation.
+SYSTEMS = {
+    **CATALOGUE,
+    **{name: EVERY[name] for name in ("four_bar", "hanging_chain", "driven_cart_pole")},
+    "kepler_retimed": lambda: CATALOGUE["kepler"]().retimed("encounters"),
+}
+#: Kernels that modules have only if derivatives are wanted.
+OF_DERIVATIVES = ("tangent", "adjoint")
 TABLE = DATA / "operations.csv"
 
 
 def all_operations(system, scheme):
     """Count the operations of all kernels of a module; nothing for what has no such steps."""
+    declared = SYSTEMS[system]()
     try:
-        text = source(CATALOGUE[system](), scheme)
+        text = source(declared, scheme)
     except SchemeError:
         return {}
+    counts = {name: operations(text, name) for name in kernels(text)}
+    try:
+        differentiated = derive(declared, scheme, varied=()).text
+    except SchemeError:  # of kicks and drifts there are no derivatives
+        return counts
+    wanted = [name for name in kernels(differentiated) if name in OF_DERIVATIVES]
+    return counts | {name: operations(differentiated, name) for name in wanted}
+
+
+def kernels(text):
+    """Return the names of the kernels of a module."""
     functions = read_text(text).functions
-    names = [k for k, f in functions.items() if [a.arg for a in f.args.args] == ARGUMENTS]
-    return {name: operations(text, name) for name in names}
+    return [k for k, f in functions.items() if [a.arg for a in f.args.args] == ARGUMENTS]
 
 
 def table():
@@ -99,7 +118,7 @@ if __name__ == "__main__":
         file.write(f"# llvmlite {llvmlite.__version__}\n")
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["system", "scheme", "kernel", "operations"])
-        for one in sorted(CATALOGUE):
+        for one in sorted(SYSTEMS):
             for scheme in SCHEMES:
                 for kernel, count in all_operations(one, scheme).items():
                     writer.writerow([one, scheme, kernel, count])
