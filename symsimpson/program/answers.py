@@ -5,22 +5,25 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 from symsimpson.errors import StorageError, SymsimpsonError
 from symsimpson.module.header import digest
 from symsimpson.program.cache import cache_folder
 from symsimpson.support.files import written_beside
 
-__all__ = ["kept"]
+__all__ = ["KINDS", "kept"]
 
+#: Folders of answers, beside compiled code.
+Kind = Literal["choices", "texts"]
+KINDS = get_args(Kind)
 Answer = TypeVar("Answer")
 #: What a file may raise that is not there, not whole, or not what it should be.
 DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, SymsimpsonError)
 
 
 def kept(
-    kind: str,
+    kind: Kind,
     question: str,
     read: Callable[[Any], Answer],
     make: Callable[[], Answer],
