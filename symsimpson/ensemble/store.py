@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import os
 import threading
 import warnings
@@ -36,9 +37,12 @@ from symsimpson.support.progress import Progress
 
 __all__ = ["Store", "members_of", "open_store", "run_missing", "said", "whole_group", "write_chunk"]
 
+LOG = logging.getLogger(__name__)
 #: Seconds of one thread's work in a chunk, and bytes of states that it has at most.
 CHUNK_SECONDS = 0.5
 CHUNK_BYTES = 2**26
+#: Arrays that are written chunk by chunk, beside reductions and what is recorded.
+WRITTEN = ("q", "p", "variations", "status", "steps", "newton_iterations")
 #: Held by whoever sets options of zarr, which are those of the whole process.
 _options = threading.Lock()
 
@@ -62,12 +66,10 @@ class Store:
     @cached_property
     def results(self) -> frozenset[str]:
         """Names of the arrays that are written chunk by chunk."""
-        given, _ = _given(self.program, self.task)
-        return frozenset(
-            name
-            for name, array in self.group.arrays()
-            if name not in given and array.metadata.dimension_names[0] == "member"
-        )
+        reduced, _ = names_in_dataset([r.name for r in self.task.reductions], ())
+        written = (*WRITTEN, *reduced.values())
+        names = self.group.array_keys()
+        return frozenset(x for x in names if x in written or x.startswith(RECORDED))
 
     @property
     def chunks(self) -> int:
@@ -93,8 +95,9 @@ class Store:
                     for name in self.results:
                         self.whole[name][members]
                     continue
-            except (OSError, ValueError, RuntimeError, StorageError):
+            except (OSError, ValueError, RuntimeError, StorageError) as error:
                 self.done.discard(chunk)
+                LOG.info("%s: chunk %d is computed again: %s", self.path, chunk, error)
             yield chunk
 
     def mend(self) -> None:

@@ -13,11 +13,13 @@ import contextlib
 import hashlib
 import importlib.util
 import json
+import logging
 import os
 import shutil
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -39,6 +41,7 @@ from symsimpson.support.signals import undisturbed
 __all__ = ["BUILDING", "MODULE", "cache_folder", "compiled", "location", "lock_file"]
 
 Result = TypeVar("Result")
+LOG = logging.getLogger(__name__)
 
 _VARIABLE = "SYMSIMPSON_CACHE_DIR"
 _DIGESTS = "digests.json"
@@ -203,9 +206,12 @@ def _loaded(folder: Path, key: str, use: Callable[[ModuleType, bool], Result]) -
         return None
     if _intact(entry):
         try:
-            return _import(entry / f"{name}.py", name, use)
+            result = _import(entry / f"{name}.py", name, use)
+            LOG.info("machine code taken from the cache: %s", entry)
+            return result
         except Exception:  # whatever a stale pickle may raise, the entry can be made again
             sys.modules.pop(name, None)
+    LOG.info("machine code in the cache is damaged, and compiled again: %s", entry)
     shutil.rmtree(entry, ignore_errors=True)
     return None
 
@@ -234,6 +240,7 @@ def _alone(folder: Path, key: str) -> Iterator[None]:
 def _build(folder: Path, key: str, text: str, use: Callable[[ModuleType, bool], Result]) -> Result:
     """Compile in a folder of its own, and rename it into place."""
     entry, name = folder / key, f"{MODULE}{key}"
+    start = time.perf_counter()
     building = Path(tempfile.mkdtemp(prefix=BUILDING, dir=folder))
     try:
         path = building / f"{name}.py"
@@ -242,6 +249,7 @@ def _build(folder: Path, key: str, text: str, use: Callable[[ModuleType, bool], 
         (building / _DIGESTS).write_text(json.dumps(_digests(building)), encoding="utf-8")
         with contextlib.suppress(OSError):  # another process was first
             building.rename(entry)
+        LOG.info("compiled %s in %.2f s", entry, time.perf_counter() - start)
         return result
     finally:
         shutil.rmtree(building, ignore_errors=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import re
-import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -87,23 +86,16 @@ def _bytes(path: Path) -> int:
 
 def _removed(folder: Path, path: Path) -> int:
     """Remove a file or a folder, unless another process builds it; return its size."""
-    size = _bytes(path)
+    size, keys = _bytes(path), _keys(path) if path.name.startswith(BUILDING) else []
     try:
-        if not path.is_dir():
-            path.unlink()
-            return size
-        if path.name.startswith(BUILDING):
-            with contextlib.ExitStack() as locks:
-                for key in _keys(path):
-                    locks.enter_context(FileLock(lock_file(folder, key), timeout=0))
-                shutil.rmtree(path)
-            return size
-        # renamed first: another process finds all of it, or nothing
-        aside = Path(tempfile.mkdtemp(prefix=BUILDING, dir=folder))
-        try:
-            path.rename(aside / path.name)
-        finally:
-            shutil.rmtree(aside, ignore_errors=True)
-        return size
+        with contextlib.ExitStack() as stack:
+            for key in keys:
+                stack.enter_context(FileLock(lock_file(folder, key), timeout=0))
+            aside = tempfile.TemporaryDirectory(
+                prefix=BUILDING, dir=folder, ignore_cleanup_errors=True
+            )
+            # renamed first: another process finds all of it, or nothing
+            path.rename(Path(stack.enter_context(aside)) / path.name)
     except (OSError, NotImplementedError, Timeout):
         return 0
+    return size
