@@ -326,7 +326,8 @@ class Run:
         """Go on with other kernels; between stages and Newton's method nothing is handed over."""
         before, after = self._fallbacks[self._set], self._fallbacks[number]
         where = self.header.system, self.step
-        LOG.info("%s: from step %d on with kernels %r, before with %r", *where, after, before)
+        if before != after:
+            LOG.info("%s: from step %d on with kernels %r, before with %r", *where, after, before)
         anew = "stages" in (self._fallbacks[number], self._fallbacks[self._set])
         self._set = number
         if not anew:
