@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Container
 from typing import Any
 
-from numcodecs import Zstd
 from zarr.storage import WrapperStore
 
 from symsimpson.errors import StorageError
+from symsimpson.support.extras import library
 
 __all__ = ["WholeChunks"]
 
 
-class WholeChunks(WrapperStore):
+decompress = library("numcodecs.zstd", "store=", "data").decompress  # a part of zarr
+
+
+class WholeChunks(WrapperStore[Any]):
     """A Zarr store whose chunks are there and whole, except those of results not computed yet.
 
     ``results`` names the arrays that are written chunk by chunk; ``done`` has the numbers of the
@@ -43,7 +46,7 @@ class WholeChunks(WrapperStore):
             problem = "is missing"
         else:
             try:
-                Zstd().decode(content.to_bytes())
+                decompress(content.to_bytes())
                 return content
             except (RuntimeError, ValueError) as error:
                 problem = f"is damaged ({error})"

@@ -66,6 +66,7 @@ def test_choices_that_are_remembered_are_told_of(folder, messages):
     assert ask() == ["choices: taken from the cache, "]
 
 
+@pytest.mark.slow
 def test_a_plain_run_logs_nothing_and_steps_that_fail_are_told_of(messages):
     stepper = ss.compile(ss.systems.pendulum(), "midpoint")
     for steps in (2, 3):
