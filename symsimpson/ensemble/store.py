@@ -287,6 +287,8 @@ def run_missing(store: Store) -> bool:
 
 def write_chunk(path: str, group: Any, members: slice, ensemble: Ensemble) -> None:
     """Write what some members came to, statuses last."""
+    import zarr
+
     names, _ = names_in_dataset(ensemble.reduced, ensemble.parameters)
     columns = {"q": ensemble.q, "p": ensemble.p}
     columns |= {f"{RECORDED}{name}": rows for name, rows in ensemble.recorded.items()}
@@ -294,12 +296,13 @@ def write_chunk(path: str, group: Any, members: slice, ensemble: Ensemble) -> No
         columns["variations"] = ensemble.variations
     columns |= {names[name]: values for name, values in ensemble.reduced.items()}
     columns |= {"steps": ensemble.steps, "newton_iterations": ensemble.newton_iterations}
-    import zarr
-
-    # zarr leaves out chunks of NaN, which then look as if they were lost
-    with _options, zarr.config.set({"array.write_empty_chunks": True}), said(path, "written"):
-        for name, values in (columns | {"status": ensemble.status}).items():
-            group[name][members] = values
+    columns |= {"status": ensemble.status}
+    with said(path, "written"):
+        # zarr leaves out chunks of NaN, which then look as if they were lost
+        with _options, zarr.config.set({"array.write_empty_chunks": True}):
+            arrays = [group[name] for name in columns]
+        for array, values in zip(arrays, columns.values(), strict=True):
+            array[members] = values
 
 
 @contextmanager

@@ -119,15 +119,18 @@ class ControlLoop:
             here = None if program.header.real_everywhere else (run.position(), run.W[:, 0].copy())
             with NOTHING if self._at_once else undisturbed():
                 run.advance(before + 1)
-            if not (run.alive or run.arrived):
+                taken, last = run.alive or run.arrived, self._last_inputs
+                if taken:
+                    self._last_inputs = given
+            if not taken:
                 ended = self._trajectory(before + 1)
                 raise_failure(run, ended, ended)
             if here is not None and self._has_no_energy():
                 about = out_of_domain(program, run, run.now, before + 1)
                 run.put_back(*here)
+                self._last_inputs = last
                 ended = replace(self._trajectory(before + 1), **about)
                 raise_failure(run, ended, ended)
-            self._last_inputs = given
 
     def _trajectory(self, steps: int) -> Trajectory:
         """Return the run so far, with its last state alone, and without the inputs of its steps."""
