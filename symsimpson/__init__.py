@@ -9,10 +9,13 @@ Declare T and V in SymPy; get a compiled, symplectic stepper of order two, four 
 Trajectory(double_pendulum, simpson: 1000 steps of h=0.01, 1001 states stored, SUCCESS)
 """
 
+import logging
+
 import lazy_loader
 
 __version__ = "0.3.0.dev0"
 
+logging.getLogger(__name__).addHandler(logging.NullHandler())
 # what is named in __init__.pyi is imported when it is first used, so that the package starts fast
 _attribute, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 

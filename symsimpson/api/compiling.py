@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import astuple
@@ -51,6 +52,7 @@ def _call(module: str, name: str, *given: Any) -> Any:
     return getattr(import_module(f"symsimpson.analysis.stability.{module}"), name)(*given)
 
 
+LOG = logging.getLogger(__name__)
 #: What steppers are given of the layers above them.
 TOOLS = Tools(
     certify=_certify,
@@ -184,7 +186,10 @@ def _derived(
     """Derive a module, or take what another process has derived of the same declaration."""
 
     def derived() -> Derivation:
-        return derive(system, scheme, exploit, varied, running, second=second)
+        derivation = derive(system, scheme, exploit, varied, running, second=second)
+        seconds = sum(derivation.seconds.values())
+        LOG.info("derived %s for %s in %.2f s", scheme.name, system.name, seconds)
+        return derivation
 
     if system.retiming is not None or running is not None or system.too_large_for_sympy:
         return derived()

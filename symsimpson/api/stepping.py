@@ -122,8 +122,9 @@ class Stepping(Evaluator):
         Returns
         -------
         ControlLoop
-            ``loop.step(u)`` takes a step; ``loop.t``, ``.q``, ``.p`` and ``.v`` tell where it is.
-            Its steps are those of :meth:`integrate`, to the last bit.
+            ``loop.step(u)`` takes a step. ``loop.t``, ``.q``, ``.p``, ``.v``, ``.energy``,
+            ``.multipliers`` and ``.constraint_forces`` describe the state. Its steps are those of
+            :meth:`integrate`, to the last bit.
 
         Raises
         ------

@@ -16,7 +16,7 @@ import numpy as np
 
 from symsimpson.ensemble.ensemble import names_in_dataset
 from symsimpson.ensemble.lanes import run_blocks
-from symsimpson.ensemble.store import Store, members_of, said, write_chunk
+from symsimpson.ensemble.store import Store, members_of, said, whole_group, write_chunk
 from symsimpson.ensemble.task import Task
 from symsimpson.errors import InputError, StorageError, SymsimpsonError
 from symsimpson.module.header import digest
@@ -125,8 +125,9 @@ def compute_chunk(path: str, module: str, chunk: int) -> int:
     _, names = names_in_dataset(reduce, program.parameters)
     members = members_of(chunk, size, asked["members"])
     with said(path, "read"):
-        q0, other0 = (group[name][members] for name in ("q0", asked["given"]))
-        columns = [group[names[name]][members] for name in program.parameters]
+        given = whole_group(group)
+        q0, other0 = (given[name][members] for name in ("q0", asked["given"]))
+        columns = [given[names[name]][members] for name in program.parameters]
     parameters = np.array(columns).reshape(-1, len(q0)).T.copy()
     task = Task(
         q0,

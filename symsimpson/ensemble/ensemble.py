@@ -234,7 +234,9 @@ class Ensemble(Quantities, Differentiated):
         coordinates = dict(zip(parameters.values(), self.parameters.values(), strict=True))
         if self.store is not None:
             how = {"chunks": None, "consolidated": False, "decode_times": False}
-            return xarray.open_zarr(self.store, **how).set_coords(list(coordinates))
+            data = xarray.open_zarr(self.q.store, **how).set_coords(list(coordinates))
+            data.attrs = self._about()
+            return data.drop_encoding()
         dims = ("member", "time", "coord") if self.q.ndim == 3 else ("member", "coord")
         variables: dict[str, Any] = {"q": (dims, self.q), "p": (dims, self.p)}
         if self.variations is not None:
@@ -309,7 +311,7 @@ class Ensemble(Quantities, Differentiated):
         >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, every=10)
         >>> many.save(pathlib.Path(tempfile.mkdtemp()) / "many.csv")
         """
-        write(path, "ensemble", self._arrays, self._table, self.to_xarray, consolidated=None)
+        write(path, "ensemble", self._arrays, self._table, self.to_xarray)
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         names = ("t", "q", "p", "status", "steps", "newton_iterations")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from typing import Any
 
@@ -21,6 +22,7 @@ from symsimpson.support.calling import warn, without_step_warnings
 
 __all__ = ["PAIR", "RENEWAL", "run_singly"]
 
+LOG = logging.getLogger(__name__)
 #: Fast sines and cosines have a value for angles up to here.
 FAST_SINES = 5e8
 #: Powers of numbers above this may be none.
@@ -48,6 +50,7 @@ def run_singly(program: Program, task: Task, results: Results) -> bool:
     good |= (status == Status.BAD_INPUT) & small
     reductions = tuple(x for x in task.reductions if not x.of_variations) or None
     for member in np.flatnonzero(~good):
+        LOG.info("%s: member %d is run again, by itself", program.system, member)
         try:
             with without_step_warnings():  # not one for each member
                 carried = {"record": task.record, **_carrying(program, task)}

@@ -9,10 +9,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import os
-from collections.abc import Iterator
+import threading
+import warnings
+from collections.abc import Container, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
@@ -31,11 +35,16 @@ from symsimpson.support.extras import library
 from symsimpson.support.files import check_folder, read_path
 from symsimpson.support.progress import Progress
 
-__all__ = ["Store", "members_of", "open_store", "run_missing", "said", "write_chunk"]
+__all__ = ["Store", "members_of", "open_store", "run_missing", "said", "whole_group", "write_chunk"]
 
+LOG = logging.getLogger(__name__)
 #: Seconds of one thread's work in a chunk, and bytes of states that it has at most.
 CHUNK_SECONDS = 0.5
 CHUNK_BYTES = 2**26
+#: Arrays that are written chunk by chunk, beside reductions and what is recorded.
+WRITTEN = ("q", "p", "variations", "status", "steps", "newton_iterations")
+#: Held by whoever sets options of zarr, which are those of the whole process.
+_options = threading.Lock()
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,10 +52,24 @@ class Store:
     """An ensemble on disk."""
 
     path: str
-    group: Any  #: Of zarr.
+    group: Any  #: Of zarr, as it is.
     program: Program
     task: Task
     chunk: int  #: Members of a chunk.
+    done: set[int] = field(default_factory=set)  #: Chunks that were computed.
+
+    @cached_property
+    def whole(self) -> Any:
+        """The group as it is read: a chunk that is missing or damaged raises StorageError."""
+        return whole_group(self.group, self.results, self.done)
+
+    @cached_property
+    def results(self) -> frozenset[str]:
+        """Names of the arrays that are written chunk by chunk."""
+        reduced, _ = names_in_dataset([r.name for r in self.task.reductions], ())
+        written = (*WRITTEN, *reduced.values())
+        names = self.group.array_keys()
+        return frozenset(x for x in names if x in written or x.startswith(RECORDED))
 
     @property
     def chunks(self) -> int:
@@ -67,33 +90,36 @@ class Store:
         for chunk in range(self.chunks):
             members = self.members(chunk)
             try:
-                status = self.group["status"][members]
-                done = not (status == Status.INTERRUPTED).any() and self._whole(members, status)
-            except (OSError, ValueError, RuntimeError):
-                done = False
-            if not done:
-                yield chunk
+                if (self.whole["status"][members] != Status.INTERRUPTED).all():
+                    self.done.add(chunk)
+                    for name in self.results:
+                        self.whole[name][members]
+                    continue
+            except (OSError, ValueError, RuntimeError, StorageError) as error:
+                self.done.discard(chunk)
+                LOG.info("%s: chunk %d is computed again: %s", self.path, chunk, error)
+            yield chunk
 
-    def _whole(self, members: slice, status: Any) -> bool:
-        """Return whether all that was written of some members can be read.
-
-        What is gone reads as the value of what was never written.
-        """
-        good = status == Status.SUCCESS
-        states = (self.group[name][members][good] for name in "qp")
-        counted = (self.group[name][members] for name in ("steps", "newton_iterations"))
-        return all(np.isfinite(x).all() for x in states) and all(
-            (x != int(Status.INTERRUPTED)).all() or not self.task.steps for x in counted
-        )
+    def mend(self) -> None:
+        """Write what is given anew, where some of it is damaged or gone."""
+        given, template = _given(self.program, self.task)
+        for name, array in self.whole.arrays():
+            if name not in self.results:
+                try:
+                    array[:]
+                except StorageError:
+                    values = given.get(name, template.get(name))
+                    self.group[name][:] = np.asarray(values, array.dtype)
 
     def ensemble(self) -> Ensemble:
         """Return what is in the store; states stay on disk."""
-        group, task, program = self.group, self.task, self.program
+        group, task, program = self.whole, self.task, self.program
         reduced, _ = names_in_dataset([r.name for r in task.reductions], program.parameters)
         with said(self.path, "read"):
-            status, steps, iterations = (
-                group[x][:] for x in ("status", "steps", "newton_iterations")
-            )
+            status = self.group["status"][:]
+            ended = (status[self.members(k)] != Status.INTERRUPTED for k in range(self.chunks))
+            self.done.update(k for k, every in enumerate(ended) if every.all())
+            steps, iterations = (group[x][:] for x in ("steps", "newton_iterations"))
             watched = {name: group[stored][:] for name, stored in reduced.items()}
         return ensemble_of(
             program,
@@ -108,6 +134,15 @@ class Store:
             **({"variations": group["variations"]} if "variations" in group else {}),
             recorded={name: group[f"{RECORDED}{name}"] for name in task.record},
         )
+
+
+def whole_group(group: Any, results: Container[str] = (), done: Container[int] = ()) -> Any:
+    """Return a group that raises StorageError for chunks that are missing or damaged."""
+    import zarr
+
+    from symsimpson.ensemble.chunks import WholeChunks
+
+    return zarr.open_group(WholeChunks(group.store, results, done), mode="r+")
 
 
 def members_of(chunk: int, size: int, members: int) -> slice:
@@ -148,7 +183,10 @@ def open_store(path: object, program: Program, task: Task) -> Store:
         differing = [key for key in asked if attributes["asked"].get(key) != asked[key]]
         if differing:
             raise _other(place, f"holds another ensemble: {', '.join(differing)} differ")
-        return Store(place, zarr.open_group(place, mode="r+"), program, task, attributes["chunk"])
+        opened = zarr.open_group(place, mode="r+")
+        store = Store(place, opened, program, task, attributes["chunk"])
+        store.mend()
+        return store
 
 
 def _other(place: str, what: str) -> InputError:
@@ -178,19 +216,10 @@ def _create(place: str, program: Program, task: Task, asked: dict[str, Any]) -> 
     import zarr
     from zarr.codecs import ZstdCodec
 
-    chunk = _chunk(program, task)
-    first_task = task.part(slice(0, 1))
-    template = ensemble_of(
-        program, first_task, **Results(first_task, program.header).columns()
-    ).to_xarray()
+    chunk, (given, template) = _chunk(program, task), _given(program, task)
     about = {key: value for key, value in template.attrs.items() if key != "outcome"}
-    group = zarr.create_group(
-        place, overwrite=True, attributes=about | {"begun_by": "symsimpson", "chunk": chunk}
-    )
-    given = {"q0": task.q0, task.given: task.other0, "member": np.arange(task.members)}
-    identifiers = program.names.parameters.own
-    _, names = names_in_dataset([r.name for r in task.reductions], identifiers)
-    given |= {names[name]: task.parameters[:, k] for k, name in enumerate(identifiers)}
+    about |= {"begun_by": "symsimpson", "chunk": chunk}
+    group = zarr.create_group(place, overwrite=True, attributes=about, zarr_format=3)
     for name, variable in template.variables.items():
         integers, text = variable.dtype.kind == "i", variable.dtype.kind not in "if"
         shape, chunks = variable.shape, variable.shape
@@ -202,13 +231,32 @@ def _create(place: str, program: Program, task: Task, asked: dict[str, Any]) -> 
             chunks=chunks,
             dtype=str if text else variable.dtype,
             dimension_names=variable.dims,
+            attributes=dict(variable.attrs),
             compressors=[ZstdCodec(level=0, checksum=True)],
             fill_value="" if text else int(Status.INTERRUPTED) if integers else np.nan,
+            config={"write_empty_chunks": True},
         )
         if name in given or variable.dims[0] != "member":
             array[:] = given.get(name, variable.values.astype(object) if text else variable.values)
-    group.attrs.update({"source": program.source, "asked": asked})
+    with warnings.catch_warnings():  # zarr warns that other readers may pass over it
+        warnings.simplefilter("ignore")
+        group = zarr.consolidate_metadata(place)
+    # xarray takes those for coordinates that a dataset names so
+    coordinates = " ".join(name for name in template.coords if name not in template.dims)
+    last = {"coordinates": coordinates} if coordinates else {}
+    group.attrs.update(last | {"source": program.source, "asked": asked})
     return Store(place, group, program, task, chunk)
+
+
+def _given(program: Program, task: Task) -> tuple[dict[str, Any], Any]:
+    """Return what a store holds of each member from the start, and a dataset of one member."""
+    first_task = task.part(slice(0, 1))
+    results = Results(first_task, program.header).columns()
+    given = {"q0": task.q0, task.given: task.other0, "member": np.arange(task.members)}
+    identifiers = program.names.parameters.own
+    _, names = names_in_dataset([r.name for r in task.reductions], identifiers)
+    given |= {names[name]: task.parameters[:, k] for k, name in enumerate(identifiers)}
+    return given, ensemble_of(program, first_task, **results).to_xarray()
 
 
 def _chunk(program: Program, task: Task) -> int:
@@ -239,6 +287,8 @@ def run_missing(store: Store) -> bool:
 
 def write_chunk(path: str, group: Any, members: slice, ensemble: Ensemble) -> None:
     """Write what some members came to, statuses last."""
+    import zarr
+
     names, _ = names_in_dataset(ensemble.reduced, ensemble.parameters)
     columns = {"q": ensemble.q, "p": ensemble.p}
     columns |= {f"{RECORDED}{name}": rows for name, rows in ensemble.recorded.items()}
@@ -246,9 +296,13 @@ def write_chunk(path: str, group: Any, members: slice, ensemble: Ensemble) -> No
         columns["variations"] = ensemble.variations
     columns |= {names[name]: values for name, values in ensemble.reduced.items()}
     columns |= {"steps": ensemble.steps, "newton_iterations": ensemble.newton_iterations}
+    columns |= {"status": ensemble.status}
     with said(path, "written"):
-        for name, values in (columns | {"status": ensemble.status}).items():
-            group[name][members] = values
+        # zarr leaves out chunks of NaN, which then look as if they were lost
+        with _options, zarr.config.set({"array.write_empty_chunks": True}):
+            arrays = [group[name] for name in columns]
+        for array, values in zip(arrays, columns.values(), strict=True):
+            array[members] = values
 
 
 @contextmanager

@@ -4,23 +4,28 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 from symsimpson.errors import StorageError, SymsimpsonError
 from symsimpson.module.header import digest
 from symsimpson.program.cache import cache_folder
 from symsimpson.support.files import written_beside
 
-__all__ = ["kept"]
+__all__ = ["KINDS", "kept"]
 
+#: Folders of answers, beside compiled code.
+Kind = Literal["choices", "texts"]
+KINDS = get_args(Kind)
 Answer = TypeVar("Answer")
+LOG = logging.getLogger(__name__)
 #: What a file may raise that is not there, not whole, or not what it should be.
 DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, SymsimpsonError)
 
 
 def kept(
-    kind: str,
+    kind: Kind,
     question: str,
     read: Callable[[Any], Answer],
     make: Callable[[], Answer],
@@ -34,8 +39,14 @@ def kept(
     is not worth it.
     """
     place = cache_folder() / kind / f"{digest(question)}.json"
-    with contextlib.suppress(*DAMAGE):
-        return read(json.loads(place.read_text(encoding="utf-8")))
+    try:
+        answer = read(json.loads(place.read_text(encoding="utf-8")))
+        LOG.info("%s: taken from the cache, %s", kind, place)
+        return answer
+    except FileNotFoundError:
+        pass
+    except DAMAGE as error:
+        LOG.info("%s: %s is damaged, and made again: %s", kind, place, error)
     answer = make()
     content = write(answer)
     if content is not None:
@@ -43,4 +54,5 @@ def kept(
             place.parent.mkdir(mode=0o700, exist_ok=True)
             with written_beside(place, "answer") as whole:
                 whole.write_text(json.dumps(content), encoding="utf-8")
+            LOG.info("%s: remembered in %s", kind, place)
     return answer

@@ -13,11 +13,13 @@ import contextlib
 import hashlib
 import importlib.util
 import json
+import logging
 import os
 import shutil
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -36,12 +38,15 @@ from symsimpson.support.garbage import rarely_collected
 from symsimpson.support.progress import waiting
 from symsimpson.support.signals import undisturbed
 
-__all__ = ["cache_folder", "compiled", "location"]
+__all__ = ["BUILDING", "MODULE", "cache_folder", "compiled", "location", "lock_file"]
 
 Result = TypeVar("Result")
+LOG = logging.getLogger(__name__)
 
 _VARIABLE = "SYMSIMPSON_CACHE_DIR"
 _DIGESTS = "digests.json"
+#: How folders begin in which entries are built, and names of modules in them.
+BUILDING, MODULE = ".building-", "symsimpson_compiled_"
 _results: dict[str, object] = {}
 #: So many entries can be made at a time; nobody waits longer, in seconds, for whoever makes one.
 LOCKS, LONGEST = 64, 600.0
@@ -187,7 +192,7 @@ def _load_or_build(text: str, key: str, use: Callable[[ModuleType, bool], Result
         try:
             return _build(folder, key, text, use)
         except OSError as error:  # a disk that is full
-            name = f"symsimpson_compiled_{key}"
+            name = f"{MODULE}{key}"
             sys.modules.pop(name, None)
             _without_cache(folder, str(error.strerror or error))
             return _in_memory(name, text, use)
@@ -196,22 +201,30 @@ def _load_or_build(text: str, key: str, use: Callable[[ModuleType, bool], Result
 @undisturbed(most=1)  # from within LLVM, numba's callbacks lose an exception
 def _loaded(folder: Path, key: str, use: Callable[[ModuleType, bool], Result]) -> Result | None:
     """Load an entry, if there is a whole one; what is left of another is taken away."""
-    entry, name = folder / key, f"symsimpson_compiled_{key}"
+    entry, name = folder / key, f"{MODULE}{key}"
     if not entry.is_dir():
         return None
     if _intact(entry):
         try:
-            return _import(entry / f"{name}.py", name, use)
+            result = _import(entry / f"{name}.py", name, use)
+            LOG.info("machine code taken from the cache: %s", entry)
+            return result
         except Exception:  # whatever a stale pickle may raise, the entry can be made again
             sys.modules.pop(name, None)
+    LOG.info("machine code in the cache is damaged, and compiled again: %s", entry)
     shutil.rmtree(entry, ignore_errors=True)
     return None
+
+
+def lock_file(folder: Path, key: str) -> Path:
+    """Return the file that a process locks while it makes an entry."""
+    return folder / f".lock-{int(key[-4:], 16) % LOCKS}"
 
 
 @contextlib.contextmanager
 def _alone(folder: Path, key: str) -> Iterator[None]:
     """Let one process at a time make an entry; the system frees the lock of one that died."""
-    lock = FileLock(folder / f".lock-{int(key[-4:], 16) % LOCKS}", timeout=LONGEST)
+    lock = FileLock(lock_file(folder, key), timeout=LONGEST)
     try:
         lock.acquire()
     except (OSError, NotImplementedError, Timeout):  # then both make it, and one is kept
@@ -226,8 +239,9 @@ def _alone(folder: Path, key: str) -> Iterator[None]:
 @undisturbed(most=1)  # from within LLVM, numba's callbacks lose an exception
 def _build(folder: Path, key: str, text: str, use: Callable[[ModuleType, bool], Result]) -> Result:
     """Compile in a folder of its own, and rename it into place."""
-    entry, name = folder / key, f"symsimpson_compiled_{key}"
-    building = Path(tempfile.mkdtemp(prefix=".building-", dir=folder))
+    entry, name = folder / key, f"{MODULE}{key}"
+    start = time.perf_counter()
+    building = Path(tempfile.mkdtemp(prefix=BUILDING, dir=folder))
     try:
         path = building / f"{name}.py"
         path.write_text(text, encoding="utf-8")
@@ -235,6 +249,7 @@ def _build(folder: Path, key: str, text: str, use: Callable[[ModuleType, bool], 
         (building / _DIGESTS).write_text(json.dumps(_digests(building)), encoding="utf-8")
         with contextlib.suppress(OSError):  # another process was first
             building.rename(entry)
+        LOG.info("compiled %s in %.2f s", entry, time.perf_counter() - start)
         return result
     finally:
         shutil.rmtree(building, ignore_errors=True)

@@ -28,7 +28,7 @@ def show_config(mode: Literal["dicts"]) -> Config: ...
 
 
 def show_config(mode: str = "stdout") -> Config | None:
-    """Print versions, processor, vector width, threads and the folder of compiled code.
+    """Print versions, processor, vector width, threads, and the cache of compiled code.
 
     Parameters
     ----------
@@ -57,9 +57,11 @@ def show_config(mode: str = "stdout") -> Config | None:
     import llvmlite.binding as llvm
 
     from symsimpson.program.cache import cache_folder
+    from symsimpson.program.cache_contents import usage
     from symsimpson.program.machine import MANY, available_threads, lanes_for, vector_bits
 
     folder = cache_folder()
+    entries, size = usage(folder)
     config: Config = {
         "versions": {
             "python": platform.python_version(),
@@ -75,7 +77,8 @@ def show_config(mode: str = "stdout") -> Config | None:
         },
         "compiled code": {
             "folder": str(folder),
-            "entries": sum(entry.is_dir() for entry in folder.iterdir()),
+            "entries": entries,
+            "size": f"{size / 1e6:.1f} MB",
         },
     }
     if mode == "dicts":

@@ -78,7 +78,6 @@ def write(
     dataset: Callable[[], Any],
     *,
     trajectory: Any = None,
-    consolidated: bool | None = False,
 ) -> None:
     """Write a result into a file of the kind that its ending says.
 
@@ -94,8 +93,6 @@ def write(
         Gives an ``xarray.Dataset``, for netCDF (.nc) and stores of Zarr.
     trajectory : Trajectory, optional
         Carried by errors, so that it is not lost.
-    consolidated : bool or None
-        Whether a store of Zarr has all of its metadata in one place.
 
     Raises
     ------
@@ -117,7 +114,7 @@ def write(
         if kind == ".nc":
             dataset().to_netcdf(whole, engine="netcdf4")
         elif kind == ".zarr":
-            dataset().to_zarr(whole, mode="w", consolidated=consolidated, zarr_format=2)
+            dataset().to_zarr(whole, mode="w", zarr_format=2)
         elif kind == ".npz":
             np.savez(whole, **named_arrays)
         elif kind == ".csv":

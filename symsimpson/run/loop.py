@@ -6,12 +6,15 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from symsimpson.errors import InputError
+from symsimpson.module.quantity import velocities_by
+from symsimpson.program.evaluating import evaluate
 from symsimpson.program.input_values import MOST_STEPS
 from symsimpson.program.numbers import NOTHING
+from symsimpson.results.states import States
 from symsimpson.run.ended import out_of_domain, raise_failure, trajectory_of
 from symsimpson.run.resolution import has_energy
 from symsimpson.run.start import started
-from symsimpson.stepping.driving import read_driving
+from symsimpson.stepping.driving import driven, read_driving
 from symsimpson.stepping.request import of_a_step
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Reals
@@ -37,6 +40,13 @@ class ControlLoop:
         The time after the last step.
     q, p, v : ndarray, shape (n,)
         Positions, conjugate momenta and velocities there.
+    energy : float
+        The energy H there.
+    multipliers : ndarray, shape (m,)
+        Multipliers of the constraints there, with the inputs of the last step. Before the first
+        step the inputs are zero.
+    constraint_forces : ndarray, shape (n,)
+        Generalised forces of all constraints there, with the same inputs.
     steps : int
         Steps taken.
 
@@ -47,6 +57,9 @@ class ControlLoop:
     >>> loop.step()
     >>> loop.steps, loop.t
     (1, 0.01)
+    >>> rod = ss.compile(ss.systems.cartesian_pendulum()).start([0, 0, -1], v0=[2, 0, 0], h=0.01)
+    >>> rod.constraint_forces.round(6) + 0.0  # m (g + v^2/l)
+    array([ 0.   ,  0.   , 17.953])
     """
 
     def __init__(self, program: Program, spec: RunSpec) -> None:
@@ -58,13 +71,20 @@ class ControlLoop:
             self._inputs = numbers.zeros((1, 1, nodes or 1, count))
             # its end is not known: what is zero where a step ends acts in the next one
             endless = replace(spec, steps=MOST_STEPS)
+            #: Inputs of the last step that was taken.
+            self._last_inputs = numbers.zeros((1, 1, 1, count))
             self._run = started(program, endless, 0, 1, self._inputs)
             #: Whether a step is that of compiled code, in which nobody hears Ctrl-C.
             self._at_once = numbers.compiled and spec.run_events is None
 
     def __reduce__(self) -> tuple[Any, ...]:
         run = self._run
-        return _revived, (self.program, self._spec, run.position(), run.W[:, 0].copy())
+        state = run.position(), run.W[:, 0].copy(), self._last_inputs
+        return ControlLoop, (self.program, self._spec), state
+
+    def __setstate__(self, state: tuple[Any, Reals, Reals]) -> None:
+        *place, self._last_inputs = state
+        self._run.put_back(*place)  # it goes on to the same bits
 
     def step(self, u: Any = None) -> None:
         """Take a step.
@@ -91,26 +111,33 @@ class ControlLoop:
                 "given none.\nPass them: loop.step(u), with a number for each, or a mapping."
             )
         with numbers.working():
-            self._inputs[:] = read_driving(program, of_a_step(u), run.h, 1)
+            given = read_driving(program, of_a_step(u), run.h, 1)
+            self._inputs[:] = given
             before = run.step
             if run.arrived:
                 raise InputError(f"the loop is at its end: {run.reason}\nBegin another one.")
             here = None if program.header.real_everywhere else (run.position(), run.W[:, 0].copy())
             with NOTHING if self._at_once else undisturbed():
                 run.advance(before + 1)
-            if not (run.alive or run.arrived):
+                taken, last = run.alive or run.arrived, self._last_inputs
+                if taken:
+                    self._last_inputs = given
+            if not taken:
                 ended = self._trajectory(before + 1)
                 raise_failure(run, ended, ended)
             if here is not None and self._has_no_energy():
                 about = out_of_domain(program, run, run.now, before + 1)
                 run.put_back(*here)
+                self._last_inputs = last
                 ended = replace(self._trajectory(before + 1), **about)
                 raise_failure(run, ended, ended)
 
     def _trajectory(self, steps: int) -> Trajectory:
-        """Return the run so far, of which the last state is kept."""
+        """Return the run so far, with its last state alone, and without the inputs of its steps."""
         run = self._run
-        return trajectory_of(self.program, run, steps, run.status, self._spec, run.stored(), 0)
+        kept = run.stored()
+        ended = trajectory_of(self.program, run, steps, run.status, self._spec, kept, 0)
+        return replace(ended, driven=None)
 
     def events(self, name: str) -> Events:
         """Return what an event has done so far, as :meth:`Trajectory.events` of a run does.
@@ -156,13 +183,37 @@ class ControlLoop:
     @property
     def v(self) -> Reals:
         """Velocities, shape (n,)."""
-        from symsimpson.module.quantity import velocities_by
-        from symsimpson.program.evaluating import evaluate
-
         program, run = self.program, self._run
         with program.numbers.working():
             kernel = velocities_by(run.header)
             return evaluate(program, kernel, "VELOCITY", program.n, self._here(), run.parameters)[0]
+
+    @property
+    def energy(self) -> Any:
+        """The energy H."""
+        return self._states().energy.item(0)
+
+    @property
+    def multipliers(self) -> Reals:
+        """Multipliers of the constraints, shape (m,); see :attr:`Trajectory.multipliers`."""
+        return self._states().multipliers[0]
+
+    @property
+    def constraint_forces(self) -> Reals:
+        """Generalised forces of the constraints, shape (n,)."""
+        return self._states().constraint_forces[0]
+
+    def _states(self) -> States:
+        """Return the state and the inputs of the last step, as a run has them at its end."""
+        program, run = self.program, self._run
+        numbers = program.numbers
+        result, single = numbers.result, numbers.single
+        with numbers.working():
+            t, q, p = map(result, self._here())
+            setting = single(run.t0), single(run.h), self.steps, self.ended_by
+            inputs = driven(result(self._last_inputs), *setting)
+            values = result(run.parameters)
+        return States(t=t, q=q, p=p, program=program, parameter_values=values, driven=inputs)
 
     def _has_no_energy(self) -> bool:
         """Return whether T or V has no value here; an event may end the loop at their bound."""
@@ -187,10 +238,3 @@ class ControlLoop:
             f"ControlLoop({program.system}, {program.scheme}: {counted(self.steps, 'step')} of "
             f"h={float(self._run.h):g}, t = {float(self.t):g})"
         )
-
-
-def _revived(program: Program, spec: RunSpec, position: list[int], column: Reals) -> ControlLoop:
-    """Return a loop where another one was: it goes on to the same bits."""
-    loop = ControlLoop(program, spec)
-    loop._run.put_back(position, column)
-    return loop

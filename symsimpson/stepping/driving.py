@@ -219,17 +219,19 @@ def at_places(program: Program, inputs: Reals, step: NDArray[np.int64], at: Real
     from 0 to 1, of shape (k, r), they are of shape (1, k, r, m), with r = 1 where all are held.
     """
     node_values = inputs[0, np.minimum(step, inputs.shape[1] - 1)]
-    if (node_values == node_values[:, :1]).all():  # held
-        return node_values[None, :, :1]
+    first = node_values[:, :1]
+    held = (node_values == first).all(axis=(1, 2), keepdims=True)
+    if held.all():
+        return first[None]
     c = places(program)
-    values = 0 * at[:, :, None] * node_values[:, :1]
+    values = 0 * at[:, :, None] * first
     for j in range(c.size):
         basis = 1 + 0 * at
         for i in range(c.size):
             if i != j:
                 basis = basis * (at - c[i]) / (c[j] - c[i])
         values = values + basis[:, :, None] * node_values[:, j : j + 1]
-    return values[None]
+    return np.where(held, first, values)[None]
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -26,6 +27,7 @@ from symsimpson.support.signals import listening
 
 __all__ = ["Run"]
 
+LOG = logging.getLogger(__name__)
 #: The compiled loop is left after about so many seconds, so that Ctrl-C is heard.
 PATIENCE = 0.02
 #: After so many steps in which it does not change at all, the time of a retimed run stands still.
@@ -322,6 +324,10 @@ class Run:
 
     def _change_to(self, number: int) -> None:
         """Go on with other kernels; between stages and Newton's method nothing is handed over."""
+        before, after = self._fallbacks[self._set], self._fallbacks[number]
+        where = self.header.system, self.step
+        if before != after:
+            LOG.info("%s: from step %d on with kernels %r, before with %r", *where, after, before)
         anew = "stages" in (self._fallbacks[number], self._fallbacks[self._set])
         self._set = number
         if not anew:
@@ -351,6 +357,7 @@ class Run:
                 if self.header.retimed and self._column[self._status] in BEHIND_A_STEP:
                     self._step_back()
                 return
+            LOG.info("%s: step %d is solved again, or checked", self.header.system, self.step)
             self._driver("recover")(
                 kernels, self.h, self._time(), self.W, self.driver_layout, event
             )

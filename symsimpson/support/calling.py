@@ -48,6 +48,8 @@ ELSEWHERE = {
     "v": "v0",
     "p": "p0",
 }
+#: What several values of an argument are called, where it takes them as one list.
+SEVERAL = {"u": "inputs", "t": "times"}
 #: What times are called, told to who asks for another name of one of them.
 TIMES = {
     "h": "the step is h=",
@@ -159,14 +161,19 @@ def _problem(
         others = [key for key in named_here if key not in placed]
         most = f"at most {len(placed)}: {', '.join(placed)}" if placed else "none"
         said = f"{name} is given {counted(count, 'argument')} without a name, and takes {most}.\n"
+        short = name.rpartition(".")[2]
         if not arguments:
-            return f"{said}Call it without any: {name.rpartition('.')[2]}()."
+            return f"{said}Call it without any: {short}()."
+        arrays = all(key in SEVERAL or "ArrayLike" in str(known[key].annotation) for key in placed)
+        lists = ""
+        if placed and arrays and all(hasattr(x, "__float__") for x in given[int(method) :]):
+            several = ", ".join("abcdefgh"[: max(2, count // len(placed))])
+            call = f"{short}([{several}])" if not others else f"{placed[0]}=[{several}]"
+            lists = f"Pass several {SEVERAL.get(placed[0], 'numbers')} as one list: {call}."
         if not others:
-            return f"{said}Leave out what is behind."
-        return (
-            f"{said}Name the others: {name.rpartition('.')[2]}"
-            f"({', '.join([*placed, *(f'{key}=...' for key in others)])})."
-        )
+            return said + (lists or "Leave out what is behind.")
+        every = ", ".join([*placed, *(f"{key}=..." for key in others)])
+        return f"{said}Name the others: {short}({every}). {lists}".rstrip()
     needed = [key for key in arguments if known[key].default is inspect.Parameter.empty]
     filled = {*placed[:count], *named}
     missing = [

@@ -7,10 +7,10 @@ asked for. ``progress=False`` keeps a call silent, and tqdm's own TQDM_DISABLE=1
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Iterator
 from contextvars import ContextVar
 from types import TracebackType
@@ -101,10 +101,10 @@ class Progress:
         self._at_once = wanted is True
         if wanted is False or not (wanted or watched()):
             return
-        # without widgets tqdm.auto would warn that there are none
-        widgets = importlib.util.find_spec("ipywidgets") is not None
         try:
-            bars = library("tqdm.auto" if widgets else "tqdm", "progress=True", "progress")
+            with warnings.catch_warnings():  # in a notebook without widgets bars are text
+                warnings.simplefilter("ignore")
+                bars = library("tqdm.auto", "progress=True", "progress")
         except InputError:
             if wanted:
                 raise

@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import pickle
 import shutil
 import signal
 from dataclasses import replace
@@ -117,7 +118,7 @@ def test_damage_is_said_and_not_read(stepper, tmp_path):
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 4
     path.write_bytes(bytes(content))
-    with pytest.raises(RuntimeError, match="checksum"):
+    with pytest.raises(ss.StorageError, match=r"chunk q/c/2/0/0 .*checksum"):
         found.q[20]
     (tmp_path / "s" / "zarr.json").write_text("{")
     with pytest.raises(ss.StorageError, match="cannot be opened"):
@@ -322,17 +323,108 @@ def test_clients_that_make_no_sense(stepper, client, tmp_path):
             stepper.ensemble(ANGLES, **GIVEN, client=client)
 
 
-@pytest.mark.parametrize("damage", ["junk", "gone"])
-@pytest.mark.parametrize("name", sweep(["q", "newton_iterations", "p"]))
+def chunks_of(store, name):
+    return sorted(path for path in (store / name / "c").rglob("*") if path.is_file())
+
+
+def spoil(chunk, damage):
+    if damage == "gone":
+        return chunk.unlink()
+    content = {"junk": b"junk", "cut": chunk.read_bytes()[:-2], "empty": b""}[damage]
+    return chunk.write_bytes(content)
+
+
+#: Arrays that are computed, reductions among them, and those that are given.
+COMPUTED = ["q", "newton_iterations", "p", "steps", "status", "highest", "reduced_1", "reduced_q"]
+GIVEN_ARRAYS = ["q0", "p0", "l1", "m1", "member", "time", "coord"]
+
+
+@pytest.mark.parametrize("damage", sweep(["junk", "gone", "cut", "empty"], 2))
+@pytest.mark.parametrize("name", sweep([*COMPUTED, *GIVEN_ARRAYS], 2))
 def test_chunks_that_are_damaged_or_gone_are_computed_again(
     stepper, whole, counted, tmp_path, name, damage
 ):
-    stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s")
-    chunk = sorted(one for one in (tmp_path / "s" / name / "c").rglob("*") if one.is_file())[2]
-    if damage == "junk":
-        chunk.write_bytes(b"junk")
-    else:
-        chunk.unlink()
+    check_spoilt(stepper, whole, counted, tmp_path, name, damage)
+
+
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("q", "status", "l1")]
+
+
+@pytest.mark.parametrize("name", ["highest", *SLOW])
+def test_a_chunk_that_is_gone_is_computed_again(stepper, whole, counted, tmp_path, name):
+    check_spoilt(stepper, whole, counted, tmp_path, name, "gone")
+
+
+def check_spoilt(stepper, whole, counted, tmp_path, name, damage):
+    before = stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s").to_xarray()
+    spoil(chunks_of(tmp_path / "s", name)[-1], damage)
+    if name not in ("member", "time", "coord"):  # indices were read at once
+        with pytest.raises(ss.StorageError, match=rf"the chunk {name}/c/.* (missing|damaged)"):
+            before[name].load()
     counted.clear()
-    assert_same(stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s"), whole)
-    assert counted == [8]
+    found = stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s")
+    assert_same(found, whole)
+    assert counted == ([8] if name in COMPUTED else [])
+    expected = whole.to_xarray()
+    for key, variable in found.to_xarray().variables.items():
+        np.testing.assert_array_equal(variable.values, expected[key].values)
+
+
+@pytest.mark.parametrize("damage", ["gone", pytest.param("cut", marks=pytest.mark.slow)])
+def test_what_is_lost_later_is_not_read_as_nan(stepper, tmp_path, damage):
+    found = stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s")
+    for name in ("q", "p", "status", "highest", "l1"):
+        spoil(chunks_of(tmp_path / "s", name)[3], damage)
+    lost = r"the chunk [qp]/c/3/.* is (missing|damaged)(.|\n)*Repeat the call"
+    reads = (lambda: found.q[:], lambda: found[25], lambda: found.energy, found.to_pandas)
+    for read in (*reads, lambda: pickle.loads(pickle.dumps(found)).p[24:32]):
+        with pytest.raises(ss.StorageError, match=lost):
+            read()
+    data = found.to_xarray()
+    for name in ("p", "status", "highest", "l1"):
+        with pytest.raises(ss.StorageError, match=f"the chunk {name}/c/3"):
+            data.variables[name].load()
+    assert np.isfinite(found.q[:24]).all()
+
+
+def test_reductions_without_a_value_are_not_missing(stepper, tmp_path, counted):
+    """A time that never comes is NaN in all members of a chunk."""
+    given = GIVEN | {"reduce": {"never": ("first", "q1 - 100")}}
+    for _ in range(2):
+        found = stepper.ensemble(ANGLES, **given, store=tmp_path / "s")
+        assert np.isnan(found.reduced["never"]).all()
+        assert np.isnan(found.to_xarray()["never"]).all()
+    assert len(counted) == 5
+
+
+@pytest.mark.slow
+def test_members_that_are_not_computed_read_as_interrupted(stepper, tmp_path, after, monkeypatch):
+    def stop():
+        raise KeyboardInterrupt
+
+    after(module, "write_chunk", 3, stop)
+    found = stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s", on_failure="return")
+    assert (found.status == [0] * 24 + [ss.Status.INTERRUPTED] * 16).all()
+    assert (np.isnan(found.q[:]).any(axis=(1, 2)) == (found.status != 0)).all()
+    assert np.isnan(found.to_xarray()["highest"][24:]).all()
+
+
+def test_a_store_is_read_like_a_file(tmp_path):
+    """xarray warns of nothing, parameters are coordinates, and units are there."""
+    pendulum = ss.systems.pendulum()
+    units = {"theta": "rad", "p_theta": "kg m^2/s", "t": "s", "m": "kg", "l": "m"}
+    stepper = ss.compile(replace(pendulum, units=units), "midpoint")
+    given = {"v0": [0.0], "h": 0.1, "steps": 2, "every": 1, "parameters": {"l": [1.0, 2.0]}}
+    kept = stepper.ensemble([[1.0], [2.0]], **given, store=tmp_path / "s")
+    for save in (kept.save, stepper.ensemble([[1.0], [2.0]], **given).save):
+        save(tmp_path / "s.nc")
+        with (
+            xarray.open_dataset(tmp_path / "s.nc") as file,
+            xarray.open_zarr(tmp_path / "s") as data,
+        ):
+            assert set(data.coords) == set(file.coords) >= {"m", "l", "g", "units_q"}
+            assert set(data.variables) == set(file.variables)
+            for name, variable in file.variables.items():
+                assert data[name].attrs.get("units") == variable.attrs.get("units"), name
+            assert data["l"].attrs["units"] == "m"
+            assert data["time"].attrs["units"] == "s"

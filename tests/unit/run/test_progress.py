@@ -1,7 +1,12 @@
 """Bars: after a second, about anything, and never where they are not wanted."""
 
+import importlib
+import sys
 import threading
 import time
+import warnings
+from importlib.machinery import ModuleSpec
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -57,6 +62,27 @@ def test_waiting_tells_what_for_and_only_once(told, monkeypatch):
         raise ZeroDivisionError
     assert told == ["the whole"]
     assert not set(threading.enumerate()) - before
+
+
+def test_in_a_notebook_without_widgets_bars_are_text(monkeypatch):
+    """There is an ipywidgets that has none."""
+    widgets = ModuleType("ipywidgets")
+    widgets.__spec__ = ModuleSpec("ipywidgets", None)
+    notebook = {"IPython": SimpleNamespace(get_ipython=lambda: None), "ipykernel.zmqshell": None}
+    for name, module in {"ipywidgets": widgets, **notebook}.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    tqdm = importlib.import_module("tqdm")
+    for name in ("auto", "autonotebook", "notebook"):
+        monkeypatch.setattr(tqdm, name, None, raising=False)
+        monkeypatch.delitem(sys.modules, f"tqdm.{name}", raising=False)
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        with progress.Progress(3, True) as bar:
+            bar.add(2)
+            assert isinstance(bar._bar, sys.modules["tqdm.auto"].tqdm)
+            assert isinstance(bar._bar, sys.modules["tqdm.std"].tqdm)
+            assert bar.count == 2
+    assert [str(x.message) for x in heard] == []
 
 
 @pytest.mark.slow

@@ -1,0 +1,59 @@
+"""Chunks of a Zarr store: what is missing or damaged raises an error, and is not read as NaN."""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from typing import Any
+
+from zarr.storage import WrapperStore
+
+from symsimpson.errors import StorageError
+from symsimpson.support.extras import library
+
+__all__ = ["WholeChunks"]
+
+
+decompress = library("numcodecs.zstd", "store=", "data").decompress  # a part of zarr
+
+
+class WholeChunks(WrapperStore[Any]):
+    """A Zarr store whose chunks are there and whole, except those of results not computed yet.
+
+    ``results`` names the arrays that are written chunk by chunk; ``done`` has the numbers of the
+    chunks of members that were computed.
+    """
+
+    def __init__(self, store: Any, results: Container[str] = (), done: Container[int] = ()) -> None:
+        super().__init__(store)
+        self.results, self.done = results, done
+
+    def with_read_only(self, read_only: bool = False) -> WholeChunks:
+        """Return the same store for reading only, or for writing, too."""
+        return type(self)(self._store.with_read_only(read_only), self.results, self.done)
+
+    async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
+        """Return what is stored under a key.
+
+        Raises StorageError with the key of a chunk that is missing or damaged.
+        """
+        content = await self._store.get(key, prototype, byte_range)
+        name, _, place = key.partition("/c/")
+        if not place:  # of metadata there need not be any
+            return content
+        if content is None:
+            if name in self.results and int(place.partition("/")[0]) not in self.done:
+                return None
+            problem = "is missing"
+        else:
+            try:
+                decompress(content.to_bytes())
+                return content
+            except (RuntimeError, ValueError) as error:
+                problem = f"is damaged ({error})"
+        raise StorageError(
+            f"{self._store}: the chunk {key} of the store {problem}.\n"
+            "Repeat the call that began the store: it computes what is missing."
+        )
+
+    def __str__(self) -> str:
+        return str(self._store)
