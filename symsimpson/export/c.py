@@ -7,9 +7,11 @@ calls them for a step stands in ``step.c``. The C library is asked for functions
 from __future__ import annotations
 
 import ast
+import itertools
 import re
 import textwrap
-from collections.abc import Iterator
+import unicodedata
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
@@ -35,7 +37,7 @@ from symsimpson.stepping.run import FALLBACK_STRETCH
 from symsimpson.walk.functions import read_functions
 from symsimpson.walk.text import Text, read_text
 
-__all__ = ["written_c"]
+__all__ = ["identifiers", "written_c"]
 
 #: Outcomes of runs that are no outcomes of a step.
 OF_RUNS = (
@@ -301,11 +303,42 @@ class _Writer:
             stack=_stack(header),
             defaults=", ".join(map(number, header.defaults)) or "0.0",
             said="\n".join(comment(self._faced())),
+            places=",\n".join(
+                f"    {self.prefix.upper()}_{kind}_{name} = {place}"
+                for kind in ("COORDINATE", "PARAMETER", "INPUT")
+                for place, name in enumerate(
+                    identifiers(getattr(self.program.names, f"{kind.lower()}s").shown)
+                )
+            ),
             outcomes=",\n".join(
                 f"    {self.prefix.upper()}_{x.name:<{width}} = {x.value}" for x in outcomes
             ),
             meanings="\n".join(comment("\n".join(_meanings(outcomes)))),
         )
+
+
+def identifiers(names: Sequence[str]) -> list[str]:
+    """Return the part of an identifier of C for each name; all parts differ."""
+    taken = {name for name in names if re.fullmatch(r"\w+", name, re.ASCII)}
+    parts = []
+    for name in names:
+        part = name
+        if name not in taken:
+            letters = [
+                x for x in unicodedata.normalize("NFKD", name) if not unicodedata.combining(x)
+            ]
+            word = re.sub(r"\W+", "_", "".join(map(_in_ascii, letters)), flags=re.ASCII)
+            numbered = (f"{word}_{number}" for number in itertools.count(2))
+            part = next(x for x in itertools.chain([word], numbered) if x not in taken)
+            taken.add(part)
+        parts.append(part)
+    return parts
+
+
+def _in_ascii(letter: str) -> str:
+    """Return a letter, or the last word of its name in Unicode, as "omega"."""
+    word = letter if letter.isascii() else unicodedata.name(letter, "unknown").split()[-1]
+    return word.lower() if letter.islower() else word
 
 
 def _meanings(outcomes: list[Status]) -> Iterator[str]:
