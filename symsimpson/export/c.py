@@ -292,6 +292,12 @@ class _Writer:
             text = re.sub(
                 rf"^ *//if {part}\n(.*?)^ *//end {part}\n", replacement, text, flags=re.M | re.S
             )
+        names = self.program.names
+        arrays = {
+            "COORDINATE": names.coordinates.shown,
+            "PARAMETER": names.parameters.shown,
+            "INPUT": names.inputs.shown,
+        }
         width = max(len(x.name) for x in outcomes)
         return Template(text).substitute(
             prefix=self.prefix,
@@ -305,7 +311,7 @@ class _Writer:
             said="\n".join(comment(self._faced())),
             places=",\n".join(
                 f"    {self.prefix.upper()}_{kind}_{name} = {place}"
-                for kind in ("COORDINATE", "PARAMETER", "INPUT")
+                for kind, shown in arrays.items()
                 for place, name in enumerate(
                     identifiers(getattr(self.program.names, f"{kind.lower()}s").shown)
                 )
