@@ -263,6 +263,12 @@ class _Writer:
             yield from textwrap.wrap(line, WIDTH, subsequent_indent="    ")
         yield ""
 
+    def _places(self) -> Iterator[str]:
+        for kind in ("coordinates", "parameters", "inputs"):
+            first = f"    {self.prefix}_{kind[:-1]}".upper()
+            for place, name in enumerate(identifiers(getattr(self.program.names, kind).shown)):
+                yield f"{first}_{name} = {place}"
+
     def _tables_of_kernels(self) -> Iterator[str]:
         yield "/* sets of kernels, each for steps at which the one before fails */"
         yield "static const kernels SETS[] = {"
@@ -292,12 +298,6 @@ class _Writer:
             text = re.sub(
                 rf"^ *//if {part}\n(.*?)^ *//end {part}\n", replacement, text, flags=re.M | re.S
             )
-        names = self.program.names
-        arrays = {
-            "COORDINATE": names.coordinates.shown,
-            "PARAMETER": names.parameters.shown,
-            "INPUT": names.inputs.shown,
-        }
         width = max(len(x.name) for x in outcomes)
         return Template(text).substitute(
             prefix=self.prefix,
@@ -309,13 +309,7 @@ class _Writer:
             stack=_stack(header),
             defaults=", ".join(map(number, header.defaults)) or "0.0",
             said="\n".join(comment(self._faced())),
-            places=",\n".join(
-                f"    {self.prefix.upper()}_{kind}_{name} = {place}"
-                for kind, shown in arrays.items()
-                for place, name in enumerate(
-                    identifiers(getattr(self.program.names, f"{kind.lower()}s").shown)
-                )
-            ),
+            places=",\n".join(self._places()),
             outcomes=",\n".join(
                 f"    {self.prefix.upper()}_{x.name:<{width}} = {x.value}" for x in outcomes
             ),
@@ -325,20 +319,14 @@ class _Writer:
 
 def identifiers(names: Sequence[str]) -> list[str]:
     """Return the part of an identifier of C for each name; all parts differ."""
-    taken = {name for name in names if re.fullmatch(r"\w+", name, re.ASCII)}
-    parts = []
+    parts = {name: name for name in names if re.fullmatch(r"\w+", name, re.ASCII)}
     for name in names:
-        part = name
-        if name not in taken:
-            letters = [
-                x for x in unicodedata.normalize("NFKD", name) if not unicodedata.combining(x)
-            ]
-            word = re.sub(r"\W+", "_", "".join(map(_in_ascii, letters)), flags=re.ASCII)
-            numbered = (f"{word}_{number}" for number in itertools.count(2))
-            part = next(x for x in itertools.chain([word], numbered) if x not in taken)
-            taken.add(part)
-        parts.append(part)
-    return parts
+        letters = unicodedata.normalize("NFKD", name)
+        word = "".join(_in_ascii(x) for x in letters if not unicodedata.combining(x))
+        word = re.sub(r"\W+", "_", word, flags=re.ASCII)
+        different = itertools.chain([word], (f"{word}_{k}" for k in itertools.count(2)))
+        parts.setdefault(name, next(x for x in different if x not in parts.values()))
+    return [parts[name] for name in names]
 
 
 def _in_ascii(letter: str) -> str:

@@ -66,17 +66,18 @@ def extrapolate(
         ``most`` steps, which is told early on.
     """
     states = []
-    t, taken = mpmath.mpf(0), 0
+    t, taken, growing = mpmath.mpf(0), 0, False
     sizes = [max(least, abs(x)) for x in y]
     scales = [FIRST * scale for scale in _scales(y, f(y))]
     H = min([*scales, *(MOST_PART * abs(end) for end in times[:1])], default=FIRST)
     for end in times:
         while t != end:
-            if most is not None:
+            if most is not None and (taken >= most or not growing):
                 _check_steps(taken, t, end, H, most)
             taken += 1
             whole = end - t if abs(end - t) <= H else mpmath.sign(end - t) * H
             new, columns = _step(f, y, whole, tolerance, sizes)
+            growing = new is not None and columns < MOST_COLUMNS // 2
             if new is None:
                 H = abs(whole) / 2
                 if abs(end) * mpmath.eps > H:
@@ -84,7 +85,7 @@ def extrapolate(
                 continue
             t, y = t + whole, new
             sizes = [max(size, abs(x)) for size, x in zip(sizes, y, strict=True)]
-            if columns < MOST_COLUMNS // 2:
+            if growing:
                 H = abs(whole) * 2
         states.append(y)
     return states
