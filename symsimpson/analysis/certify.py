@@ -10,6 +10,7 @@ import textwrap
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import mpmath
@@ -17,7 +18,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.analysis.certificate import Certificate, Check
-from symsimpson.analysis.convergence import DIGITS, order_of_errors, order_of_time
+from symsimpson.analysis.convergence import (
+    DIGITS,
+    STEPS,
+    first_seen,
+    order_of_errors,
+    order_of_time,
+)
 from symsimpson.analysis.energy_checks import LONG, drift, shadow
 from symsimpson.analysis.momentum_balance import momentum_balance
 from symsimpson.analysis.order import observed_orders
@@ -47,6 +54,8 @@ NEARBY = mpmath.mpf("1e-40")
 ALONE = 1e-9
 #: So often a step that a run would be warned of is halved.
 HALVINGS = 40
+#: Steps that show an error at all are doubled so often again before they are halved.
+FAR = 30
 #: What changes at an order below this in the step changes along the exact motion, too.
 MOVES = 0.2
 
@@ -90,11 +99,16 @@ def certify(
     precise = Precise(measured, exact, DIGITS)
     held = bool(stepper.program.header.constraints)
     subject = Subject(measured, precise, precise.placed(z) if held else z, step, timed)
+    if h is None and (doublings := first_seen(subject)) > 0:
+        step = choose_step(measured, q, p, exact, LONG, first=step * 2.0 ** (doublings + FAR))
+        subject = replace(subject, h=step)
     precise.sizes = subject.sizes
     with warnings.catch_warnings():
         if h is None:  # a step that nobody gave is as long as is measured well
             warnings.simplefilter("ignore", ResolutionWarning)
-        checks = [check for measure in CHECKS for check in _guarded(measure, subject)]
+        checks = list(_guarded(_too_large, subject))
+        if not checks:
+            checks = [check for measure in CHECKS for check in _guarded(measure, subject)]
     return Certificate(
         stepper.system,
         stepper.scheme,
@@ -128,6 +142,13 @@ def _chosen_step(stepper: Stepper, q: Any, p: Any, values: Mapping[str, float]) 
         return step
     # half of a limit, at which nothing is measured well; other kernels may solve shorter steps
     return choose_step(stepper, q, p, values, LONG, first=step / 2 ** (halvings + 1))
+
+
+def _too_large(s: Subject) -> Iterator[Check]:
+    """order: let nothing be measured with steps that are far too large, which would take long."""
+    s.exact(STEPS * mpmath.mpf(s.h), error=1.0)
+    s.compiled(STEPS, every=None)
+    yield from ()
 
 
 def _guarded(measure: Callable[[Subject], Iterator[Check]], subject: Subject) -> Iterator[Check]:

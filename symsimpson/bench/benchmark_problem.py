@@ -39,8 +39,8 @@ class Problem:
     second_order: FirstOrder
     solution: Floats  #: q and p at ``t_end``, shape (2 n,).
     solution_error: float  #: An estimate of its error, in units of ``scale``.
-    #: Errors are taken in these units: 1 or the coordinate's largest value; the largest momentum,
-    #: shape (2 n,).
+    #: Errors are divided by these sizes: the largest value of each coordinate, at least 1 or the
+    #: largest coordinate if that is smaller; the largest momentum. Shape (2 n,).
     scale: Floats
     #: The same motion in another time, if schemes are to run in that, too.
     retimed: RetimedSystem | None = None
@@ -84,7 +84,8 @@ def make_problem(
     n = system.n
     path = np.array([[float(x) for x in y[: 2 * n]] for y in solution.y])
     largest = np.abs(np.vstack([np.concatenate([q, p]), path])).max(axis=0)
-    scale = np.concatenate([np.maximum(largest[:n], 1.0), np.full(n, largest[n:].max() or 1.0)])
+    least = min(1.0, largest[:n].max() or 1.0)
+    scale = np.concatenate([np.maximum(largest[:n], least), np.full(n, largest[n:].max() or 1.0)])
     return Problem(
         system,
         q,

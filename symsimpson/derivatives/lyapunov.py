@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -20,13 +20,61 @@ from symsimpson.stepping.spec import RunSpec, read_run
 from symsimpson.stepping.variations import refuse_retimed, varied_program
 from symsimpson.support.array_types import Floats
 
-__all__ = ["directions", "lyapunov", "run_lyapunov"]
+__all__ = ["PART", "directions", "first_columns", "first_part", "lyapunov", "run_lyapunov"]
+
+Spec = TypeVar("Spec", bound=RunSpec)
+
+
+#: The part of a step whose derivative gives masses and a time scale. Smaller parts have more
+#: round-off.
+PART = 2.0**-3
+#: Bounds of the time scale, in steps.
+SHORTEST, LONGEST = 2.0**-4, 2.0**12
 
 
 def directions(size: int, count: int) -> Floats:
-    """Return random orthonormal columns as first variations, the same ones each time."""
-    basis, _ = np.linalg.qr(np.random.default_rng(1980).normal(size=(size, count)))
-    return np.ascontiguousarray(basis)
+    """Return random orthonormal columns as first variations, the same ones each time.
+
+    The scalar product of a column and J times another is not zero for the first and the last
+    column, the second and the last but one, and so on. Steps that are symplectic keep this, so
+    exponents of such a pair have opposite values.
+    """
+    n = size // 2
+    draws = np.random.default_rng(1980).normal(size=(min(n, count), 2, n))
+    basis, _ = np.linalg.qr((draws[:, 0] + 1j * draws[:, 1]).T)
+    columns = np.vstack([basis.real, basis.imag])
+    partners = np.vstack([-basis.imag, basis.real])[:, ::-1]
+    return np.hstack([columns, partners])[:, :count]
+
+
+def first_part(spec: Spec) -> Spec:
+    """Return the run over a part of the first step, with its derivative."""
+    identity, inputs = np.eye(2 * spec.q0.shape[-1]), spec.inputs[:, :1]
+    part = replace(spec, h=spec.h * PART, steps=1, every=0, inputs=inputs, tangents=identity)
+    return replace(part, reductions=(), record=())
+
+
+def first_columns(derivative: Floats, h: float, count: int) -> Floats:
+    """Return first variations, and as the last column the weights of dq and dp.
+
+    ``derivative``, shape (..., 2 n, 2 n), is that of :func:`first_part`. The squared length of a
+    variation is the sum of (m/T) dq^2 + (T/m) dp^2, so each term is an action in any units. 1/m is
+    the diagonal of M^-1. T makes both parts of the linearised equations equal in size: it is
+    1/omega of an oscillator. The variations are orthonormal in this length.
+    """
+    n = derivative.shape[-1] // 2
+    q_by_p, p_by_q = (x / (PART * h) for x in (derivative[..., :n, n:], derivative[..., n:, :n]))
+    with np.errstate(all="ignore"):
+        light = np.diagonal(q_by_p, axis1=-2, axis2=-1)
+        light = np.where(light > 0, light, 0.0)  # 0: constraints fix the coordinate
+        m = np.where(light > 0, 1 / light, 0.0)
+        pairs = (np.sqrt(x[..., :, None] * x[..., None, :]) for x in (m, light))
+        blocks = zip((q_by_p, p_by_q), pairs, strict=True)
+        slow, fast = (np.linalg.norm(x * pair, axis=(-2, -1)) for x, pair in blocks)
+        T = np.clip(np.sqrt(slow / fast), SHORTEST * abs(h), LONGEST * abs(h))[..., None]
+        weights = np.concatenate([m / T, light * T], axis=-1)[..., None]
+        columns = directions(2 * n, count) * np.where(weights > 0, weights**-0.5, 0.0)
+    return np.concatenate([columns, weights], axis=-1)
 
 
 def _tangent_to_constraints(program: Program, spec: RunSpec, columns: Floats) -> Floats:
@@ -43,12 +91,12 @@ def _tangent_to_constraints(program: Program, spec: RunSpec, columns: Floats) ->
         t0=spec.t0 - spec.h,
         steps=1,
         every=0,
-        tangents=columns,
+        tangents=np.ascontiguousarray(columns[:, :-1]),
     )
     moved = integrate(program, there, progress=False).variations
     assert moved is not None
-    basis, _ = np.linalg.qr(moved[0])
-    return np.ascontiguousarray(basis)
+    factor = np.linalg.qr(np.sqrt(columns[:, -1:]) * moved[0], mode="r")
+    return np.concatenate([moved[0] @ np.linalg.inv(factor), columns[:, -1:]], axis=1)
 
 
 def lyapunov(
@@ -87,7 +135,10 @@ def run_lyapunov(
         program, spec, stride, spec.steps // stride + 1, recorders=(growth(header, count, stride),)
     )
     run.rows("TANGENTS", 1)[:] = count
-    run.begin_growth(_tangent_to_constraints(program, spec, directions(2 * program.n, count)))
+    derivative = integrate(program, first_part(spec), progress=False).variations
+    assert derivative is not None
+    columns = first_columns(derivative[0], spec.h, count)
+    run.begin_growth(_tangent_to_constraints(program, spec, columns))
     with run.watched(spec.steps, progress):
         run.advance(spec.steps)
     trajectory = trajectory_of(program, run, spec.steps, run.status, spec, run.stored(), stride)

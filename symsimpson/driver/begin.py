@@ -21,7 +21,7 @@ from symsimpson.module.interface import *
 #: Parameters, positions, and momenta or velocities.
 START_OF_RUN = types.UniTuple(types.float64[::1], 3)
 SIGNATURES |= {
-    "begin_growth": types.void(WORKSPACE, DRIVER_LAYOUT_ROWS, types.float64[:, ::1]),
+    "begin_growth": types.void(WORKSPACE, DRIVER_LAYOUT_ROWS, types.int64, types.float64[:, ::1]),
     "begin": types.void(
         SET, types.int64, types.float64, types.float64, WORKSPACE, DRIVER_LAYOUT_ROWS
     ),
@@ -76,14 +76,21 @@ def switch(kernels, h, t, W, at):
 
 
 @njit(**RARE)
-def begin_growth(W, at, directions):
-    """Begin variations of a state, orthonormal columns, and what tells how they grow."""
-    size, count = directions.shape
+def begin_growth(W, at, first, columns):
+    """Begin variations of members from a ``first`` one on, and what tells how they grow.
+
+    Each member has 2 n rows of ``columns``: orthonormal variations, then the weights of dq and dp.
+    """
+    size, count = 2 * at[DIMENSION], at[RENEWED]
     product = at[GROWN] + 2 * count + 4
+    weight = product + 2 * count * count
     for lane in range(LANES):
-        for row in range(at[GROWN], product + count * count):
+        member = min(first + lane, columns.shape[0] // size - 1)
+        for row in range(at[GROWN], weight):
             W[row, lane] = 0.0
         for j in range(count):
             W[product + j * (count + 1), lane] = 1.0
-            for a in range(size):
-                W[at[TANGENT] + j * size + a, lane] = directions[a, j]
+        for a in range(size):
+            W[weight + a, lane] = columns[member * size + a, count]
+            for j in range(count):
+                W[at[TANGENT] + j * size + a, lane] = columns[member * size + a, j]

@@ -202,7 +202,7 @@ def advance_blocks(kernels, more, setting, cursor, asked, starts, buffers, outs)
         stored state to the next.
     starts
         Positions, and momenta or velocities, of all members; parameters; inputs; columns that
-        variations begin as, if there are any.
+        variations begin as, if there are any, for ``begin_growth`` those of each member.
     buffers
         Stored states of the block under way, what recorders left beside them, iterations; and two
         numbers for each lane: the steps of one that has ended, else -1, and those in which its time
@@ -224,7 +224,7 @@ def advance_blocks(kernels, more, setting, cursor, asked, starts, buffers, outs)
         if cursor[BEGUN] == 0:
             load_block(kernels, more, setting, block, (q0, other0, parameters))
             if RENEWING:
-                begin_growth(W, at, columns)
+                begin_growth(W, at, block * LANES, columns)
             elif columns.shape[1] > 0:
                 begin_variations(more[1], h, t0, W, at, columns)
             if at[OF_EVENTS] > 0:

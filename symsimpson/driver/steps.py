@@ -130,19 +130,23 @@ def record(kernels, first, h, t, reached, W, at):
 
 @njit(**RARE)
 def orthonormalise(W, first, size, count, factor, lane):
-    """Make columns orthonormal, V = Q R, by Gram and Schmidt; R stands from ``factor`` on."""
+    """Make columns orthonormal, V = Q R, by Gram and Schmidt.
+
+    R stands from ``factor`` on, and after R the weights of the scalar product.
+    """
+    weight = factor + count * count
     for j in range(count):
         v = first + j * size
         for i in range(j):
             u, part = first + i * size, 0.0
             for a in range(size):
-                part += W[u + a, lane] * W[v + a, lane]
+                part += W[weight + a, lane] * W[u + a, lane] * W[v + a, lane]
             for a in range(size):
                 W[v + a, lane] -= part * W[u + a, lane]
             W[factor + i * count + j, lane] = part
         norm = 0.0
         for a in range(size):
-            norm += W[v + a, lane] ** 2
+            norm += W[weight + a, lane] * W[v + a, lane] ** 2
         norm = np.sqrt(norm)
         for a in range(size):
             W[v + a, lane] /= norm
@@ -155,7 +159,7 @@ def renew(W, at):
 
     From GROWN on: how often this was done, the mean MEGNO, SALI, the sums of ln R_jj, GALI of two,
     three, ... variations; then the sums of k ln R_11 and of MEGNO, the product of all R, its
-    columns made as long as 1, and R.
+    columns made as long as 1, R, and the weights of dq and dp.
     """
     size, count, first = 2 * at[DIMENSION], at[RENEWED], at[GROWN]
     sums, aligned = first + 3, first + 3 + count

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from symsimpson.derivatives.lyapunov import directions
+from symsimpson.derivatives.lyapunov import first_columns, first_part
 from symsimpson.ensemble.arrivals import take_last_parts
 from symsimpson.ensemble.ensemble import Ensemble
 from symsimpson.ensemble.singles import PAIR, RENEWAL, run_singly
@@ -35,6 +35,15 @@ FIRST_BUDGET = 2000
 
 def run_blocks(program: Program, task: Task, count: Callable[[int], None]) -> tuple[Ensemble, bool]:
     """Run members in blocks, on threads of our own; tells whether Ctrl-C stopped it."""
+    results, queue = _work_off(program, task, count)
+    if task.t_end is not None:
+        take_last_parts(program, task, results)
+    stopped = bool(queue.heard) or run_singly(program, task, results)
+    return ensemble_of(program, task, **results.columns()), stopped
+
+
+def _work_off(program: Program, task: Task, count: Callable[[int], None]) -> tuple[Results, _Queue]:
+    """Run all blocks; the queue has heard of Ctrl-C."""
     results = Results(task, program.header)
     work_off = _prepared(program, task, results)
     lanes = task.lanes
@@ -47,10 +56,7 @@ def run_blocks(program: Program, task: Task, count: Callable[[int], None]) -> tu
             work_off(*chunk, queue, lambda done: count(done * lanes))
 
     _share(work, threads, queue)
-    if task.t_end is not None:
-        take_last_parts(program, task, results)
-    stopped = bool(queue.heard) or run_singly(program, task, results)
-    return ensemble_of(program, task, **results.columns()), stopped
+    return results, queue
 
 
 class _Queue:
@@ -104,7 +110,11 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
                 f"a run of {task.steps} steps does not tell how variations grow.\n"
                 f"Take {RENEWAL} at least."
             )
-        columns = directions(2 * header.n, PAIR)
+        begun, queue = _work_off(program, first_part(task), lambda _: None)
+        if queue.heard:
+            raise KeyboardInterrupt
+        derivatives = begun.columns()["variations"]
+        columns = first_columns(derivatives, task.h, PAIR).reshape(-1, PAIR + 1)
         growing = (replace(growth(header, PAIR, RENEWAL), rows=0),)
     asked = recorders_of(header, count, task.record, task.reductions, growing)
     if task.run_events is not None:  # a member stops where an event is, and is run by itself
@@ -127,7 +137,7 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
     def work(first: int, last: int, queue: _Queue, done: Callable[[int], None]) -> None:
         W = _aligned(header.rows + room + 1, lanes)  # the last is the driver's
         if len(columns):
-            W[header.layout["TANGENTS"]] = columns.shape[1]
+            W[header.layout["TANGENTS"]] = PAIR if growing else columns.shape[1]
         if task.t_end is not None:
             W[header.layout["TIME_END"]], W[header.layout["TIME_END"] + 1] = 1.0, task.t_end
         cursor = np.array([first, 0, 0], dtype=np.int64)

@@ -7,9 +7,11 @@ calls them for a step stands in ``step.c``. The C library is asked for functions
 from __future__ import annotations
 
 import ast
+import itertools
 import re
 import textwrap
-from collections.abc import Iterator
+import unicodedata
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
@@ -35,7 +37,7 @@ from symsimpson.stepping.run import FALLBACK_STRETCH
 from symsimpson.walk.functions import read_functions
 from symsimpson.walk.text import Text, read_text
 
-__all__ = ["written_c"]
+__all__ = ["identifiers", "written_c"]
 
 #: Outcomes of runs that are no outcomes of a step.
 OF_RUNS = (
@@ -261,6 +263,12 @@ class _Writer:
             yield from textwrap.wrap(line, WIDTH, subsequent_indent="    ")
         yield ""
 
+    def _places(self) -> Iterator[str]:
+        for kind in ("coordinates", "parameters", "inputs"):
+            first = f"    {self.prefix}_{kind[:-1]}".upper()
+            for place, name in enumerate(identifiers(getattr(self.program.names, kind).shown)):
+                yield f"{first}_{name} = {place}"
+
     def _tables_of_kernels(self) -> Iterator[str]:
         yield "/* sets of kernels, each for steps at which the one before fails */"
         yield "static const kernels SETS[] = {"
@@ -301,11 +309,30 @@ class _Writer:
             stack=_stack(header),
             defaults=", ".join(map(number, header.defaults)) or "0.0",
             said="\n".join(comment(self._faced())),
+            places=",\n".join(self._places()),
             outcomes=",\n".join(
                 f"    {self.prefix.upper()}_{x.name:<{width}} = {x.value}" for x in outcomes
             ),
             meanings="\n".join(comment("\n".join(_meanings(outcomes)))),
         )
+
+
+def identifiers(names: Sequence[str]) -> list[str]:
+    """Return the part of an identifier of C for each name; all parts differ."""
+    parts = {name: name for name in names if re.fullmatch(r"\w+", name, re.ASCII)}
+    for name in names:
+        letters = unicodedata.normalize("NFKD", name)
+        word = "".join(_in_ascii(x) for x in letters if not unicodedata.combining(x))
+        word = re.sub(r"\W+", "_", word, flags=re.ASCII)
+        different = itertools.chain([word], (f"{word}_{k}" for k in itertools.count(2)))
+        parts.setdefault(name, next(x for x in different if x not in parts.values()))
+    return [parts[name] for name in names]
+
+
+def _in_ascii(letter: str) -> str:
+    """Return a letter, or the last word of its name in Unicode, as "omega"."""
+    word = letter if letter.isascii() else unicodedata.name(letter, "unknown").split()[-1]
+    return word.lower() if letter.islower() else word
 
 
 def _meanings(outcomes: list[Status]) -> Iterator[str]:

@@ -12,6 +12,11 @@ enum {
     ${PREFIX}_INPUTS = $inputs
 };
 
+/* Index of each value in its array. */
+enum {
+$places
+};
+
 $meanings
 enum {
 $outcomes

@@ -61,7 +61,7 @@ def growth(header: Header, count: int, every: int) -> Recorder:
     It leaves how often that was done, MEGNO, SALI, the sums of ln R_jj, and GALI of two and more.
     """
     room, rows = tangents(header, count).room, 2 * count + 2
-    whole = room + rows + 2 + 2 * count**2
+    whole = room + rows + 2 + 2 * count**2 + 2 * header.n
     return Recorder("tangent", header.rows + room, rows, whole, renewed=count, renewal=every)
 
 

@@ -6,6 +6,7 @@ section II.9. At 30 digits it takes a fiftieth of the time of ``mpmath.odefun``.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -15,9 +16,12 @@ __all__ = ["extrapolate"]
 
 #: Columns of the extrapolation table before the step is halved.
 MOST_COLUMNS = 24
-#: Length of the first step; where the state changes more slowly, this part of the time in which it
-#: moves by itself, but of the way no more than the other one.
+#: The first step is this part of the time in which the state changes, and at most the other part of
+#: the way.
 FIRST, MOST_PART = mpmath.mpf(1) / 16, mpmath.mpf(1) / 8
+#: A component counts as at least this part of the largest one of its kind: smaller ones may be
+#: round-off.
+LEAST = mpmath.mpf("1e-9")
 #: Steps on trial, before it is told how many the whole way would take.
 TRIAL = 12
 
@@ -30,6 +34,7 @@ def extrapolate(
     times: Sequence[Any],
     tolerance: Any,
     most: int | None = None,
+    least: int = 1,
 ) -> list[Vector]:
     """Solve y' = f(y) from t = 0, at the working precision of mpmath.
 
@@ -42,9 +47,12 @@ def extrapolate(
     times : sequence of mpf
         Further and further from 0, all ahead or all behind.
     tolerance : mpf
-        Bound of the local error, relative in components larger than 1.
+        Bound of the local error of each component, relative to its largest value so far.
     most : int, optional
         The most steps to take, those that are taken again with half their length included.
+    least : int
+        The least size of a component. With 0 the tolerance does not depend on units: positions
+        (the first half) and momenta or velocities have sizes of their own.
 
     Returns
     -------
@@ -58,31 +66,41 @@ def extrapolate(
         ``most`` steps, which is told early on.
     """
     states = []
-    t, taken = mpmath.mpf(0), 0
-    H = max([FIRST, *(min(FIRST * _scale(f, y), MOST_PART * abs(end)) for end in times[:1])])
+    t, taken, growing = mpmath.mpf(0), 0, False
+    sizes = [max(least, abs(x)) for x in y]
+    scales = [FIRST * scale for scale in _scales(y, f(y))]
+    H = min([*scales, *(MOST_PART * abs(end) for end in times[:1])], default=FIRST)
     for end in times:
         while t != end:
-            if most is not None:
+            if most is not None and (taken >= most or not growing):
                 _check_steps(taken, t, end, H, most)
             taken += 1
             whole = end - t if abs(end - t) <= H else mpmath.sign(end - t) * H
-            new, columns = _step(f, y, whole, tolerance)
+            new, columns = _step(f, y, whole, tolerance, sizes)
+            growing = new is not None and columns < MOST_COLUMNS // 2
             if new is None:
                 H = abs(whole) / 2
                 if abs(end) * mpmath.eps > H:
                     raise ArithmeticError(f"no step is small enough at t = {mpmath.nstr(t, 8)}")
                 continue
             t, y = t + whole, new
-            if columns < MOST_COLUMNS // 2:
+            sizes = [max(size, abs(x)) for size, x in zip(sizes, y, strict=True)]
+            if growing:
                 H = abs(whole) * 2
         states.append(y)
     return states
 
 
-def _scale(f: Callable[[Vector], Vector], y: Vector) -> Any:
-    """Return the time in which a state moves by itself, 0 for one that stands still."""
-    rate = max(map(abs, f(y)))
-    return max(map(abs, y)) / rate if rate else mpmath.mpf(0)
+def _kinds(y: Vector) -> list[Vector]:
+    """Part a state into positions, momenta or velocities, and the time if it has one."""
+    n = len(y) // 2
+    return [kind for kind in (y[:n], y[n : 2 * n], y[2 * n :]) if kind]
+
+
+def _scales(y: Vector, slope: Vector) -> list[Any]:
+    """Return the times in which kinds of components change, those of kinds that are not zero."""
+    largest = [[max(map(abs, kind)) for kind in _kinds(x)] for x in (y, slope)]
+    return [size / rate for size, rate in zip(*largest, strict=True) if size and rate]
 
 
 def _check_steps(taken: int, t: Any, end: Any, H: Any, most: int) -> None:
@@ -99,9 +117,12 @@ def _check_steps(taken: int, t: Any, end: Any, H: Any, most: int) -> None:
 
 
 def _step(
-    f: Callable[[Vector], Vector], y: Vector, H: Any, tolerance: Any
+    f: Callable[[Vector], Vector], y: Vector, H: Any, tolerance: Any, sizes: Vector
 ) -> tuple[Vector | None, int]:
-    """Take a step; returns the new state, None if it did not converge, and the columns used."""
+    """Take a step; returns the new state, None if it did not converge, and the columns used.
+
+    ``sizes`` are those of the components before it.
+    """
     slope = f(y)
     previous: list[Vector] = []
     for column in range(1, MOST_COLUMNS + 1):
@@ -111,10 +132,16 @@ def _step(
             weight = ratio**2 - 1
             row.append([a + (a - b) / weight for a, b in zip(row[k], old, strict=True)])
         if column > 2:
-            changes = [abs(a - b) / max(1, abs(a)) for a, b in zip(row[-1], row[-2], strict=True)]
+            changes = [abs(a - b) for a, b in zip(row[-1], row[-2], strict=True)]
             if not all(map(mpmath.isfinite, changes)):
                 return None, column
-            if max(changes) < tolerance:
+            reached = [max(size, abs(a)) for size, a in zip(sizes, row[-1], strict=True)]
+            bounds = [
+                tolerance * max(size, LEAST * max(kind))
+                for kind in _kinds(reached)
+                for size in kind
+            ]
+            if all(map(operator.le, changes, bounds)):
                 return row[-1], column
         previous = row
     return None, MOST_COLUMNS

@@ -52,7 +52,8 @@ def truth(
 ) -> Truth:
     """Solve from t = 0 with a local error of 10^-digits, and once more to estimate the error.
 
-    Local errors are relative in components larger than 1.
+    Local errors are relative to the largest value of each component so far. A component counts as
+    at least 1e-9 of the largest position, or of the largest momentum or velocity.
 
     Parameters
     ----------
@@ -94,7 +95,8 @@ def truth(
         start = [mpmath.mpf(x) for x in y0]
         points = [mpmath.mpf(x) for x in times]
         fine, coarse = (
-            extrapolate(f, start, points, mpmath.mpf(10) ** (loss - digits)) for loss in (0, 3)
+            extrapolate(f, start, points, mpmath.mpf(10) ** (loss - digits), least=0)
+            for loss in (0, 3)
         )
         components = zip(zip(*fine, strict=True), zip(*coarse, strict=True), strict=True)
         errors = tuple(max(abs(a - b) for a, b in zip(*pair, strict=True)) for pair in components)

@@ -25,7 +25,8 @@ class Chaos:
         Times at which variations were made orthonormal again.
     exponents : ndarray, shape (k,)
         Lyapunov exponents in 1 / time, means up to the last of these times: the largest first, if
-        the run is long enough to tell them apart.
+        the run is long enough to tell them apart. Without forces and constraints, the first and the
+        last of all 2 n exponents are opposite, and so on.
     history : ndarray, shape (M, k)
         Means up to each of these times.
     megno : ndarray, shape (M,)
@@ -37,6 +38,12 @@ class Chaos:
         Generalized alignment indices of the first two, three, ... variations.
     trajectory : Trajectory
         The motion at these times, and at the start.
+
+    Notes
+    -----
+    The squared length of a variation is the sum of (m_i/T) dq_i^2 + (T/m_i) dp_i^2. 1/m_i is the
+    diagonal of M^-1 at the start, and T is the time scale of the linearised equations there. So no
+    value depends on your units, except that exponents have the unit 1 / time.
 
     References
     ----------

@@ -42,8 +42,8 @@ def read_steps(
     _check_length(request)
     if request.steps is not None:
         number = read_count("steps", request.steps, least=0)
-        if not retimed:  # else they are fixed in another time
-            _check_times(h, t0, number, numbers)
+        # steps that are fixed in another time: h is the first one
+        _check_times(h, t0, min(number, 1) if retimed else number, numbers)
         return h, number, t0
     end = _read_end(request, h, t0, numbers)
     exact = float((end - t0) / h)
@@ -86,7 +86,9 @@ def read_times(request: Request, numbers: Numbers, *, retimed: bool) -> tuple[An
         return *read_steps(request, numbers, retimed=retimed), None
     h, t0 = read_step(request.h, numbers), read_number("t0", request.t0, numbers)
     _check_length(request)
-    return h, MOST_STEPS, t0, _read_end(request, h, t0, numbers)
+    end = _read_end(request, h, t0, numbers)
+    _check_times(h, t0, int(end != t0), numbers)
+    return h, MOST_STEPS, t0, end
 
 
 def _check_length(request: Request) -> None:

@@ -159,9 +159,9 @@ class Run:
         address = self.kernels.address(kernel)
         self._driver("apply")(address, self.h, self._time(), self.W)
 
-    def begin_growth(self, directions: Reals) -> None:
-        """Begin variations of the state in these directions, orthonormal columns."""
-        self._driver("begin_growth")(self.W, self.driver_layout, directions)
+    def begin_growth(self, columns: Reals) -> None:
+        """Begin variations of the state, orthonormal columns; the last column has the weights."""
+        self._driver("begin_growth")(self.W, self.driver_layout, 0, columns)
 
     def store(self, place: int) -> None:
         """Store the present state, and what recorders have left."""

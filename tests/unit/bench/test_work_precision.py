@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
@@ -35,6 +36,30 @@ def test_the_solution_knows_its_error(problem):
     assert np.isnan(problem.momentum(stepper, problem.q0, problem.v0 + np.nan)).all()
     again = problem.momentum(stepper, problem.q0, problem.v0)
     np.testing.assert_allclose(again, problem.p0, rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.slow
+def test_errors_are_relative_to_the_motion_in_any_units():
+    """Two atoms of argon, in SI units and in those of Lennard and Jones."""
+    (r,) = ss.coordinates("r")
+    m, e, s = sp.symbols("m e s", positive=True)
+    problems = []
+    for mass, depth, size in ((1.0, 1.0, 1.0), (6.6335e-26, 1.654e-21, 3.4e-10)):
+        dimer = ss.MechanicalSystem(
+            "dimer",
+            coordinates=(r,),
+            kinetic=m * r.diff() ** 2 / 4,
+            potential=4 * e * ((s / r) ** 12 - (s / r) ** 6),
+            parameters={m: mass, e: depth, s: size},
+        )
+        state = {"q0": [1.5 * size], "v0": [0.0]}
+        problems.append(make_problem(dimer, state, 5 * size * np.sqrt(mass / depth)))
+    reduced, atoms = problems
+    assert max(reduced.solution_error, atoms.solution_error) < 1e-12
+    # both are divided by the largest values, so an error of 1 % is one of 1 % in both
+    assert atoms.scale[0] == pytest.approx(1.5 * 3.4e-10)
+    ends = [x.solution / x.scale for x in problems]
+    np.testing.assert_allclose(*ends, rtol=1e-10)
 
 
 @pytest.mark.slow

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
+from symsimpson.derivatives.lyapunov import PART, directions, first_columns
 
 #: m = 1, l = 0.25, g = 9.81.
 VALUES = {"m1": 1.0, "m2": 1.0, "l1": 0.25, "l2": 0.25}
@@ -69,18 +71,127 @@ def test_where_variations_are_made_orthonormal_does_not_matter(pendulum):
 
 def test_gali_is_the_volume_of_the_variations(pendulum):
     """Of a short run: from the derivative of the flow itself."""
-    from symsimpson.derivatives.lyapunov import directions
-
     chaos = pendulum.lyapunov([0.8, 1.0], p0=[0, 0], h=0.01, steps=60, every=20)
     run = pendulum.integrate([0.8, 1.0], p0=[0, 0], h=0.01, steps=60, every=20, tangents=4)
+    part = pendulum.integrate([0.8, 1.0], p0=[0, 0], h=PART * 0.01, steps=1, tangents=4)
+    *columns, weights = first_columns(part.tangent[1], 0.01, 4).T
     for k in range(1, 4):
-        moved = run.tangent[k] @ directions(4, 4)
+        moved = np.sqrt(weights)[:, None] * (run.tangent[k] @ np.transpose(columns))
         units = moved / np.linalg.norm(moved, axis=0)
         for count in (2, 3, 4):
             volume = np.sqrt(np.linalg.det(units[:, :count].T @ units[:, :count]))
             assert abs(chaos.gali[k - 1, count - 2] / volume - 1) < 1e-10
         growth = np.log(np.linalg.norm(moved[:, 0])) / (0.2 * k)
         assert abs(chaos.history[k - 1, 0] - growth) < 1e-12
+
+
+def test_variations_have_lengths_without_units():
+    """Of an oscillator in metres and seconds, and the same in other units."""
+    weights = []
+    for kg, m, s in ((1.0, 1.0, 1.0), (1e-27, 1e-10, 1e-15)):
+        h, mass, k = 0.8 * s, 2.0 * kg, 18.0 * kg / s**2
+        turn, omega = PART * h * np.sqrt(k / mass), np.sqrt(k / mass)
+        d = np.array(
+            [
+                [np.cos(turn), np.sin(turn) / (mass * omega)],
+                [-np.sin(turn) * mass * omega, np.cos(turn)],
+            ]
+        )
+        columns = first_columns(d, h, 2)
+        q, p = m, kg * m / s
+        weights.append(columns[:, 2] * [q**2, p**2] / (kg * m**2 / s))
+        product = columns[:, :2].T @ (columns[:, 2:] * columns[:, :2])
+        np.testing.assert_allclose(product, np.eye(2), atol=1e-15)
+        assert columns[0, 2] * columns[1, 2] == pytest.approx(1, rel=1e-15)
+    np.testing.assert_allclose(*weights, rtol=1e-14)
+    assert weights[0][0] == pytest.approx(2.0 * 3.0, rel=0.02)  # m omega; 1/m is that of a step
+
+
+def test_pairs_of_first_variations_are_conjugate():
+    columns = directions(6, 6)
+    J = np.kron([[0, 1], [-1, 0]], np.eye(3))
+    np.testing.assert_allclose(columns.T @ columns, np.eye(6), atol=1e-15)
+    form = columns.T @ J @ columns
+    np.testing.assert_allclose(np.abs(form), np.eye(6)[::-1], atol=1e-15)
+    np.testing.assert_allclose(directions(6, 2), columns[:, :2], atol=1e-15)
+
+
+KG, METRE, SECOND = (1.0, 1e-27, 1e24, 1.7), (1.0, 1e-10, 1e11, 0.3), (1.0, 1e-15, 3.2e7, 2.9)
+
+
+def henon_heiles():
+    x, y = ss.coordinates("x y")
+    M, a, w = sp.symbols("M a w", positive=True)
+    potential = M * w**2 * ((x**2 + y**2) / 2 + (x**2 * y - y**3 / 3) / a)
+    kinetic = M * (x.diff() ** 2 + y.diff() ** 2) / 2
+    values = {M: 1.0, a: 1.0, w: 1.0}
+    system = {"coordinates": (x, y), "kinetic": kinetic, "potential": potential}
+    return ss.MechanicalSystem("units", **system, parameters=values), lambda kg, m, s: (
+        {"q0": [0, 0.1 * m], "v0": [0.3 * m / s, 0]},
+        {"M": kg, "a": m, "w": 1 / s},
+    )
+
+
+def cart():
+    """Metres beside radians, from rest, with drag."""
+    x, theta = ss.coordinates("x theta")
+    M, l, g, k, c = sp.symbols("M l g k c", positive=True)
+    turning = l * x.diff() * theta.diff() * sp.cos(theta)
+    system = ss.MechanicalSystem(
+        "cart",
+        coordinates=(x, theta),
+        kinetic=M * (x.diff() ** 2 + turning + l**2 * theta.diff() ** 2 / 2),
+        potential=M * g * l * (1 - sp.cos(theta)) + k * x**2 / 2,
+        parameters=dict.fromkeys((M, l, g, k, c), 1.0),
+        dissipation=c * x.diff() ** 2 / 2,
+    )
+    return system, lambda kg, m, s: (
+        {"q0": [0.1 * m, 0.4], "v0": [0, 0]},
+        {"M": kg, "l": m / 2, "g": 9.81 * m / s**2, "k": 3 * kg / s**2, "c": 0.1 * kg / s},
+    )
+
+
+def bead():
+    """A particle on a circle, in Cartesian coordinates."""
+    x, y = ss.coordinates("x y")
+    M, l, g = sp.symbols("M l g", positive=True)
+    system = ss.MechanicalSystem(
+        "bead",
+        coordinates=(x, y),
+        kinetic=M * (x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=M * g * y,
+        parameters={M: 1.0, l: 1.0, g: 1.0},
+        constraints=[x**2 + y**2 - l**2],
+    )
+    return system, lambda kg, m, s: (
+        {"q0": [m, 0], "v0": [0, 0]},
+        {"M": kg, "l": m, "g": 9.81 * m / s**2},
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("make", "scheme", "h"),
+    [(henon_heiles, "gauss8", 0.1), (cart, "simpson", 0.02), (bead, "midpoint", -0.02)],
+)
+def test_indicators_do_not_depend_on_units(make, scheme, h):
+    system, values = make()
+    stepper, told = ss.compile(system, scheme), []
+    reduce = {"lambda": "lyapunov", "megno": "megno", "sali": "sali"}
+    for kg, m, s in zip(KG, METRE, SECOND, strict=True):
+        start, parameters = values(kg, m, s)
+        how = start | {"h": h * s, "parameters": parameters, "steps": 1000}
+        chaos = stepper.lyapunov(**how)
+        told.append([*s * chaos.exponents, chaos.megno[-1], chaos.sali[-1], *chaos.gali[-1]])
+        if system.constraints:
+            continue
+        if stepper.program.header.conservative:
+            assert np.abs(chaos.exponents + chaos.exponents[::-1]).max() * s < 1e-12
+        many = stepper.ensemble(**how | {"q0": [start["q0"]] * 3}, reduce=reduce).reduced
+        pair = stepper.lyapunov(**how, exponents=2)
+        right = [pair.exponents[0], pair.megno[-1], pair.sali[-1]]
+        np.testing.assert_allclose([many[key][2] for key in reduce], right, rtol=1e-9)
+    np.testing.assert_allclose(told[1:], [told[0]] * 3, rtol=1e-8)
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from support.plain import plain
 
 import symsimpson as ss
 from symsimpson.codegen.emitted_names import reserved
+from symsimpson.export.c import identifiers
 from symsimpson.program.driver import driver_text
 from symsimpson.systems import EVERY
 
@@ -86,6 +87,40 @@ def test_energies_and_velocities(tmp_path):
     energy, v = made.energy()
     assert energy == pytest.approx(run.energy[-1], abs=1e-15)
     assert v == pytest.approx(run.v[-1], abs=1e-14)
+
+
+NAMES = ["m", "M", "m_1", "m 1", "λ", "lamda", "Ω", "é", "*/", "2", "double", "m-1", "m_1_2", "中"]
+WRITTEN = [
+    *("m", "M", "m_1", "m_1_3", "lamda_2", "lamda", "OMEGA", "e", "_", "2", "double", "m_1_4"),
+    *("m_1_2", "IDEOGRAPH_4E2D"),
+]
+
+
+def test_names_become_parts_of_identifiers():
+    assert identifiers(NAMES) == WRITTEN
+
+
+def test_values_are_set_by_name(tmp_path):
+    place = ss.coordinates("q")[0]
+    symbols = [sp.Symbol(name, positive=True) for name in NAMES]
+    system = ss.MechanicalSystem(
+        "Named",
+        coordinates=(place,),
+        kinetic=place.diff() ** 2 / 2,
+        potential=sum(symbols) * place**2 / 2,
+        parameters=dict.fromkeys(symbols, 1.0),
+        inputs=(sp.Symbol("π push"),),
+        forces={place: sp.Symbol("π push")},
+    )
+    with pytest.MonkeyPatch.context() as patch, plain(patch):
+        _, source = ss.compile(system, "midpoint").export_c(tmp_path / "named")
+    places = [f"NAMED_PARAMETER_{name} == {k}" for k, name in enumerate(WRITTEN)]
+    places += ["NAMED_COORDINATE_q == 0", "NAMED_INPUT_pi_push == 0"]
+    main = tmp_path / "main.c"
+    main.write_text(
+        f'#include "named.h"\nint main(void) {{ return {" && ".join(places)} ? 0 : 1; }}\n'
+    )
+    assert subprocess.run([build(main, source, to="")], check=False).returncode == 0
 
 
 x, u, w = ss.coordinates("x")[0], sp.Symbol("u"), sp.Symbol("w", positive=True)
