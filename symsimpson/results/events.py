@@ -34,6 +34,10 @@ JUMP = 1e-6
 #: Zeros so near to where an angle is wrapped lie there.
 SEAM = 1e-9
 MOST_ITERATIONS = 100
+#: So near to a zero, relative to a step, an expression is looked at to know its sign beside it.
+BESIDE = (1e-6, 1e-3, 2.0**-5)
+#: Weights of four values, from 0 to 1, whose sum is the slope at 0 of a cubic through them.
+SLOPE = (-5.5, 9.0, -4.5, 1.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -201,6 +205,21 @@ def zeros(run: Stored, sought: Zeros, *, begins: bool = True) -> tuple[Floats, .
         order = order[np.append(True, ~same)[: order.size]]
     q, p = (x[order] for x in state)
     return times[start[order]] + later[order], q, p, -change[order].astype(float)
+
+
+def signs_beside(values: Callable[[float], Floats], h: float, small: Floats) -> Floats:
+    """Return signs of expressions a little beside a zero, 0 where they are not known.
+
+    ``values`` gives them at a distance from it, of which ``h`` is a large one. Slopes at the zero
+    tell the sign, as the motion may come back at once; values themselves where slopes are zero.
+    """
+    signs = np.zeros_like(small)
+    for part in BESIDE:
+        there = [values(part * h * place) for place in (0.0, 1 / 3, 2 / 3, 1.0)]
+        slopes = sum(weight * value for weight, value in zip(SLOPE, there, strict=True))
+        signs = np.where((signs == 0) & (np.abs(slopes) > small), np.sign(slopes), signs)
+    clear = (signs == 0) & (np.abs(there[-1]) > small)
+    return np.where(clear, np.sign(there[-1]), signs)
 
 
 def _with_end(run: Stored, dense: DenseOutput) -> tuple[Floats, Floats, Floats]:

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 __all__ = ["EventRun"]
 
 #: So many actions within one step are too many; a start may be so far behind a wall, relative to
-#: its size; where an expression is zero behind an action, its sign is that after so much of a step.
-MOST_ACTIONS, BEHIND, AHEAD = 500, 1e-9, 1e-6
+#: its size.
+MOST_ACTIONS, BEHIND = 500, 1e-9
 #: So many steps are taken at first before Ctrl-C is heard.
 FEW_STEPS = 16
 
@@ -63,7 +63,7 @@ class EventRun(Run):
         signs = [event.sign for event in run_events.events]
         rows = self._column[first : first + WATCHED * len(signs)]
         side, size, self._value, self._earlier = rows.reshape(-1, WATCHED).T
-        self.sides = Sides(side, size, self._actions, signs)
+        self.sides = Sides((side, size), self._actions, signs, self._parts, float(spec.h))
         self._code, self._saltation = 0, cast("Saltation | None", None)
         self._stretch = FEW_STEPS
         if spec.tangents is not None:
@@ -88,7 +88,9 @@ class EventRun(Run):
         moved, sizes = self.h * self._actions.rates(row), self._actions.sizes(row, state[0])
         sides.size[:] = np.max([abs(values), abs(moved), sizes], axis=0)
         small = sides.small_at(t, state)
-        sides.side[:] = sides.of(values, small, 0 * values)  # a zero there is no event
+        sides.side[:] = 0  # a zero there is no event
+        sides.due(t, state, 0)
+        sides.side[:] = sides.of(values, small)
         for k, event in enumerate(self._events.events):
             if not (isinstance(event.action, Impact) and self._actions.allowed(row, k)):
                 continue
@@ -172,8 +174,9 @@ class EventRun(Run):
             if self._code == ARRIVED and self._saltation is not None:
                 self._saltation.put(self._variations)
             return
-        if len(self.records) == acted and (self.sides.side == side).all():  # nothing was there
-            size = self.sides.size.copy()
+        same = (np.sign(self.sides.side) == np.sign(side)).all()
+        if len(self.records) == acted and same:  # nothing was there
+            side, size = self.sides.side.copy(), self.sides.size.copy()
             self.W[:] = behind
             self.sides.side[:], self.sides.size[:] = side, size
             self._column[self._status] = 0
@@ -217,8 +220,9 @@ class EventRun(Run):
         self._actions.touched.clear()
         if self._saltation is not None:
             self._saltation.begin(self._variations)
+        events = list[int]()
         for _ in range(MOST_ACTIONS):
-            rest = h - done
+            rest, latest = h - done, events
             if abs(rest) <= NOTHING * abs(h):
                 if self._saltation is not None:
                     self._saltation.settle(t0 + done, state, step)
@@ -239,18 +243,31 @@ class EventRun(Run):
                 self._flow(state, t0 + done, rest, step, None)
                 return end
             part, behind, events = crossing
+            again = latest and {*events} <= {*latest} and not self._actions.impacts[events].any()
+            if again and self.sides.stays(events, t0 + done, state, part, (step, done / h)):
+                return self._rests(t0 + done, events[0])
+            astride = None
+            if self._events.split_alone(events):
+                astride = self.sides.astride(events, t0 + done, state, part, (step, done / h))
+            there, self._actions.beyond = part, None
+            if astride is not None:
+                part, behind, there, self._actions.beyond = astride
             self._flow(state, t0 + done, part, step, events[0])
-            done += part
+            done += there
             pressed = self._actions.pressed(t0 + done, behind, part, events, self.sides.small)
             state = behind if pressed else self._act(t0 + done, step, behind, events, times)
             if state is None:
                 return None
             still = pressed or (not part and state is behind)
             if still and self._actions.may_all_hit(t0 + done, state, events):
-                why = f"{self._events.names[events[0]]!r} is touched at rest at t={t0 + done!r}. "
-                return self._fail(Status.EVENTS_ACCUMULATE, why)
+                return self._rests(t0 + done, events[0])
         why = f"More than {MOST_ACTIONS} events act within one step, or one acts for ever. "
         return self._fail(Status.EVENTS_ACCUMULATE, why + "Take a smaller h if they do not. ")
+
+    def _rests(self, t: float, event: int) -> None:
+        """Fail where the expression of an event stays zero."""
+        why = f"{self._events.names[event]!r} is touched at rest at t={t!r}. "
+        self._fail(Status.EVENTS_ACCUMULATE, why)
 
     def _flow(self, state: Any, t: float, part: float, step: int, event: int | None) -> None:
         """Carry variations through a part of a step, and add up the work in it."""
@@ -276,12 +293,15 @@ class EventRun(Run):
         def row(part: float) -> Floats:
             return self._actions.row(t0 + done + part, after(part))
 
+        due = [] if done else self.sides.due(t0, start, step)
+        if due:
+            return 0.0, start, due
         first, last = self._actions.row(t0 + done, start), self._actions.row(t0 + h, end)
         small = ZERO * self.sides.faded(last, end[0])
         behind = self.sides.of(last[: len(small)], small)
         met = np.flatnonzero(self.sides.acts(behind)).tolist()
         ends = self._actions.dips(row, rest, first, last, self.sides.small)
-        ends |= dict.fromkeys(met, (rest, last))
+        ends |= dict.fromkeys(met, (rest, last)) | self.sides.between(row, rest, first, last)
         sides = self.sides.side.tolist()
         roots = {
             k: self._actions.root(row, k, until, (first, there), sides[k])
@@ -303,7 +323,7 @@ class EventRun(Run):
         allowed = [k for k in events if self._actions.allowed(row, k)]
         for k in events:  # an impact leads back to its side, unless it is not allowed
             if not (k in allowed and self._actions.is_impact(k)):
-                self.sides.side[k] = -self.sides.side[k]
+                self.sides.side[k] = -np.sign(self.sides.side[k])
         done = list(self._actions.acted(t, state, allowed, small))
         several = len({k for k, *_, impulse in done if impulse}) > 1
         for k, before, behind, impulse in done:
@@ -324,7 +344,8 @@ class EventRun(Run):
         if self._look_for_end():
             return None
         if state is not given:
-            self._look_ahead(t, step, state)
+            share = (t - float(self.t0 + self.h * step)) / float(self.h)
+            self.sides.renew(allowed, t, given, state, (step, share))
         return None if self._accumulates(times) else state
 
     @property
@@ -336,18 +357,6 @@ class EventRun(Run):
     def _variations(self) -> Floats:
         """Rows in which variations of the state stand, one after the other."""
         return self.rows("TANGENT", 2 * self.header.n * int(self.value("TANGENTS")))
-
-    def _look_ahead(self, t: float, step: int, state: Any) -> None:
-        """Find on which sides expressions are behind an action, of zeros by a look ahead."""
-        if self._actions.impacts.all():
-            return
-        values = self._actions.values(t, state)
-        begin = float(self.t0 + self.h * step)
-        size, share = AHEAD * float(self.h), (t - begin) / float(self.h)
-        soon, status = self._parts(state, t, size, step, share)
-        ahead = self._actions.values(t + size, soon) if status is Status.SUCCESS else 0 * values
-        fresh = self.sides.of(values, self.sides.small_at(t, state), np.sign(ahead))
-        self.sides.side[:] = np.where(self._actions.impacts, self.sides.side, fresh)
 
     def _accumulates(self, times: Times) -> bool:
         """Return whether impacts follow each other ever faster: the run ends."""
@@ -373,6 +382,7 @@ class EventRun(Run):
         here = np.abs(self._actions.values(t, state)) <= self.sides.small_at(t, state)
         near = TOGETHER * max(abs(t), abs(float(self.h)))
         here[[record.event for record in self.records if abs(record.t - t) <= near]] = False
+        here &= np.abs(self.sides.side) == 1  # else it rests there
         events = np.flatnonzero(here & self.sides.acts(-self.sides.side)).tolist()
         if events:
             self._act_here(t, self.step, state, events)

@@ -2,30 +2,131 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.module.interface import ZERO
 from symsimpson.program.observed import FADED
+from symsimpson.program.status import Status
+from symsimpson.results.events import BESIDE, signs_beside
 from symsimpson.run.event_actions import EventActions
+from symsimpson.stepping.parts import Parts
 from symsimpson.support.array_types import Floats, State
 
 __all__ = ["Sides"]
+
+#: In these parts of a step, or of its rest, expressions are looked at that are zero at both ends.
+#: Forces are taken on their own side of a kink up to these parts of a step from it.
+LITTLE = [2.0**k for k in range(-52, -15)]
+PLACES = (0.1125, 0.3625, 0.6125, 0.8625)
 
 
 class Sides:
     """Sides of zero, and the sizes by which rounding is told, in rows of a workspace.
 
-    ``side`` has the one on which each expression is, ``size`` its size of late.
+    ``side`` has the one on which each expression is, ``size`` its size of late. Steps have the
+    length ``h``.
     """
 
     def __init__(
-        self, side: Floats, size: Floats, actions: EventActions, signs: Sequence[int]
+        self,
+        rows: Sequence[Floats],
+        actions: EventActions,
+        signs: Sequence[int],
+        parts: Parts,
+        h: float,
     ) -> None:
-        self.side, self.size = side, size
-        self._actions, self._signs = actions, np.array(signs)
+        self.side, self.size = rows
+        self._actions, self._signs, self._parts, self._h = actions, np.array(signs), parts, h
+
+    def ahead(self, t: float, state: State, place: tuple[int, float]) -> Floats:
+        """Return signs of expressions a little after a state at a place: a step, and where in it."""
+
+        def values(size: float) -> Floats:
+            soon, status = self._parts(state, t, size, *place)
+            there = soon if status is Status.SUCCESS else (np.nan * state[0], np.nan * state[1])
+            return self._actions.values(t + size, there)
+
+        return signs_beside(values, self._h, self.small_at(t, state))
+
+    def renew(
+        self, acted: Sequence[int], t: float, before: State, behind: State, place: tuple[int, float]
+    ) -> None:
+        """Find the sides behind actions; what is zero, as at these events, by a look ahead."""
+        if self._actions.impacts.all():
+            return
+        small, values = self.small_at(t, behind), self._actions.values(t, behind).copy()
+        same = np.abs(values - self._actions.values(t, before)) <= small
+        values[[k for k in acted if same[k]]] = 0
+        fresh = self.of(values, small, self.ahead(t, behind, place))
+        self.side[:] = np.where(self._actions.impacts, self.side, fresh)
+
+    def due(self, t: float, state: State, step: int) -> list[int]:
+        """Return events other than impacts whose zero is the state where a step begins."""
+        values = self._actions.values(t, state)
+        zeros = ~self._actions.impacts & (np.abs(values) <= self.small_at(t, state))
+        if not zeros.any():
+            return []
+        ahead = np.where(zeros, self.ahead(t, state, (step, 0.0)), 0.0)
+        acting = self.acts(ahead)
+        others = np.where(ahead == 0, np.sign(self.side) / 2, ahead)
+        self.side[:] = np.where(zeros & ~acting, others, self.side)
+        return np.flatnonzero(acting).tolist()
+
+    def stays(
+        self, events: Sequence[int], t: float, state: State, part: float, place: tuple[int, float]
+    ) -> bool:
+        """Return whether expressions stay zero, but for rounding, in a part of a step at a place."""
+        (q, p), _ = self._parts(state, t, part / 2, *place)
+        values = np.abs(self._actions.values(t + part / 2, (q, p)))
+        return not (values > self.small_at(t, state))[[*events]].any()
+
+    def astride(
+        self, events: Sequence[int], t: float, state: State, part: float, place: tuple[int, float]
+    ) -> tuple[float, State, float, State] | None:
+        """Return ends of a part of a step shortly before a zero and behind it, if there are any.
+
+        Forces may have a kink at the zero: the state behind it is on a line with those before.
+        """
+        side = np.sign(self.side)[[*events]]
+        for little in [self._h * x for x in LITTLE]:
+            ends = [self._parts(state, t, part - j * little, *place) for j in (1, 2)]
+            (before, first), (earlier, second) = ends
+            behind = 3 * before[0] - 2 * earlier[0], 3 * before[1] - 2 * earlier[1]
+            known = first is second is Status.SUCCESS
+            if known and all(
+                (
+                    sign * side * self._actions.values(t + part - sign * little, there)[[*events]]
+                    > least
+                ).all()
+                for sign, there in ((1, before), (-1, behind))
+                for least in [self._actions.rounding(t + part, before)[[*events]] / 4]
+            ):
+                return part - little, before, part + little, behind
+        return None
+
+    def between(
+        self, row: Callable[[float], Floats], rest: float, first: Floats, last: Floats
+    ) -> dict[int, tuple[float, Floats]]:
+        """Return up to where events act whose expressions are zero at the end of a rest of a step.
+
+        With it comes what is asked for there; ``row`` gives it, ``first`` and ``last`` are that at
+        both ends.
+        """
+        small = ZERO * np.fmax(self.size, np.abs(last[: len(self.size)]))
+        zeros, met = ~self._actions.impacts & (np.abs(last[: len(small)]) <= small), {}
+        if zeros.any():
+            arriving = signs_beside(lambda x: row(rest - x)[: len(small)], rest, small)
+            for k in np.flatnonzero(zeros & self.acts(arriving)).tolist():
+                met[k] = (1 - BESIDE[1]) * rest, row((1 - BESIDE[1]) * rest)
+            for k in np.flatnonzero(zeros & (np.abs(first[: len(small)]) <= small)).tolist():
+                for x in PLACES if k not in met else ():
+                    there = row(x * rest)
+                    if k not in met and self.acts(self.of(there[: len(small)], small))[k]:
+                        met[k] = x * rest, there
+        return met
 
     @property
     def small(self) -> Floats:
@@ -49,4 +150,4 @@ class Sides:
     def acts(self, behind: Floats) -> NDArray[np.bool_]:
         """Return which events act as sides change to others."""
         changed = self.side * behind < 0
-        return np.asarray(changed & ((self._signs == 0) | (behind == self._signs)))
+        return np.asarray(changed & ((self._signs == 0) | (np.sign(behind) == self._signs)))
