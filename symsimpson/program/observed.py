@@ -59,12 +59,12 @@ class Observed:
 
     @property
     def size(self) -> str:
-        """An expression whose roundings are those of the value: the sizes of its terms, added up."""
+        """The sizes of its terms, added up, as an expression: what is rounded in it."""
         return _size(ast.parse(self.text, mode="eval").body)
 
 
 def _size(node: ast.expr) -> str:
-    """Return the size of an expression; a function has at least that of its argument."""
+    """Return the size of an expression; of a function also that of its arguments."""
     value = f"abs({ast.unparse(node)})"
     match node:
         case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
@@ -72,12 +72,13 @@ def _size(node: ast.expr) -> str:
         case ast.UnaryOp(op=ast.USub(), operand=ast.BinOp() | ast.Call() as operand):
             return _size(operand)
         case ast.BinOp(left=left, op=ast.Mult(), right=right):
-            sizes, values = zip(*((_size(x), f"abs({ast.unparse(x)})") for x in (left, right)))
-            if sizes != values:
-                return f"({sizes[0]}) * {values[1]} + {values[0]} * ({sizes[1]})"
-        case ast.BinOp(left=left, op=ast.Div(), right=right):
-            if not isinstance(left, ast.Constant | ast.Name):
-                return f"({_size(left)}) / abs({ast.unparse(right)})"
+            a, b, first, last = _size(left), _size(right), ast.unparse(left), ast.unparse(right)
+            if (a, b) != (f"abs({first})", f"abs({last})"):
+                return f"({a}) * abs({last}) + abs({first}) * ({b})"
+        case ast.BinOp(left=ast.BinOp() | ast.Call() as left, op=ast.Div(), right=right):
+            return f"({_size(left)}) / abs({ast.unparse(right)})"
+        case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=n)) if n > 1:
+            return f"{value} + {n} * abs({ast.unparse(left)}) ** {n - 1} * ({_size(left)})"
         case ast.BinOp(left=left, op=ast.Mod()):
             return f"{value} + {_size(left)}"
         case ast.Call(func=ast.Name(id=name), args=arguments) if name in SLOPES_TO_ONE:
@@ -239,8 +240,9 @@ def watchers(
     """Return what stops a run behind a step in which an expression changes its sign.
 
     From the ``first`` row on there are four for each: the side of zero on which it is, NaN where
-    that is not known, a half of it while it rests at zero; its size of late, of a gap its largest (bodies that touch for long are apart
-    by rounding of what they moved before), its value, and the value before.
+    that is not known, a half of it while it rests at zero; its size of late, of a gap its largest
+    (bodies that touch for long are apart by rounding of what they moved before), its value, and the
+    value before.
     ``signs`` are those that are waited for, or 0; a gap may also pass through zero and come back
     within a step. A step that begins at a zero of another expression stops the run, too.
     """

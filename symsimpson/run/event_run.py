@@ -60,10 +60,9 @@ class EventRun(Run):
         self._actions = EventActions(program, spec, run_events)
         works = any(recorder.name == "work" for recorder in recorders)
         self._parts = Parts(program, spec.parameters, float(spec.h), inputs, works=works)
-        signs = [event.sign for event in run_events.events]
-        rows = self._column[first : first + WATCHED * len(signs)]
+        rows = self._column[first : first + WATCHED * len(run_events.events)]
         side, size, self._value, self._earlier = rows.reshape(-1, WATCHED).T
-        self.sides = Sides((side, size), self._actions, signs, self._parts, float(spec.h))
+        self.sides = Sides((side, size), self._actions, run_events, self._parts, float(spec.h))
         self._code, self._saltation = 0, cast("Saltation | None", None)
         self._stretch = FEW_STEPS
         if spec.tangents is not None:
@@ -220,9 +219,9 @@ class EventRun(Run):
         self._actions.touched.clear()
         if self._saltation is not None:
             self._saltation.begin(self._variations)
-        events = list[int]()
+        latest = set[int]()
         for _ in range(MOST_ACTIONS):
-            rest, latest = h - done, events
+            rest = h - done
             if abs(rest) <= NOTHING * abs(h):
                 if self._saltation is not None:
                     self._saltation.settle(t0 + done, state, step)
@@ -238,22 +237,16 @@ class EventRun(Run):
                 values = row[: len(self._value)]
                 if np.isnan(values[self._actions.impacts]).any():
                     return self._fail(Status.NOT_FINITE, "A gap has no value beyond its wall. ")
-                self.sides.size[:] = self.sides.faded(row, end[0])
-                self.sides.side[:] = self.sides.of(values, self.sides.small)
+                self.sides.settle(row, end[0])
                 self._flow(state, t0 + done, rest, step, None)
                 return end
             part, behind, events = crossing
-            again = latest and {*events} <= {*latest} and not self._actions.impacts[events].any()
-            if again and self.sides.stays(events, t0 + done, state, part, (step, done / h)):
+            given = t0 + done, state, (step, done / h)
+            if {*events} <= latest and self.sides.stays(crossing, *given):
                 return self._rests(t0 + done, events[0])
-            astride = None
-            if self._events.split_alone(events):
-                astride = self.sides.astride(events, t0 + done, state, part, (step, done / h))
-            there, self._actions.beyond = part, None
-            if astride is not None:
-                part, behind, there, self._actions.beyond = astride
+            part, behind, there, self._actions.beyond = self.sides.astride(crossing, *given)
             self._flow(state, t0 + done, part, step, events[0])
-            done += there
+            done, latest = done + there, {*events}
             pressed = self._actions.pressed(t0 + done, behind, part, events, self.sides.small)
             state = behind if pressed else self._act(t0 + done, step, behind, events, times)
             if state is None:
@@ -263,11 +256,6 @@ class EventRun(Run):
                 return self._rests(t0 + done, events[0])
         why = f"More than {MOST_ACTIONS} events act within one step, or one acts for ever. "
         return self._fail(Status.EVENTS_ACCUMULATE, why + "Take a smaller h if they do not. ")
-
-    def _rests(self, t: float, event: int) -> None:
-        """Fail where the expression of an event stays zero."""
-        why = f"{self._events.names[event]!r} is touched at rest at t={t!r}. "
-        self._fail(Status.EVENTS_ACCUMULATE, why)
 
     def _flow(self, state: Any, t: float, part: float, step: int, event: int | None) -> None:
         """Carry variations through a part of a step, and add up the work in it."""
@@ -358,6 +346,10 @@ class EventRun(Run):
         """Rows in which variations of the state stand, one after the other."""
         return self.rows("TANGENT", 2 * self.header.n * int(self.value("TANGENTS")))
 
+    def _rests(self, t: float, event: int) -> None:
+        why = f"{self._events.names[event]!r} is touched at rest at t={t!r}. "
+        self._fail(Status.EVENTS_ACCUMULATE, why)
+
     def _accumulates(self, times: Times) -> bool:
         """Return whether impacts follow each other ever faster: the run ends."""
         limit = accumulation(times, abs(float(self.h)))
@@ -382,8 +374,9 @@ class EventRun(Run):
         here = np.abs(self._actions.values(t, state)) <= self.sides.small_at(t, state)
         near = TOGETHER * max(abs(t), abs(float(self.h)))
         here[[record.event for record in self.records if abs(record.t - t) <= near]] = False
-        here &= np.abs(self.sides.side) == 1  # else it rests there
-        events = np.flatnonzero(here & self.sides.acts(-self.sides.side)).tolist()
+        ahead = self.sides.ahead(t, state, (self.step, 0.0)) if here.any() else 0
+        ahead = np.where(ahead == 0, -np.trunc(self.sides.side), ahead)  # a half of it rests there
+        events = np.flatnonzero(here & self.sides.acts(ahead)).tolist()
         if events:
             self._act_here(t, self.step, state, events)
 

@@ -13,6 +13,7 @@ from symsimpson.program.status import Status
 from symsimpson.results.events import BESIDE, signs_beside
 from symsimpson.run.event_actions import EventActions
 from symsimpson.stepping.parts import Parts
+from symsimpson.stepping.run_events import RunEvents
 from symsimpson.support.array_types import Floats, State
 
 __all__ = ["Sides"]
@@ -21,6 +22,9 @@ __all__ = ["Sides"]
 #: Forces are taken on their own side of a kink up to these parts of a step from it.
 LITTLE = [2.0**k for k in range(-52, -15)]
 PLACES = (0.1125, 0.3625, 0.6125, 0.8625)
+
+#: How long a part of a step is up to events, the state there, and the events.
+Crossing = tuple[float, State, list[int]]
 
 
 class Sides:
@@ -34,22 +38,29 @@ class Sides:
         self,
         rows: Sequence[Floats],
         actions: EventActions,
-        signs: Sequence[int],
+        events: RunEvents,
         parts: Parts,
         h: float,
     ) -> None:
         self.side, self.size = rows
-        self._actions, self._signs, self._parts, self._h = actions, np.array(signs), parts, h
+        self._actions, self._events, self._parts, self._h = actions, events, parts, h
+        self._signs = np.array([event.sign for event in events.events])
 
     def ahead(self, t: float, state: State, place: tuple[int, float]) -> Floats:
-        """Return signs of expressions a little after a state at a place: a step, and where in it."""
+        """Return signs of expressions a little after a state; a place is a step and where in it.
 
-        def values(size: float) -> Floats:
+        Their sizes are then at least those that are seen there.
+        """
+
+        def values(part: float) -> Floats:
+            size = part * self._h
             soon, status = self._parts(state, t, size, *place)
             there = soon if status is Status.SUCCESS else (np.nan * state[0], np.nan * state[1])
-            return self._actions.values(t + size, there)
+            values = self._seen(self._actions.row(t + size, there))
+            self.size[:] = np.fmax(self.size, np.abs(values[0]))
+            return values
 
-        return signs_beside(values, self._h, self.small_at(t, state))
+        return signs_beside(values, self.small_at(t, state))
 
     def renew(
         self, acted: Sequence[int], t: float, before: State, behind: State, place: tuple[int, float]
@@ -75,37 +86,37 @@ class Sides:
         self.side[:] = np.where(zeros & ~acting, others, self.side)
         return np.flatnonzero(acting).tolist()
 
-    def stays(
-        self, events: Sequence[int], t: float, state: State, part: float, place: tuple[int, float]
-    ) -> bool:
-        """Return whether expressions stay zero, but for rounding, in a part of a step at a place."""
-        (q, p), _ = self._parts(state, t, part / 2, *place)
-        values = np.abs(self._actions.values(t + part / 2, (q, p)))
-        return not (values > self.small_at(t, state))[[*events]].any()
+    def stays(self, crossing: Crossing, t: float, state: State, place: tuple[int, float]) -> bool:
+        """Return whether events are no impacts, and stay zero, but for rounding, up to there."""
+        part, _, events = crossing
+        middle, _ = self._parts(state, t, part / 2, *place)
+        seen = np.abs(self._actions.values(t + part / 2, (middle[0], middle[1])))
+        clear = self._actions.impacts | (seen > self.small_at(t, state))
+        return not clear[[*events]].any()
 
     def astride(
-        self, events: Sequence[int], t: float, state: State, part: float, place: tuple[int, float]
-    ) -> tuple[float, State, float, State] | None:
-        """Return ends of a part of a step shortly before a zero and behind it, if there are any.
+        self, crossing: Crossing, t: float, state: State, place: tuple[int, float]
+    ) -> tuple[float, State, float, State | None]:
+        """Return how long a part of a step is up to events, its end, and where the next one begins.
 
-        Forces may have a kink at the zero: the state behind it is on a line with those before.
+        Forces may have a kink where a step is split: one part ends shortly before it, and the next
+        one begins shortly behind it, on the line through states before.
         """
-        side = np.sign(self.side)[[*events]]
-        for little in [self._h * x for x in LITTLE]:
-            ends = [self._parts(state, t, part - j * little, *place) for j in (1, 2)]
-            (before, first), (earlier, second) = ends
-            behind = 3 * before[0] - 2 * earlier[0], 3 * before[1] - 2 * earlier[1]
-            known = first is second is Status.SUCCESS
-            if known and all(
-                (
-                    sign * side * self._actions.values(t + part - sign * little, there)[[*events]]
-                    > least
-                ).all()
-                for sign, there in ((1, before), (-1, behind))
-                for least in [self._actions.rounding(t + part, before)[[*events]] / 4]
-            ):
-                return part - little, before, part + little, behind
-        return None
+        part, end, events = crossing
+        side = np.sign(self.side)
+        for little in [self._h * x for x in LITTLE if self._events.split_alone(events)]:
+            (near, first), (before, second) = (
+                self._parts(state, t, part - k * little, *place) for k in (1, 2)
+            )
+            beyond = 3 * near[0] - 2 * before[0], 3 * near[1] - 2 * before[1]
+            if not first is second is Status.SUCCESS:
+                continue
+            here = side * self._actions.values(t + part - little, near)
+            there = -side * self._actions.values(t + part + little, beyond)
+            clear = np.minimum(here, there) > self._actions.rounding(t + part, near) / 4
+            if clear[[*events]].all():
+                return part - little, near, part + little, beyond
+        return part, end, part, None
 
     def between(
         self, row: Callable[[float], Floats], rest: float, first: Floats, last: Floats
@@ -117,9 +128,10 @@ class Sides:
         """
         small = ZERO * np.fmax(self.size, np.abs(last[: len(self.size)]))
         zeros, met = ~self._actions.impacts & (np.abs(last[: len(small)]) <= small), {}
+        self._arriving = np.zeros_like(small)
         if zeros.any():
-            arriving = signs_beside(lambda x: row(rest - x)[: len(small)], rest, small)
-            for k in np.flatnonzero(zeros & self.acts(arriving)).tolist():
+            self._arriving = signs_beside(lambda x: self._seen(row(rest - x * rest)), small)
+            for k in np.flatnonzero(zeros & self.acts(self._arriving)).tolist():
                 met[k] = (1 - BESIDE[1]) * rest, row((1 - BESIDE[1]) * rest)
             for k in np.flatnonzero(zeros & (np.abs(first[: len(small)]) <= small)).tolist():
                 for x in PLACES if k not in met else ():
@@ -137,9 +149,23 @@ class Sides:
         """Return below what a value is a zero, where time and state are rounded."""
         return np.maximum(self.small, self._actions.rounding(t, state))
 
+    def _seen(self, row: Floats) -> Floats:
+        """Return values of expressions, and the sizes of their terms."""
+        return np.array([row[: len(self.size)], row[[*self._events.sizes]]])
+
+    def settle(self, row: Floats, q: Floats) -> None:
+        """Take the sides and sizes behind a step."""
+        self.size[:] = self.faded(row, q)
+        before = np.where(self._arriving, self._arriving, self.side)
+        self.side[:] = self.of(row[: len(self.size)], self.small, before)
+
     def faded(self, row: Floats, q: Floats) -> Floats:
-        """Return sizes behind a step: those of terms, or what is left of those before."""
-        left = np.where(self._actions.impacts, 1.0, FADED) * self.size
+        """Return sizes behind a step: those of terms, or what is left of those before.
+
+        All is left of sizes of gaps, and of what is zero there.
+        """
+        zeros = np.abs(row[: len(self.size)]) <= self.small
+        left = np.where(self._actions.impacts | zeros, 1.0, FADED) * self.size
         return np.fmax(left, self._actions.sizes(row, q))
 
     def of(self, values: Floats, small: Floats, before: Floats | None = None) -> Floats:
