@@ -19,6 +19,8 @@ from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.differentiated import Differentiated
 from symsimpson.results.quantities import Quantities
+from symsimpson.results.records import Record
+from symsimpson.results.sampled import Sampled
 from symsimpson.results.saving import RECORDED
 from symsimpson.results.states import States, with_units
 from symsimpson.results.tables import dataframe, write
@@ -99,6 +101,9 @@ class Ensemble(Quantities, Differentiated):
     tau: Floats | None = None
     recorded: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
     ended_at: Floats | None = None
+    #: What events did, in the order of time, in the members in which some acted; and their names.
+    records: Mapping[int, tuple[Record, ...]] = field(default_factory=dict, repr=False)
+    event_names: tuple[str, ...] = field(default=(), repr=False)
     #: How inputs went, where that is known.
     driven: Driven | None = field(default=None, repr=False)
     #: 1 if the time goes on with the steps, -1 if it goes back.
@@ -135,7 +140,22 @@ class Ensemble(Quantities, Differentiated):
             t, q, p = (x[: np.isfinite(t).sum()] for x in (t, q, p))
         program, values = self.program, self.parameter_values[member]
         driven = None if self.driven is None else self.driven.of_member(member)
-        return States(t=t, q=q, p=p, program=program, parameter_values=values, driven=driven)
+        status = Status(int(self.status[member]))
+        return Sampled(
+            t=t,
+            q=q,
+            p=p,
+            program=program,
+            parameter_values=values,
+            driven=driven,
+            h=np.nan if driven is None else driven.h,
+            steps=int(self.steps[member]),
+            status=status,
+            message=status.message,
+            records=self.records.get(member % len(self), ()),
+            event_names=self.event_names,
+            reduced_values=tuple((name, float(x[member])) for name, x in self.reduced.items()),
+        )
 
     #: Iterating over quantities or over members: neither is what everybody expects.
     __iter__ = None

@@ -60,8 +60,8 @@ class WithEvents:
         if str(name) not in self.event_names:
             had = f"It had {', '.join(self.event_names)}. " if self.event_names else ""
             raise InputError(
-                f"the run had no event {name!r}.\n{had}Zeros of expressions are found in runs "
-                "whose steps are kept: leave out t_eval= and save=."
+                f"the run had no event {name!r}.\n{had}Zeros of expressions are found in single "
+                "runs that store their steps: stepper.integrate(...) without t_eval= and save=."
             )
         return actions_of(self, str(name))
 
@@ -92,6 +92,8 @@ class WithEvents:
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Sampled(WithEvents, Outcome, States):
     """The states of a run at chosen times; ``integrate(..., t_eval=times)`` gives them.
+
+    A member of an ensemble, ``ensemble[3]``, gives its stored states.
 
     Attributes are those of :class:`States`, and how the run ended: ``status``, ``message``,
     ``success``, its ``steps`` and ``h``. Of a run that failed, the times that it reached are there.

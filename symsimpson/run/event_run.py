@@ -95,7 +95,7 @@ class EventRun(Run):
                 continue
             if values[k] < -BEHIND * sides.size[k]:
                 raise InputError(
-                    f"{self._system}: the start is behind the wall {event.key!r}: the gap "
+                    f"{self._system}: the initial state violates the gap {event.key!r}: its value "
                     f"is {values[k]:g}.\nBegin where it is positive, or turn its sign."
                 )
             sides.side[k] = 1

@@ -138,8 +138,8 @@ def read_events(program: Program, given: Any) -> RunEvents:
     for candidate in events:
         if not isinstance(candidate, Event):
             raise InputError(
-                f"events contains {candidate!r}, which is no Event.\n"
-                "Pass events=[symsimpson.Event(expression, action=...)]."
+                f"events contains {candidate!r}, which is not an Event.\n"
+                f"Write symsimpson.Event({candidate}, action=...) in its place."
             )
     _check_names(program, events)
     for event in events:

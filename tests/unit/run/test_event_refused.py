@@ -54,7 +54,7 @@ def test_what_no_event_can_be(make, told):
         ([floor(1 - z.diff() / 20)], r"the restitution 1 - v_z/20 contains v_z\."),
         ([floor(g / 5)], r"the restitution g/5 is 1.962\.\nIt must be between"),
         ([floor(1 - z * ss.time)], r"contains t, z\."),
-        ([ss.Event(z - 2, name="w", action=ss.Impact())], "the start is behind the wall 'w'"),
+        ([ss.Event(z - 2, name="w", action=ss.Impact())], "the initial state violates the gap 'w'"),
         (["floor"], "contains 'floor', which is|events contains 'floor'"),
     ],
 )

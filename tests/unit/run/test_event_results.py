@@ -193,7 +193,7 @@ def test_inequalities_as_gaps_hold_where_a_body_is_free():
     for gap in (z >= 0, z > 0, -z <= 0, sp.Eq(z, 0)):
         bounce = ss.Event(gap, name="floor", action=ss.Impact(0.8))
         assert drop(bounce, t_end=1.5).events("floor").t.tolist() == hits
-    with pytest.raises(ss.InputError, match="behind the wall"):
+    with pytest.raises(ss.InputError, match="violates the gap"):
         drop(ss.Event(z <= 0, name="floor", action=ss.Impact(0.8)), t_end=1.5)
 
 
