@@ -20,9 +20,9 @@ from symsimpson.program.status import Status
 from symsimpson.results.differentiated import Differentiated
 from symsimpson.results.quantities import Quantities
 from symsimpson.results.records import Record
-from symsimpson.results.sampled import Sampled
+from symsimpson.results.sampled import Sampled, member_of
 from symsimpson.results.saving import RECORDED
-from symsimpson.results.states import States, with_units
+from symsimpson.results.states import with_units
 from symsimpson.results.tables import dataframe, write
 from symsimpson.results.work import WORK, named_parts
 from symsimpson.stepping.driving import Driven, inputs_there
@@ -112,8 +112,8 @@ class Ensemble(Quantities, Differentiated):
     @overload
     def __getitem__(self, key: str) -> NDArray[Any]: ...
     @overload
-    def __getitem__(self, key: int) -> States: ...
-    def __getitem__(self, key: Any) -> NDArray[Any] | States:
+    def __getitem__(self, key: int) -> Sampled: ...
+    def __getitem__(self, key: Any) -> NDArray[Any] | Sampled:
         """Return a quantity of all members by its name, or the states of one member.
 
         Names are those of a run, of what ``reduce`` asked for, and of parameters.
@@ -133,29 +133,7 @@ class Ensemble(Quantities, Differentiated):
             return self._named(key)
         if not -len(self) <= member < len(self):
             raise IndexError(f"there is no member {member}: there are {len(self)}, from 0 on")
-        n = self.program.n
-        t, q, p = self.t, *(np.asarray(x[member]).reshape(-1, n) for x in (self.q, self.p))
-        if self.t.shape == self.q.shape[:-1]:  # times of its own, up to its end
-            t = self.t[member].reshape(-1)
-            t, q, p = (x[: np.isfinite(t).sum()] for x in (t, q, p))
-        program, values = self.program, self.parameter_values[member]
-        driven = None if self.driven is None else self.driven.of_member(member)
-        status = Status(int(self.status[member]))
-        return Sampled(
-            t=t,
-            q=q,
-            p=p,
-            program=program,
-            parameter_values=values,
-            driven=driven,
-            h=np.nan if driven is None else driven.h,
-            steps=int(self.steps[member]),
-            status=status,
-            message=status.message,
-            records=self.records.get(member % len(self), ()),
-            event_names=self.event_names,
-            reduced_values=tuple((name, float(x[member])) for name, x in self.reduced.items()),
-        )
+        return member_of(self, member % len(self))
 
     #: Iterating over quantities or over members: neither is what everybody expects.
     __iter__ = None

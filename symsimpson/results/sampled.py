@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, UnknownNameError
@@ -22,7 +23,7 @@ from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
 from symsimpson.support.names import counted, did_you_mean, spelled
 
-__all__ = ["Sampled", "Saved"]
+__all__ = ["Sampled", "Saved", "member_of"]
 
 #: Quantities that have a number for each coordinate.
 VECTORS = tuple(vector.name for vector in WITH_COORDINATES)
@@ -122,6 +123,31 @@ class Sampled(WithEvents, Outcome, States):
 
     def _about(self) -> dict[str, Any]:
         return super()._about() | self._outcome()
+
+
+def member_of(ensemble: Any, member: int) -> Sampled:
+    """Return the stored states of a member of an ensemble."""
+    n, driven = ensemble.program.n, ensemble.driven
+    t, q, p = ensemble.t, *(np.asarray(x[member]).reshape(-1, n) for x in (ensemble.q, ensemble.p))
+    if ensemble.t.shape == ensemble.q.shape[:-1]:  # times of its own, up to its end
+        t = ensemble.t[member].reshape(-1)
+        t, q, p = (x[: np.isfinite(t).sum()] for x in (t, q, p))
+    status = Status(int(ensemble.status[member]))
+    return Sampled(
+        t=t,
+        q=q,
+        p=p,
+        program=ensemble.program,
+        parameter_values=ensemble.parameter_values[member],
+        driven=None if driven is None else driven.of_member(member),
+        h=np.nan if driven is None else driven.h,
+        steps=int(ensemble.steps[member]),
+        status=status,
+        message=status.message,
+        records=ensemble.records.get(member, ()),
+        event_names=ensemble.event_names,
+        reduced_values=tuple((name, float(x[member])) for name, x in ensemble.reduced.items()),
+    )
 
 
 @explaining()

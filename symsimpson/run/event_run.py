@@ -86,10 +86,9 @@ class EventRun(Run):
         sides, values = self.sides, row[: len(self._value)]
         moved, sizes = self.h * self._actions.rates(row), self._actions.sizes(row, state[0])
         sides.size[:] = np.max([abs(values), abs(moved), sizes], axis=0)
-        small = sides.small_at(t, state)
         sides.side[:] = 0  # a zero there is no event
         sides.due(t, state, 0)
-        sides.side[:] = sides.of(values, small)
+        sides.side[:] = sides.of(values, sides.small_at(t, state))
         for k, event in enumerate(self._events.events):
             if not (isinstance(event.action, Impact) and self._actions.allowed(row, k)):
                 continue
@@ -173,8 +172,8 @@ class EventRun(Run):
             if self._code == ARRIVED and self._saltation is not None:
                 self._saltation.put(self._variations)
             return
-        same = (np.sign(self.sides.side) == np.sign(side)).all()
-        if len(self.records) == acted and same:  # nothing was there
+        same = len(self.records) == acted and (np.sign(self.sides.side) == np.sign(side)).all()
+        if same:  # nothing was there
             side, size = self.sides.side.copy(), self.sides.size.copy()
             self.W[:] = behind
             self.sides.side[:], self.sides.size[:] = side, size
@@ -234,8 +233,7 @@ class EventRun(Run):
                 if self._code:
                     return None
                 row = self._actions.row(t0 + h, end)
-                values = row[: len(self._value)]
-                if np.isnan(values[self._actions.impacts]).any():
+                if np.isnan(row[: len(self._value)][self._actions.impacts]).any():
                     return self._fail(Status.NOT_FINITE, "A gap has no value beyond its wall. ")
                 self.sides.settle(row, end[0])
                 self._flow(state, t0 + done, rest, step, None)
@@ -281,8 +279,7 @@ class EventRun(Run):
         def row(part: float) -> Floats:
             return self._actions.row(t0 + done + part, after(part))
 
-        due = [] if done else self.sides.due(t0, start, step)
-        if due:
+        if not done and (due := self.sides.due(t0, start, step)):
             return 0.0, start, due
         first, last = self._actions.row(t0 + done, start), self._actions.row(t0 + h, end)
         small = ZERO * self.sides.faded(last, end[0])

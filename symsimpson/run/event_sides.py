@@ -21,7 +21,7 @@ __all__ = ["Sides"]
 #: In these parts of a step, or of its rest, expressions are looked at that are zero at both ends.
 #: Forces are taken on their own side of a kink up to these parts of a step from it.
 LITTLE = [2.0**k for k in range(-52, -15)]
-PLACES = (0.1125, 0.3625, 0.6125, 0.8625)
+PLACES = (0.8625, 0.6125, 0.3625, 0.1125)
 
 #: How long a part of a step is up to events, the state there, and the events.
 Crossing = tuple[float, State, list[int]]
@@ -126,18 +126,17 @@ class Sides:
         With it comes what is asked for there; ``row`` gives it, ``first`` and ``last`` are that at
         both ends.
         """
-        small = ZERO * np.fmax(self.size, np.abs(last[: len(self.size)]))
-        zeros, met = ~self._actions.impacts & (np.abs(last[: len(small)]) <= small), {}
-        self._arriving = np.zeros_like(small)
+        count, small = len(self.size), ZERO * np.fmax(self.size, np.abs(last[: len(self.size)]))
+        zeros = ~self._actions.impacts & (np.abs(last[:count]) <= small)
+        self._arriving, met = np.zeros(count), dict[int, tuple[float, Floats]]()
         if zeros.any():
             self._arriving = signs_beside(lambda x: self._seen(row(rest - x * rest)), small)
-            for k in np.flatnonzero(zeros & self.acts(self._arriving)).tolist():
-                met[k] = (1 - BESIDE[1]) * rest, row((1 - BESIDE[1]) * rest)
-            for k in np.flatnonzero(zeros & (np.abs(first[: len(small)]) <= small)).tolist():
-                for x in PLACES if k not in met else ():
-                    there = row(x * rest)
-                    if k not in met and self.acts(self.of(there[: len(small)], small))[k]:
-                        met[k] = x * rest, there
+            both = zeros & (np.abs(first[:count]) <= small)
+            for x in (1 - BESIDE[1], *(PLACES if both.any() else ())):  # the first one counts
+                there = row(x * rest)
+                behind = self._arriving if x == 1 - BESIDE[1] else self.of(there[:count], small)
+                here = self.acts(behind) & (zeros if x == 1 - BESIDE[1] else both)
+                met |= dict.fromkeys(np.flatnonzero(here).tolist(), (x * rest, there))
         return met
 
     @property
