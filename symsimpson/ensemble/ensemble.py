@@ -19,8 +19,10 @@ from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.differentiated import Differentiated
 from symsimpson.results.quantities import Quantities
+from symsimpson.results.records import Record
+from symsimpson.results.sampled import Sampled, member_of
 from symsimpson.results.saving import RECORDED
-from symsimpson.results.states import States, with_units
+from symsimpson.results.states import with_units
 from symsimpson.results.tables import dataframe, write
 from symsimpson.results.work import WORK, named_parts
 from symsimpson.stepping.driving import Driven, inputs_there
@@ -99,6 +101,9 @@ class Ensemble(Quantities, Differentiated):
     tau: Floats | None = None
     recorded: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
     ended_at: Floats | None = None
+    #: What events did, in the order of time, in the members in which some acted; and their names.
+    records: Mapping[int, tuple[Record, ...]] = field(default_factory=dict, repr=False)
+    event_names: tuple[str, ...] = field(default=(), repr=False)
     #: How inputs went, where that is known.
     driven: Driven | None = field(default=None, repr=False)
     #: 1 if the time goes on with the steps, -1 if it goes back.
@@ -107,8 +112,8 @@ class Ensemble(Quantities, Differentiated):
     @overload
     def __getitem__(self, key: str) -> NDArray[Any]: ...
     @overload
-    def __getitem__(self, key: int) -> States: ...
-    def __getitem__(self, key: Any) -> NDArray[Any] | States:
+    def __getitem__(self, key: int) -> Sampled: ...
+    def __getitem__(self, key: Any) -> NDArray[Any] | Sampled:
         """Return a quantity of all members by its name, or the states of one member.
 
         Names are those of a run, of what ``reduce`` asked for, and of parameters.
@@ -128,14 +133,7 @@ class Ensemble(Quantities, Differentiated):
             return self._named(key)
         if not -len(self) <= member < len(self):
             raise IndexError(f"there is no member {member}: there are {len(self)}, from 0 on")
-        n = self.program.n
-        t, q, p = self.t, *(np.asarray(x[member]).reshape(-1, n) for x in (self.q, self.p))
-        if self.t.shape == self.q.shape[:-1]:  # times of its own, up to its end
-            t = self.t[member].reshape(-1)
-            t, q, p = (x[: np.isfinite(t).sum()] for x in (t, q, p))
-        program, values = self.program, self.parameter_values[member]
-        driven = None if self.driven is None else self.driven.of_member(member)
-        return States(t=t, q=q, p=p, program=program, parameter_values=values, driven=driven)
+        return member_of(self, member % len(self))
 
     #: Iterating over quantities or over members: neither is what everybody expects.
     __iter__ = None

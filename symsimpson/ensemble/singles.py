@@ -90,6 +90,7 @@ def _put(program: Program, task: Task, results: Results, member: Any, run: Traje
     for array, states in ((results.q, run.q), (results.p, run.p), (results.recorded, kept)):
         stored = states[:whole][::stride] if task.every else states[-1:]
         array[member, : len(stored)], array[member, len(stored) :] = stored, np.nan
+    results.records[int(member)] = run.records
     results.codes[member] = run.status, run.steps, run.newton_iterations.sum()
     if not run.every or run.ended_by is not None:  # else behind so many whole steps
         results.ended_at[member] = run.t[-1]

@@ -13,6 +13,7 @@ from symsimpson.module.interface import MET
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder, split, with_clock
 from symsimpson.program.status import Status
+from symsimpson.results.records import Record
 from symsimpson.stepping.driving import driven
 from symsimpson.stepping.recording import recorders_of
 from symsimpson.stepping.request import Request
@@ -103,6 +104,8 @@ class Results:
         #: When members came to their ends, where they are known to be run by themselves.
         self.ended_at = np.full(task.members, np.nan)
         self.seen = np.full((task.members, max(1, 2 * len(task.reductions))), np.nan)
+        #: What events did, by member.
+        self.records = dict[int, tuple[Record, ...]]()
         self._task = task
 
     def columns(self) -> dict[str, Any]:
@@ -124,6 +127,7 @@ class Results:
         columns["variations"], columns["recorded"] = split(self._recorders, recorded, q.shape[-1])
         if task.run_events is not None:
             whole_steps = task.t0 + task.h * steps
+            columns |= {"records": self.records, "event_names": task.run_events.names}
             columns["ended_at"] = np.where(np.isnan(self.ended_at), whole_steps, self.ended_at)
             if not task.every and not task.retimed:
                 columns["t"] = columns["ended_at"]

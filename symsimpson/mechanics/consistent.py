@@ -16,7 +16,7 @@ from symsimpson.mechanics.declared import Declared
 from symsimpson.mechanics.given_states import read_values, read_vector
 from symsimpson.support.array_types import Floats
 from symsimpson.support.lengths import bending_length
-from symsimpson.support.names import spelled
+from symsimpson.support.names import constraint_called, spelled
 
 __all__ = ["consistent"]
 
@@ -109,7 +109,7 @@ def consistent(
         names = [*system.constraints, *system.velocity_constraints]
         raise InputError(
             f"{system.name}: no velocities at q0={_shown(q)} satisfy the constraint "
-            f"{names[int(np.argmax(off))]!r}"
+            f"{constraint_called(names[int(np.argmax(off))])}"
             + (f" with those of {', '.join(sorted(held))} as given" if held else "")
             + ".\nGive another start, or hold fewer coordinates fixed."
         )

@@ -33,6 +33,8 @@ KINDS = ("min", "max", "mean", "first", "lyapunov", "megno", "sali", "count")
 OF_STATES, OF_VARIATIONS, OF_EVENTS = KINDS[:4], KINDS[4:7], "count"
 #: What is left of the size of an expression in each step, unless its terms are as large.
 FADED = 2.0**-10
+#: Functions whose slopes are at most 1: roundings of their arguments are those of their values.
+SLOPES_TO_ONE = {"sin", "cos", "atan", "tanh", "abs", "min", "max"}
 
 
 @dataclass(frozen=True)
@@ -57,19 +59,31 @@ class Observed:
 
     @property
     def size(self) -> str:
-        """The sizes of the terms of a sum, added up, as an expression: what is rounded in it."""
-        terms: list[str] = []
+        """The sizes of its terms, added up, as an expression: what is rounded in it."""
+        return _size(ast.parse(self.text, mode="eval").body)
 
-        def collect(node: ast.expr) -> None:
-            match node:
-                case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
-                    collect(left)
-                    collect(right)
-                case _:
-                    terms.append(f"abs({ast.unparse(node)})")
 
-        collect(ast.parse(self.text, mode="eval").body)
-        return " + ".join(terms)
+def _size(node: ast.expr) -> str:
+    """Return the size of an expression; of a function also that of its arguments."""
+    value = f"abs({ast.unparse(node)})"
+    match node:
+        case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
+            return f"{_size(left)} + {_size(right)}"
+        case ast.UnaryOp(op=ast.USub(), operand=ast.BinOp() | ast.Call() as operand):
+            return _size(operand)
+        case ast.BinOp(left=left, op=ast.Mult(), right=right):
+            a, b, first, last = _size(left), _size(right), ast.unparse(left), ast.unparse(right)
+            if (a, b) != (f"abs({first})", f"abs({last})"):
+                return f"({a}) * abs({last}) + abs({first}) * ({b})"
+        case ast.BinOp(left=ast.BinOp() | ast.Call() as left, op=ast.Div(), right=right):
+            return f"({_size(left)}) / abs({ast.unparse(right)})"
+        case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=n)) if n > 1:
+            return f"{value} + {n} * abs({ast.unparse(left)}) ** {n - 1} * ({_size(left)})"
+        case ast.BinOp(left=left, op=ast.Mod()):
+            return f"{value} + {_size(left)}"
+        case ast.Call(func=ast.Name(id=name), args=arguments) if name in SLOPES_TO_ONE:
+            return " + ".join([value, *map(_size, arguments)])
+    return value
 
 
 @dataclass(frozen=True)
@@ -226,10 +240,11 @@ def watchers(
     """Return what stops a run behind a step in which an expression changes its sign.
 
     From the ``first`` row on there are four for each: the side of zero on which it is, NaN where
-    that is not known, its size of late, of a gap its largest (bodies that touch for long are apart
-    by rounding of what they moved before), its value, and the value before.
+    that is not known, a half of it while it rests at zero; its size of late, of a gap its largest
+    (bodies that touch for long are apart by rounding of what they moved before), its value, and the
+    value before.
     ``signs`` are those that are waited for, or 0; a gap may also pass through zero and come back
-    within a step.
+    within a step. A step that begins at a zero of another expression stops the run, too.
     """
     lines, kept = list(_names(header)), list[str]()
     for k, (quantity, sign, gap) in enumerate(zip(watched, signs, gaps, strict=True)):
@@ -248,7 +263,10 @@ def watchers(
         ]
         kept += [f"{side}, {size} = now_{k}, size_{k}"]
         kept += [f"{earlier}, {before} = {before}, value_{k}"]
-        if gap:
+        if not gap:  # it may act where the step begins
+            zero = f"abs({before}) <= {ZERO!r} * {size} and abs(side) == 1.0"
+            lines.append(f"met_{k} = 1.0 if {zero} else met_{k}")
+        else:
             lines += [
                 f"falls = {earlier} - {before}",
                 f"rises = 2.0 * (value_{k} - {before}) + falls",

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.module.interface import ZERO
 from symsimpson.program.evaluating import watching
 from symsimpson.program.input_values import whole_number
 from symsimpson.program.observed import Observed, read_expression, refuse_constant
@@ -33,7 +34,11 @@ RESOLUTION = 4 * np.finfo(float).eps
 JUMP = 1e-6
 #: Zeros so near to where an angle is wrapped lie there.
 SEAM = 1e-9
-MOST_ITERATIONS = 100
+MOST_ITERATIONS, TINY = 100, 1e-300
+#: So near to a zero, relative to a step, an expression is looked at to know its sign beside it.
+BESIDE = (1e-6, 1e-3, 2.0**-5)
+#: Weights of four values, from 0 to 1, whose sum is the slope at 0 of a cubic through them.
+SLOPE = (-5.5, 9.0, -4.5, 1.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -145,17 +150,21 @@ def of_run(run: Any) -> dict[str, Any]:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # where there is no finite value, there is no zero
-def zeros(run: Stored, sought: Zeros, *, begins: bool = True) -> tuple[Floats, ...]:
-    """Find times, positions, momenta and directions of the zeros between stored states."""
+def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
+    """Find times, positions, momenta and directions of the zeros at and between stored states.
+
+    A zero at the first state is none; at the last one it is, unless the motion turns back there.
+    """
     wanted, direction = sought
     dense, wrapped = DenseOutput(run), list(wanted.wrapped)
     times, positions, momenta = _with_end(run, dense)
-    watched = watching(run.program, [wanted], run.parameter_values)
+    asked = [wanted, replace(wanted, text=wanted.size)]
+    watched = watching(run.program, asked, run.parameter_values)
 
     def value(t: Floats, q: Floats, p: Floats, turns: Floats) -> Floats:
         q = q.copy()
         q[:, wrapped] -= TURN * turns
-        return watched(t, q, p)[:, 0]
+        return watched(t, q, p).T
 
     # an angle stays in the turn in which the interval begins; where it ends in another, that is
     # looked at as well
@@ -163,21 +172,17 @@ def zeros(run: Stored, sought: Zeros, *, begins: bool = True) -> tuple[Floats, .
     begin = np.arange(len(times) - 1)
     passing = np.flatnonzero((turns[1:] != turns[:-1]).any(axis=1))
     start, turn = np.append(begin, passing), np.concatenate([turns[:-1], turns[passing + 1]])
-    values = value(times, positions, momenta, turns)  # each state in its own turn
+    values = value(times, positions, momenta, turns)[0]  # each state in its own turn
     first = np.append(values[:-1], values[passing])
     last = np.append(values[1:], values[passing + 1])
     if passing.size:  # an interval has one turn for both of its ends
         new, end = np.arange(len(begin), len(start)), passing + 1
-        first[new] = value(times[passing], positions[passing], momenta[passing], turn[new])
-        last[passing] = value(times[end], positions[end], momenta[end], turn[passing])
-    below = first < 0
-    if begins and start.size and first[0] == 0:
-        below[0] = last[0] < 0  # the first state is no crossing
-    change = (last < 0).astype(int) - below
-    change[~np.isfinite(last - first)] = 0
-    here = np.flatnonzero(change if direction == 0 else change == -direction)
-    start, turn, change = start[here], turn[here], change[here]
-    first, last = first[here], last[here]
+        first[new] = value(times[passing], positions[passing], momenta[passing], turn[new])[0]
+        last[passing] = value(times[end], positions[end], momenta[end], turn[passing])[0]
+    count, span = len(begin), times[start + 1] - times[start]
+    small = ZERO * watched(times, positions, momenta)[:, 1]
+    finite = [x[np.isfinite(x)] for x in (first, last)]
+    rounding = ZERO * max(np.abs(np.append(*finite)), default=0.0)
     state: list[Floats] = [np.zeros((start.size, run.program.n)) for _ in "qp"]
 
     def at(which: NDArray[np.int64], later: Floats) -> Floats:
@@ -186,21 +191,85 @@ def zeros(run: Stored, sought: Zeros, *, begins: bool = True) -> tuple[Floats, .
         state[0][which], state[1][which] = q, p
         return value(times[start[which]] + later, q, p, turn[which])
 
-    span = times[start + 1] - times[start]
-    later = chandrupatla(at, span, first, last)
-    left = at(np.arange(start.size), later)
-    real = np.abs(left) <= JUMP * (np.abs(first) + np.abs(last))
-    angles = state[0][:, wrapped] - TURN * turn
+    def looked_at(end: int, way: int) -> tuple[Floats, Floats, Floats]:
+        """Return signs at one end of all intervals, places near it, and values there."""
+        found, sizes, places = (first, last)[end].copy(), small[start + end], end * span
+        signs, which = np.sign(found), np.flatnonzero(np.abs(found) <= np.fmax(sizes, rounding))
+        if which.size:
+            place, ahead, seen = places[which], way * span[which], found[which]
+            least = np.fmax(sizes[which], 8 * np.abs(seen))
+            beside = signs_beside(lambda part: at(which, place + part * ahead), least)
+            clear = np.where(np.abs(seen) > sizes[which], signs[which], 0)
+            signs[which] = np.where(beside == 0, clear, beside)
+            places[which] += BESIDE[1] * ahead
+            found[which] = at(which, places[which])[0]
+            lost = which[np.sign(found[which]) != signs[which]]
+            places[lost], found[lost] = end * span[lost], TINY * signs[lost]
+        return signs, places, found
+
+    (left, low, first), (right, high, last) = looked_at(0, 1), looked_at(1, -1)
+    known = np.stack([left[:count], right[:count]], axis=1)
+    known[passing, 1] = right[count:]  # in the turn of the next interval
+    flat = known.ravel()  # what rests at zero stays on the side on which it was
+    flat = flat[np.maximum.accumulate(np.where(flat == 0, 0, np.arange(flat.size)))]
+    left[:count], plain = flat[::2], np.delete(begin, passing)
+    right[plain] = flat[2 * plain + 1]
+    behind = np.append(flat[2::2], 0.0)
+    if count and abs(values[-1]) <= max(small[-1], rounding):  # it goes on as it came, if unknown
+        end = np.array([min(len(times), len(run.t)) - 1])
+
+        def beyond(part: float) -> Floats:
+            q, p, codes = dense.after(end, times[-1:] - times[end] + part * span[count - 1])
+            q[codes != 0] = np.nan
+            return value(times[-1:] + part * span[count - 1], q, p, turns[-1:])
+
+        (sign,) = signs_beside(beyond, np.fmax(small[-1:], 8 * np.abs(values[-1:])))
+        behind[-1] = sign or (-flat[-1] if abs(values[-1]) <= small[-1] else np.sign(values[-1]))
+    within = np.where(left * right < 0, right, 0)
+    at_states = np.where(flat[1::2] * behind < 0, behind, 0)
+    here, states = (
+        np.flatnonzero((x == direction) if direction else x) for x in (within, at_states)
+    )
+    later = low[here] + chandrupatla(
+        lambda which, x: at(here[which], low[here[which]] + x)[0],
+        high[here] - low[here],
+        first[here],
+        last[here],
+    )
+    rest = at(here, later)[0]
+    real = np.abs(rest) <= JUMP * (np.abs(first[here]) + np.abs(last[here]))
+    angles = state[0][here][:, wrapped] - TURN * turn[here]
     real &= (np.abs(angles) <= (1 + SEAM) * np.pi).all(axis=1)
-    order = np.lexsort((later * np.sign(span), start))
-    order = order[real[order]]
+    here, later = here[real], np.append(later[real], span[states])
+    q, p = (
+        np.append(x[here], y[states + 1], axis=0)
+        for x, y in zip(state, (positions, momenta), strict=True)
+    )
+    signs, start = np.append(within[here], at_states[states]), np.append(start[here], states)
+    span = span[: max(count, 1)]
+    order = np.lexsort((later * np.sign(span[start]), start))
     if passing.size:  # what lies on the seam was found on both of its sides
         same = (np.diff(start[order]) == 0) & (
-            np.abs(np.diff(later[order])) <= SEAM * np.abs(span[order[1:]])
+            np.abs(np.diff(later[order])) <= SEAM * np.abs(span[start[order[1:]]])
         )
         order = order[np.append(True, ~same)[: order.size]]
-    q, p = (x[order] for x in state)
-    return times[start[order]] + later[order], q, p, -change[order].astype(float)
+    return (times[start] + later)[order], q[order], p[order], signs[order]
+
+
+def signs_beside(values: Callable[[float], Floats], small: Floats) -> Floats:
+    """Return signs of expressions a little beside a zero, 0 where they are not known.
+
+    ``values`` gives them, and their sizes, at a part of a step from it. Slopes at the zero tell the
+    sign, as the motion may come back at once; values themselves do where slopes are zero.
+    """
+    signs = np.zeros_like(small)
+    for part in BESIDE:
+        there = np.array([values(part * place) for place in (0.0, 1 / 3, 2 / 3, 1.0)])
+        least = np.fmax(small, ZERO * np.max(there[:, 1], axis=0))
+        slope, curved = np.tensordot(SLOPE, there[:, 0], 1), 100 * part**2 * np.abs(there[-1, 0])
+        clear = (signs == 0) & (np.abs(slope) > np.fmax(least, curved))
+        signs = np.where(clear, np.sign(slope), signs)
+    return np.where((signs == 0) & (np.abs(there[-1, 0]) > least), np.sign(there[-1, 0]), signs)
 
 
 def _with_end(run: Stored, dense: DenseOutput) -> tuple[Floats, Floats, Floats]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from symsimpson.support.array_types import Ints
 
 if TYPE_CHECKING:
     from symsimpson.plotting.animate import Animation
+    from symsimpson.results.events import Events
 
 __all__ = ["Part"]
 
@@ -33,6 +34,8 @@ ROWS = (
     "constraint_forces",
     "velocity_constraint_error",
 )
+#: What events have a row of for each time.
+ROWS_OF_EVENTS = ("t", "q", "p", "direction", "q_after", "p_after", "impulse", "simultaneous")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -57,7 +60,7 @@ class Part(States):
 
     def __getattr__(self, name: str) -> Any:
         if name not in ROWS:
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            return super().__getattr__(name)
         values = getattr(self._run, name)
         if isinstance(values, dict):
             return {key: rows[self._places] for key, rows in values.items()}
@@ -71,6 +74,17 @@ class Part(States):
     def at(self, t: ArrayLike) -> States:
         """Return the states at any times of the whole run, as :meth:`Trajectory.at`."""
         return self._run.at(t)
+
+    def events(self, expression: Any, *, direction: int = 0, wrap: Any = ()) -> Events:
+        """Find the zeros of an expression from the first to the last of these states.
+
+        As :meth:`Trajectory.events`; the name of an event gives its record in this time.
+        """
+        found = self._run.events(expression, direction=direction, wrap=wrap)
+        here = (found.t >= min(self.t, default=0)) & (found.t <= max(self.t, default=0))
+        values = {f.name: getattr(found, f.name) for f in fields(found)}
+        rows = {x: values[x][here] for x in ROWS_OF_EVENTS if x in values}
+        return type(found)(**{**values, **rows})
 
     def animate(self, *, seconds: float | None = None, fps: int = 20) -> Animation:
         """Film this part of the run, as :meth:`Trajectory.animate`."""

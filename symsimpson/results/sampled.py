@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, UnknownNameError
@@ -22,7 +23,7 @@ from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
 from symsimpson.support.names import counted, did_you_mean, spelled
 
-__all__ = ["Sampled", "Saved"]
+__all__ = ["Sampled", "Saved", "member_of"]
 
 #: Quantities that have a number for each coordinate.
 VECTORS = tuple(vector.name for vector in WITH_COORDINATES)
@@ -60,8 +61,8 @@ class WithEvents:
         if str(name) not in self.event_names:
             had = f"It had {', '.join(self.event_names)}. " if self.event_names else ""
             raise InputError(
-                f"the run had no event {name!r}.\n{had}Zeros of expressions are found in runs "
-                "whose steps are kept: leave out t_eval= and save=."
+                f"the run had no event {name!r}.\n{had}Zeros of expressions are found in single "
+                "runs that store their steps: stepper.integrate(...) without t_eval= and save=."
             )
         return actions_of(self, str(name))
 
@@ -93,6 +94,8 @@ class WithEvents:
 class Sampled(WithEvents, Outcome, States):
     """The states of a run at chosen times; ``integrate(..., t_eval=times)`` gives them.
 
+    A member of an ensemble, ``ensemble[3]``, gives its stored states.
+
     Attributes are those of :class:`States`, and how the run ended: ``status``, ``message``,
     ``success``, its ``steps`` and ``h``. Of a run that failed, the times that it reached are there.
 
@@ -120,6 +123,31 @@ class Sampled(WithEvents, Outcome, States):
 
     def _about(self) -> dict[str, Any]:
         return super()._about() | self._outcome()
+
+
+def member_of(ensemble: Any, member: int) -> Sampled:
+    """Return the stored states of a member of an ensemble."""
+    n, driven = ensemble.program.n, ensemble.driven
+    t, q, p = ensemble.t, *(np.asarray(x[member]).reshape(-1, n) for x in (ensemble.q, ensemble.p))
+    if ensemble.t.shape == ensemble.q.shape[:-1]:  # times of its own, up to its end
+        t = ensemble.t[member].reshape(-1)
+        t, q, p = (x[: np.isfinite(t).sum()] for x in (t, q, p))
+    status = Status(int(ensemble.status[member]))
+    return Sampled(
+        t=t,
+        q=q,
+        p=p,
+        program=ensemble.program,
+        parameter_values=ensemble.parameter_values[member],
+        driven=None if driven is None else driven.of_member(member),
+        h=np.nan if driven is None else driven.h,
+        steps=int(ensemble.steps[member]),
+        status=status,
+        message=status.message,
+        records=ensemble.records.get(member, ()),
+        event_names=ensemble.event_names,
+        reduced_values=tuple((name, float(x[member])) for name, x in ensemble.reduced.items()),
+    )
 
 
 @explaining()

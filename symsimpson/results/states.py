@@ -25,6 +25,10 @@ from symsimpson.support.names import counted
 __all__ = ["States"]
 
 
+class PartialRunError(InputError, AttributeError):
+    """Some states of a run lack what the whole run has."""
+
+
 def with_units(data: Any, units: Mapping[str, str]) -> Any:
     """Return an ``xarray.Dataset`` with the units that are known.
 
@@ -99,6 +103,19 @@ class States(Quantities):
 
     def __init__(self, **fields: Any) -> None:
         self.__dict__.update(fields)  # a quarter of the time that setting each takes
+
+    def __getattr__(self, name: str) -> Any:
+        from symsimpson.results.trajectory import Trajectory
+
+        kind = type(self).__name__
+        if name.startswith("_") or not (
+            hasattr(Trajectory, name) or name in Trajectory.__dataclass_fields__
+        ):
+            raise AttributeError(f"{kind!r} object has no attribute {name!r}")
+        raise PartialRunError(
+            f"{kind} has no {name!r}: these are some states of a run.\nAsk the run itself, "
+            f"run.{name}. Run a member of an ensemble alone: stepper.integrate(...)."
+        )
 
     @property
     def parameters(self) -> Mapping[str, float]:

@@ -225,8 +225,8 @@ class Trajectory(Energies, Differentiated):
                 raise
             meant = did_you_mean(expression, self.event_names)
             raise InputError(
-                f"{error}\nOr is it the name of an event?{meant} Those of this run are "
-                f"{', '.join(self.event_names)}."
+                f"the run has no event {expression!r}.{meant}\nIts events are "
+                f"{', '.join(self.event_names)}. If it is meant as an expression: {error}"
             ) from None
 
     def animate(self, *, seconds: float | None = None, fps: int = 20) -> Animation:

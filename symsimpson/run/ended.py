@@ -71,7 +71,10 @@ def trajectory_of(
                 for x, end_of in ((q, end[0]), (p, end[1]), (recorded, run.left()))
             )
     message = run.reason or status.message
-    if status is not Status.SUCCESS:
+    if status is Status.INTERRUPTED:
+        where = f"t={float(run.now):g}, after step {done}. {message}"
+        message = f"{program.system}, {program.scheme}: the run was interrupted at {where}"
+    elif status is not Status.SUCCESS:
         of = f" of {count}" if spec.t_end is None else ""
         time, h = float(run.now), float(run.h)
         message = (
@@ -129,7 +132,8 @@ def raise_failure(
 ) -> None:
     """Raise the error of a run that did not reach its end, with what it has come to."""
     if ended.status is Status.INTERRUPTED:
-        raise Interrupted(ended.message, trajectory=result)
+        kept = "The states computed so far are in this error's .trajectory."
+        raise Interrupted(f"{ended.message} {kept}", trajectory=result)
     residual, detail = run.last_correction, ""
     met = ended.status in (Status.EVENTS_ACCUMULATE, Status.BAD_INPUT)
     # else it is what was found afterwards, or an event that could not act

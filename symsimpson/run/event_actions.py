@@ -20,7 +20,7 @@ from symsimpson.driver.impacts import (
 from symsimpson.errors import InputError, ModelError
 from symsimpson.program.evaluating import evaluate, watching
 from symsimpson.program.program import Program
-from symsimpson.results.events import JUMP
+from symsimpson.results.events import BESIDE, JUMP
 from symsimpson.run.zeros import ridders
 from symsimpson.stepping.constrained_start import project_start
 from symsimpson.stepping.event import Event, Impact
@@ -51,6 +51,7 @@ class EventActions:
         self.rows = watching(program, run_events.watched, spec.parameters)
         self._sign = 1.0 if spec.h > 0 else -1.0
         self.failed, self._known = "", list[tuple[float, State, Floats]]()
+        self.beyond: State | None = None  #: Where the motion goes on beyond a kink.
         #: Impacts whose gap, and its rate, are zero behind the last actions.
         self.touched = set[int]()
         #: Which events are impacts.
@@ -80,9 +81,9 @@ class EventActions:
         return bool(self.impacts[k])
 
     def loses(self, k: int, before: State, behind: State, t: float) -> bool:
-        """Return whether an event is an impact that left a slower rate than there was."""
+        """Return whether an event is an impact that left a slower rate, or a change."""
         if not self.is_impact(k):
-            return False
+            return bool(self._events.changes[k])
         rates = [abs(self.row(t, state)[self.rate(k)]) for state in (before, behind)]
         return bool(rates[1] < (1 - 1e-9) * rates[0])
 
@@ -186,7 +187,11 @@ class EventActions:
         if first * side <= 0:  # rounding has left it behind
             first = side * np.finfo(float).tiny
         if place is None:
-            x = ridders(lambda x: float(row(x)[k]), 0.0, span, (first, last), EXACT * abs(span))
+            low = 0.0
+            if abs(first) < BESIDE[0] * abs(last):  # rounding: it begins a little later
+                there = float(row(BESIDE[0] * span)[k])
+                low, first = (BESIDE[0] * span, there) if there * side > first else (low, first)
+            x = ridders(lambda x: float(row(x)[k]), low, span, (first, last), EXACT * abs(span))
             jumped = abs(float(row(x)[k])) > JUMP * (abs(first) + abs(last))
             return float("nan") if jumped else x
         low, high, before = 0.0, span, 0.0
@@ -300,7 +305,7 @@ class EventActions:
         """Return the state after an event that is no impact."""
         changes = self._events.changes[k]
         if not changes:
-            return state
+            return self.beyond or state
         row, (q, p) = self.row(t, state), state
         q, p = q.copy(), p.copy()
         v = self._velocities(t, state[0], state[1][None])[0].copy()

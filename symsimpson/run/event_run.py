@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 __all__ = ["EventRun"]
 
 #: So many actions within one step are too many; a start may be so far behind a wall, relative to
-#: its size; where an expression is zero behind an action, its sign is that after so much of a step.
-MOST_ACTIONS, BEHIND, AHEAD = 500, 1e-9, 1e-6
+#: its size.
+MOST_ACTIONS, BEHIND = 500, 1e-9
 #: So many steps are taken at first before Ctrl-C is heard.
 FEW_STEPS = 16
 
@@ -60,10 +60,9 @@ class EventRun(Run):
         self._actions = EventActions(program, spec, run_events)
         works = any(recorder.name == "work" for recorder in recorders)
         self._parts = Parts(program, spec.parameters, float(spec.h), inputs, works=works)
-        signs = [event.sign for event in run_events.events]
-        rows = self._column[first : first + WATCHED * len(signs)]
+        rows = self._column[first : first + WATCHED * len(run_events.events)]
         side, size, self._value, self._earlier = rows.reshape(-1, WATCHED).T
-        self.sides = Sides(side, size, self._actions, signs)
+        self.sides = Sides((side, size), self._actions, run_events, self._parts, float(spec.h))
         self._code, self._saltation = 0, cast("Saltation | None", None)
         self._stretch = FEW_STEPS
         if spec.tangents is not None:
@@ -87,14 +86,15 @@ class EventRun(Run):
         sides, values = self.sides, row[: len(self._value)]
         moved, sizes = self.h * self._actions.rates(row), self._actions.sizes(row, state[0])
         sides.size[:] = np.max([abs(values), abs(moved), sizes], axis=0)
-        small = sides.small_at(t, state)
-        sides.side[:] = sides.of(values, small, 0 * values)  # a zero there is no event
+        sides.side[:] = 0  # a zero there is no event
+        sides.due(t, state, 0)
+        sides.side[:] = sides.of(values, sides.small_at(t, state))
         for k, event in enumerate(self._events.events):
             if not (isinstance(event.action, Impact) and self._actions.allowed(row, k)):
                 continue
             if values[k] < -BEHIND * sides.size[k]:
                 raise InputError(
-                    f"{self._system}: the start is behind the wall {event.key!r}: the gap "
+                    f"{self._system}: the initial state violates the gap {event.key!r}: its value "
                     f"is {values[k]:g}.\nBegin where it is positive, or turn its sign."
                 )
             sides.side[k] = 1
@@ -172,8 +172,9 @@ class EventRun(Run):
             if self._code == ARRIVED and self._saltation is not None:
                 self._saltation.put(self._variations)
             return
-        if len(self.records) == acted and (self.sides.side == side).all():  # nothing was there
-            size = self.sides.size.copy()
+        same = len(self.records) == acted and (np.sign(self.sides.side) == np.sign(side)).all()
+        if same:  # nothing was there
+            side, size = self.sides.side.copy(), self.sides.size.copy()
             self.W[:] = behind
             self.sides.side[:], self.sides.size[:] = side, size
             self._column[self._status] = 0
@@ -217,6 +218,7 @@ class EventRun(Run):
         self._actions.touched.clear()
         if self._saltation is not None:
             self._saltation.begin(self._variations)
+        latest = set[int]()
         for _ in range(MOST_ACTIONS):
             rest = h - done
             if abs(rest) <= NOTHING * abs(h):
@@ -231,24 +233,25 @@ class EventRun(Run):
                 if self._code:
                     return None
                 row = self._actions.row(t0 + h, end)
-                values = row[: len(self._value)]
-                if np.isnan(values[self._actions.impacts]).any():
+                if np.isnan(row[: len(self._value)][self._actions.impacts]).any():
                     return self._fail(Status.NOT_FINITE, "A gap has no value beyond its wall. ")
-                self.sides.size[:] = self.sides.faded(row, end[0])
-                self.sides.side[:] = self.sides.of(values, self.sides.small)
+                self.sides.settle(row, end[0])
                 self._flow(state, t0 + done, rest, step, None)
                 return end
             part, behind, events = crossing
+            given = t0 + done, state, (step, done / h)
+            if {*events} <= latest and self.sides.stays(crossing, *given):
+                return self._rests(t0 + done, events[0])
+            part, behind, there, self._actions.beyond = self.sides.astride(crossing, *given)
             self._flow(state, t0 + done, part, step, events[0])
-            done += part
+            done, latest = done + there, {*events}
             pressed = self._actions.pressed(t0 + done, behind, part, events, self.sides.small)
             state = behind if pressed else self._act(t0 + done, step, behind, events, times)
             if state is None:
                 return None
             still = pressed or (not part and state is behind)
             if still and self._actions.may_all_hit(t0 + done, state, events):
-                why = f"{self._events.names[events[0]]!r} is touched at rest at t={t0 + done!r}. "
-                return self._fail(Status.EVENTS_ACCUMULATE, why)
+                return self._rests(t0 + done, events[0])
         why = f"More than {MOST_ACTIONS} events act within one step, or one acts for ever. "
         return self._fail(Status.EVENTS_ACCUMULATE, why + "Take a smaller h if they do not. ")
 
@@ -276,12 +279,14 @@ class EventRun(Run):
         def row(part: float) -> Floats:
             return self._actions.row(t0 + done + part, after(part))
 
+        if not done and (due := self.sides.due(t0, start, step)):
+            return 0.0, start, due
         first, last = self._actions.row(t0 + done, start), self._actions.row(t0 + h, end)
         small = ZERO * self.sides.faded(last, end[0])
         behind = self.sides.of(last[: len(small)], small)
         met = np.flatnonzero(self.sides.acts(behind)).tolist()
         ends = self._actions.dips(row, rest, first, last, self.sides.small)
-        ends |= dict.fromkeys(met, (rest, last))
+        ends |= dict.fromkeys(met, (rest, last)) | self.sides.between(row, rest, first, last)
         sides = self.sides.side.tolist()
         roots = {
             k: self._actions.root(row, k, until, (first, there), sides[k])
@@ -303,7 +308,7 @@ class EventRun(Run):
         allowed = [k for k in events if self._actions.allowed(row, k)]
         for k in events:  # an impact leads back to its side, unless it is not allowed
             if not (k in allowed and self._actions.is_impact(k)):
-                self.sides.side[k] = -self.sides.side[k]
+                self.sides.side[k] = -np.sign(self.sides.side[k])
         done = list(self._actions.acted(t, state, allowed, small))
         several = len({k for k, *_, impulse in done if impulse}) > 1
         for k, before, behind, impulse in done:
@@ -324,7 +329,8 @@ class EventRun(Run):
         if self._look_for_end():
             return None
         if state is not given:
-            self._look_ahead(t, step, state)
+            share = (t - float(self.t0 + self.h * step)) / float(self.h)
+            self.sides.renew(allowed, t, given, state, (step, share))
         return None if self._accumulates(times) else state
 
     @property
@@ -337,17 +343,9 @@ class EventRun(Run):
         """Rows in which variations of the state stand, one after the other."""
         return self.rows("TANGENT", 2 * self.header.n * int(self.value("TANGENTS")))
 
-    def _look_ahead(self, t: float, step: int, state: Any) -> None:
-        """Find on which sides expressions are behind an action, of zeros by a look ahead."""
-        if self._actions.impacts.all():
-            return
-        values = self._actions.values(t, state)
-        begin = float(self.t0 + self.h * step)
-        size, share = AHEAD * float(self.h), (t - begin) / float(self.h)
-        soon, status = self._parts(state, t, size, step, share)
-        ahead = self._actions.values(t + size, soon) if status is Status.SUCCESS else 0 * values
-        fresh = self.sides.of(values, self.sides.small_at(t, state), np.sign(ahead))
-        self.sides.side[:] = np.where(self._actions.impacts, self.sides.side, fresh)
+    def _rests(self, t: float, event: int) -> None:
+        why = f"{self._events.names[event]!r} is touched at rest at t={t!r}. "
+        self._fail(Status.EVENTS_ACCUMULATE, why)
 
     def _accumulates(self, times: Times) -> bool:
         """Return whether impacts follow each other ever faster: the run ends."""
@@ -373,7 +371,9 @@ class EventRun(Run):
         here = np.abs(self._actions.values(t, state)) <= self.sides.small_at(t, state)
         near = TOGETHER * max(abs(t), abs(float(self.h)))
         here[[record.event for record in self.records if abs(record.t - t) <= near]] = False
-        events = np.flatnonzero(here & self.sides.acts(-self.sides.side)).tolist()
+        ahead = self.sides.ahead(t, state, (self.step, 0.0)) if here.any() else 0
+        ahead = np.where(ahead == 0, -np.trunc(self.sides.side), ahead)  # a half of it rests there
+        events = np.flatnonzero(here & self.sides.acts(ahead)).tolist()
         if events:
             self._act_here(t, self.step, state, events)
 

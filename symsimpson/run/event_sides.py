@@ -2,30 +2,142 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.module.interface import ZERO
 from symsimpson.program.observed import FADED
+from symsimpson.program.status import Status
+from symsimpson.results.events import BESIDE, signs_beside
 from symsimpson.run.event_actions import EventActions
+from symsimpson.stepping.parts import Parts
+from symsimpson.stepping.run_events import RunEvents
 from symsimpson.support.array_types import Floats, State
 
 __all__ = ["Sides"]
+
+#: In these parts of a step, or of its rest, expressions are looked at that are zero at both ends.
+#: Forces are taken on their own side of a kink up to these parts of a step from it.
+LITTLE = [2.0**k for k in range(-52, -15)]
+PLACES = (0.8625, 0.6125, 0.3625, 0.1125)
+
+#: How long a part of a step is up to events, the state there, and the events.
+Crossing = tuple[float, State, list[int]]
 
 
 class Sides:
     """Sides of zero, and the sizes by which rounding is told, in rows of a workspace.
 
-    ``side`` has the one on which each expression is, ``size`` its size of late.
+    ``side`` has the one on which each expression is, ``size`` its size of late. Steps have the
+    length ``h``.
     """
 
     def __init__(
-        self, side: Floats, size: Floats, actions: EventActions, signs: Sequence[int]
+        self,
+        rows: Sequence[Floats],
+        actions: EventActions,
+        events: RunEvents,
+        parts: Parts,
+        h: float,
     ) -> None:
-        self.side, self.size = side, size
-        self._actions, self._signs = actions, np.array(signs)
+        self.side, self.size = rows
+        self._actions, self._events, self._parts, self._h = actions, events, parts, h
+        self._signs = np.array([event.sign for event in events.events])
+
+    def ahead(self, t: float, state: State, place: tuple[int, float]) -> Floats:
+        """Return signs of expressions a little after a state; a place is a step and where in it.
+
+        Their sizes are then at least those that are seen there.
+        """
+
+        def values(part: float) -> Floats:
+            size = part * self._h
+            soon, status = self._parts(state, t, size, *place)
+            there = soon if status is Status.SUCCESS else (np.nan * state[0], np.nan * state[1])
+            values = self._seen(self._actions.row(t + size, there))
+            self.size[:] = np.fmax(self.size, np.abs(values[0]))
+            return values
+
+        return signs_beside(values, self.small_at(t, state))
+
+    def renew(
+        self, acted: Sequence[int], t: float, before: State, behind: State, place: tuple[int, float]
+    ) -> None:
+        """Find the sides behind actions; what is zero, as at these events, by a look ahead."""
+        if self._actions.impacts.all():
+            return
+        small, values = self.small_at(t, behind), self._actions.values(t, behind).copy()
+        same = np.abs(values - self._actions.values(t, before)) <= small
+        values[[k for k in acted if same[k]]] = 0
+        fresh = self.of(values, small, self.ahead(t, behind, place))
+        self.side[:] = np.where(self._actions.impacts, self.side, fresh)
+
+    def due(self, t: float, state: State, step: int) -> list[int]:
+        """Return events other than impacts whose zero is the state where a step begins."""
+        values = self._actions.values(t, state)
+        zeros = ~self._actions.impacts & (np.abs(values) <= self.small_at(t, state))
+        if not zeros.any():
+            return []
+        ahead = np.where(zeros, self.ahead(t, state, (step, 0.0)), 0.0)
+        acting = self.acts(ahead)
+        others = np.where(ahead == 0, np.sign(self.side) / 2, ahead)
+        self.side[:] = np.where(zeros & ~acting, others, self.side)
+        return np.flatnonzero(acting).tolist()
+
+    def stays(self, crossing: Crossing, t: float, state: State, place: tuple[int, float]) -> bool:
+        """Return whether events are no impacts, and stay zero, but for rounding, up to there."""
+        part, _, events = crossing
+        middle, _ = self._parts(state, t, part / 2, *place)
+        seen = np.abs(self._actions.values(t + part / 2, (middle[0], middle[1])))
+        clear = self._actions.impacts | (seen > self.small_at(t, state))
+        return not clear[[*events]].any()
+
+    def astride(
+        self, crossing: Crossing, t: float, state: State, place: tuple[int, float]
+    ) -> tuple[float, State, float, State | None]:
+        """Return how long a part of a step is up to events, its end, and where the next one begins.
+
+        Forces may have a kink where a step is split: one part ends shortly before it, and the next
+        one begins shortly behind it, on the line through states before.
+        """
+        part, end, events = crossing
+        side = np.sign(self.side)
+        for little in [self._h * x for x in LITTLE if self._events.split_alone(events)]:
+            (near, first), (before, second) = (
+                self._parts(state, t, part - k * little, *place) for k in (1, 2)
+            )
+            beyond = 3 * near[0] - 2 * before[0], 3 * near[1] - 2 * before[1]
+            if not first is second is Status.SUCCESS:
+                continue
+            here = side * self._actions.values(t + part - little, near)
+            there = -side * self._actions.values(t + part + little, beyond)
+            clear = np.minimum(here, there) > self._actions.rounding(t + part, near) / 4
+            if clear[[*events]].all():
+                return part - little, near, part + little, beyond
+        return part, end, part, None
+
+    def between(
+        self, row: Callable[[float], Floats], rest: float, first: Floats, last: Floats
+    ) -> dict[int, tuple[float, Floats]]:
+        """Return up to where events act whose expressions are zero at the end of a rest of a step.
+
+        With it comes what is asked for there; ``row`` gives it, ``first`` and ``last`` are that at
+        both ends.
+        """
+        count, small = len(self.size), ZERO * np.fmax(self.size, np.abs(last[: len(self.size)]))
+        zeros = ~self._actions.impacts & (np.abs(last[:count]) <= small)
+        self._arriving, met = np.zeros(count), dict[int, tuple[float, Floats]]()
+        if zeros.any():
+            self._arriving = signs_beside(lambda x: self._seen(row(rest - x * rest)), small)
+            both = zeros & (np.abs(first[:count]) <= small)
+            for x in (1 - BESIDE[1], *(PLACES if both.any() else ())):  # the first one counts
+                there = row(x * rest)
+                behind = self._arriving if x == 1 - BESIDE[1] else self.of(there[:count], small)
+                here = self.acts(behind) & (zeros if x == 1 - BESIDE[1] else both)
+                met |= dict.fromkeys(np.flatnonzero(here).tolist(), (x * rest, there))
+        return met
 
     @property
     def small(self) -> Floats:
@@ -36,9 +148,23 @@ class Sides:
         """Return below what a value is a zero, where time and state are rounded."""
         return np.maximum(self.small, self._actions.rounding(t, state))
 
+    def _seen(self, row: Floats) -> Floats:
+        """Return values of expressions, and the sizes of their terms."""
+        return np.array([row[: len(self.size)], row[[*self._events.sizes]]])
+
+    def settle(self, row: Floats, q: Floats) -> None:
+        """Take the sides and sizes behind a step."""
+        self.size[:] = self.faded(row, q)
+        before = np.where(self._arriving, self._arriving, self.side)
+        self.side[:] = self.of(row[: len(self.size)], self.small, before)
+
     def faded(self, row: Floats, q: Floats) -> Floats:
-        """Return sizes behind a step: those of terms, or what is left of those before."""
-        left = np.where(self._actions.impacts, 1.0, FADED) * self.size
+        """Return sizes behind a step: those of terms, or what is left of those before.
+
+        All is left of sizes of gaps, and of what is zero there.
+        """
+        zeros = np.abs(row[: len(self.size)]) <= self.small
+        left = np.where(self._actions.impacts | zeros, 1.0, FADED) * self.size
         return np.fmax(left, self._actions.sizes(row, q))
 
     def of(self, values: Floats, small: Floats, before: Floats | None = None) -> Floats:
@@ -49,4 +175,4 @@ class Sides:
     def acts(self, behind: Floats) -> NDArray[np.bool_]:
         """Return which events act as sides change to others."""
         changed = self.side * behind < 0
-        return np.asarray(changed & ((self._signs == 0) | (behind == self._signs)))
+        return np.asarray(changed & ((self._signs == 0) | (np.sign(behind) == self._signs)))

@@ -23,7 +23,7 @@ def poincare(
     read_failure(on_failure)
     spec = read_run(program, request)
     run, last, crossings = by_pieces(
-        program, spec, lambda piece, before: zeros(piece, wanted, begins=before == 0), progress
+        program, spec, lambda piece, before: zeros(piece, wanted), progress
     )
     events = gather(last, wanted, crossings)
     if not last.success and on_failure == "raise":

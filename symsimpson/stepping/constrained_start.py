@@ -14,6 +14,7 @@ from symsimpson.program.evaluating import evaluate, evaluate_members
 from symsimpson.program.program import Program
 from symsimpson.support.array_types import Reals
 from symsimpson.support.lengths import bending_length
+from symsimpson.support.names import constraint_called
 
 __all__ = ["DEPENDENT", "name_dependent", "project_start"]
 
@@ -183,7 +184,7 @@ def _check_rank(
             f"{program.system}: constraints have no finite slope at {where}.\nBegin elsewhere."
         )
     if none.any():
-        which = ", ".join(repr(names[c]) for c in np.flatnonzero(none))
+        which = ", ".join(constraint_called(names[c]) for c in np.flatnonzero(none))
         if none[len(rows) - rolling :].any():
             raise ModelError(
                 f"{program.system}: the constraint {which} asks for nothing at {where}: all its "
@@ -207,7 +208,8 @@ def name_dependent(names: Sequence[str], slopes: Reals) -> str:
     """List, as text, the constraints whose gradients are linearly dependent."""
     size = np.linalg.norm(slopes, axis=1)
     combination = np.linalg.svd(slopes / np.where(size > 0, size, 1.0)[:, None])[0][:, -1]
-    return ", ".join(repr(names[c]) for c in np.flatnonzero(np.abs(combination) > 1e-3).tolist())
+    which = np.flatnonzero(np.abs(combination) > 1e-3).tolist()
+    return ", ".join(constraint_called(names[c]) for c in which)
 
 
 def _violation_error(
@@ -226,7 +228,7 @@ def _violation_error(
     name = program.names.constraints.shown[int(c)]
     which = f" of member {member}" if len(q) > 1 else ""
     text = (
-        f"{program.system}: {what} the constraint {name!r}{which}: it is off by "
+        f"{program.system}: {what} the constraint {constraint_called(name)}{which}: it is off by "
         f"{off[member, c]:.2g}, relative to its slope and the size of the state."
     )
     system = program.declared

@@ -16,8 +16,8 @@ from symsimpson.support.array_types import Floats
 
 __all__ = ["Parts", "steps_from"]
 
-#: Parts of steps that end beside a place are shorter, or longer, by so much.
-NUDGES = (-(2.0**-50), 2.0**-50, -(2.0**-46))
+#: Parts of steps that end beside a place are shorter, or longer, by so much of a step.
+NUDGES = [sign * 2.0**k for k in range(-50, -16, 4) for sign in (-1, 1)]
 
 
 class Parts:
@@ -77,7 +77,7 @@ class Parts:
         for nudge in NUDGES:
             if status is Status.SUCCESS:
                 break
-            end, status = self(state, t, size * (1 + nudge), step, share)
+            end, status = self(state, t, size + nudge * self._h, step, share)
         return end, status
 
     def work(self, state: Any, t: float, size: float, step: int, share: float) -> Floats:

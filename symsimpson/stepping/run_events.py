@@ -43,6 +43,11 @@ class RunEvents:
         """Names of the records."""
         return tuple(event.key for event in self.events)
 
+    def split_alone(self, events: Sequence[int]) -> bool:
+        """Return whether some events split a step and do nothing else."""
+        some = [self.events[k] for k in events]
+        return not any(isinstance(x.action, (Impact, Change)) or x.terminal for x in some)
+
     def last_of(self, records: Sequence[Any]) -> Any:
         """Return the record with which an event ends a run, if there is one."""
         for k, event in enumerate(self.events):
@@ -133,8 +138,8 @@ def read_events(program: Program, given: Any) -> RunEvents:
     for candidate in events:
         if not isinstance(candidate, Event):
             raise InputError(
-                f"events contains {candidate!r}, which is no Event.\n"
-                "Pass events=[symsimpson.Event(expression, action=...)]."
+                f"events contains {candidate!r}, which is not an Event.\n"
+                f"Write symsimpson.Event({candidate}, action=...) in its place."
             )
     _check_names(program, events)
     for event in events:

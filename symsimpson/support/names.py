@@ -33,6 +33,11 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     return f" Did you mean {close[0]}?" if close else ""
 
 
+def constraint_called(name: str) -> str:
+    """Return a constraint as messages name it: those of a list have numbers."""
+    return f"number {name} of the list" if name.isdigit() else repr(name)
+
+
 def speed_of_approach() -> Any:
     """Return the symbol of the speed at which a gap closes; SymPy is imported by who needs it."""
     from sympy import Symbol

@@ -23,3 +23,19 @@ def test_reductions_of_members_see_the_state_that_ends_them():
         single = stepper.integrate([0.5], v0=v0, **asked).reduced
         for name, values in many.reduced.items():
             assert values[member] == pytest.approx(single[name], abs=1e-14)
+
+
+def test_a_member_has_its_own_events():
+    free = ss.MechanicalSystem("free", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=0 * x)
+    wall = ss.Event(1 - x, name="wall", action=ss.Impact(0.5))
+    asked = {"h": 0.1, "steps": 10, "events": [wall]}
+    stepper = ss.compile(free)
+    many = stepper.ensemble([0.5], v0=[[3.0], [0.1], [1.0]], every=1, **asked)
+    for member, times in enumerate(([1 / 6], [], [0.5])):
+        assert many[member].events("wall").t == pytest.approx(times, abs=1e-12)
+    assert many[-1].events("wall").impulse.tolist() == [1.5]
+    assert (many[1].steps, many[1].status) == (10, ss.Status.SUCCESS)
+    with pytest.raises(ss.InputError, match=r"had no event 'wal'.\nIt had wall"):
+        many[0].events("wal")
+    with pytest.raises(ss.InputError, match="Run a member of an ensemble alone"):
+        many[0].at(0.5)

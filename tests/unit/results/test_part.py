@@ -56,3 +56,28 @@ def test_parts_are_filmed():
     run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.01, steps=300)
     film = run[100:200].animate(fps=10)
     assert "1.0" in film._repr_html_() or film is not None
+
+
+def test_events_of_a_part_are_those_in_its_time():
+    (z,) = ss.coordinates("z")
+    ball = ss.MechanicalSystem(
+        "ball", coordinates=(z,), kinetic=z.diff() ** 2 / 2, potential=10 * z
+    )
+    floor = ss.Event(z, name="floor", action=ss.Impact(0.8))
+    run = ss.compile(ball).integrate([1.0], v0=[0.0], h=0.05, steps=40, events=[floor])
+    hits = run.events("floor")
+    assert run[10:30].events("floor").t.tolist() == hits.t[1:2].tolist()
+    assert run[10:30].events("floor").impulse.tolist() == hits.impulse[1:2].tolist()
+    assert run[:10].events(z - 0.5).t.tolist() == run.events(z - 0.5).t[:1].tolist()
+    assert len(run[:0].events("floor")) == 0
+
+
+@pytest.mark.parametrize("name", ["at", "sol", "h", "energy_error", "save", "animate"])
+def test_states_say_what_only_a_run_has(name):
+    run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=3)
+    states = run.at([0.1, 0.2])
+    assert not hasattr(states, name)
+    with pytest.raises(ss.InputError, match=f"States has no '{name}'.*\n.*run.{name}"):
+        getattr(states, name)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = states.nothing

@@ -54,7 +54,7 @@ def test_what_no_event_can_be(make, told):
         ([floor(1 - z.diff() / 20)], r"the restitution 1 - v_z/20 contains v_z\."),
         ([floor(g / 5)], r"the restitution g/5 is 1.962\.\nIt must be between"),
         ([floor(1 - z * ss.time)], r"contains t, z\."),
-        ([ss.Event(z - 2, name="w", action=ss.Impact())], "the start is behind the wall 'w'"),
+        ([ss.Event(z - 2, name="w", action=ss.Impact())], "the initial state violates the gap 'w'"),
         (["floor"], "contains 'floor', which is|events contains 'floor'"),
     ],
 )
@@ -97,3 +97,29 @@ def test_mistakes_in_events_of_ensembles_are_told_before():
         many([[1.0], [2.0]], events=[floor(sp.Symbol("e"))], **given)
     with pytest.raises(ss.InputError, match="how variations grow, which is not measured through"):
         many([[1.0], [2.0]], events=[floor()], reduce={"l": "lyapunov"}, **given)
+
+
+def test_names_that_are_none():
+    floor = ss.Event(z, name="floor", action=ss.Impact())
+    run = ss.compile(BALL).integrate([1.0], v0=[0.0], h=0.05, steps=4, events=[floor])
+    with pytest.raises(
+        ss.InputError, match=r"no event 'flor'. Did you mean floor\?\nIts events are f"
+    ):
+        run.events("flor")
+    with pytest.raises(
+        ss.InputError, match=r"z\(t\), which is not an Event.\nWrite .*Event\(z\(t\), "
+    ):
+        ss.compile(BALL).integrate([1.0], v0=[0.0], h=0.05, steps=4, events=[z])
+
+
+def test_a_constraint_of_a_list_is_called_by_its_number():
+    x, y = ss.coordinates("x y")
+    bob = ss.MechanicalSystem(
+        "bob",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=y,
+        constraints=[x**2 + y**2 - 1],
+    )
+    with pytest.raises(ss.InputError, match="does not satisfy the constraint number 1 of the list"):
+        ss.compile(bob).integrate([1.0, 1.0], v0=[0.0, 0.0], h=0.1, steps=3)

@@ -118,7 +118,7 @@ def test_a_run_goes_on_from_where_it_met_a_wall():
     stepper, given = ss.compile(BALL), {"h": 0.01, "steps": 20, "events": [floor()]}
     for gap in (-1e-18, -1e-17, -1e-13):
         assert stepper.integrate([gap], [3.0], **given).q[1:].min() > 0
-    with pytest.raises(ss.InputError, match="behind the wall 'floor'"):
+    with pytest.raises(ss.InputError, match="violates the gap 'floor'"):
         stepper.integrate([-1e-9], [3.0], **given)
 
 

@@ -85,7 +85,7 @@ def test_zeros_behind_a_pole_are_met():
 
 def test_a_start_just_behind_a_wall_is_told():
     event = ss.Event(z, name="floor", action=ss.Impact(0.8))
-    with pytest.raises(ss.InputError, match="the start is behind the wall 'floor'"):
+    with pytest.raises(ss.InputError, match="the initial state violates the gap 'floor'"):
         run_with(BALL, -0.9e-9, 1e-4, event, h=1e-7, steps=100)
 
 

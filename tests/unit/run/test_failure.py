@@ -95,6 +95,8 @@ def test_interrupt(monkeypatch, every):
         stepper.integrate([0.5, 0.2], p0=[0, 0], h=0.01, steps=50, every=every, progress=False)
     run = caught.value.trajectory
     assert isinstance(caught.value, KeyboardInterrupt)
+    assert "the run was interrupted at t=0.2, after step 20" in str(caught.value)
+    assert "states computed so far are in this error's .trajectory" in str(caught.value)
     assert run.steps == 20
     assert (run.q[-1] == whole.q[20]).all()
     how = {"h": 0.01, "steps": 50, "every": every, "progress": False}  # no short run
