@@ -4,86 +4,196 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from symsimpson.analysis.path_error import PathError, path_error
 from symsimpson.analysis.stability.frequency import largest_stable
 from symsimpson.api.stepper import Stepper
-from symsimpson.program.status import Status
+from symsimpson.errors import InputError, StabilityWarning
+from symsimpson.results.trajectory import Trajectory
+from symsimpson.run.ended import uninterrupted
+from symsimpson.stepping.driving import Samples
 from symsimpson.support.array_types import Floats
 
-__all__ = ["Found", "Wanted"]
+__all__ = ["SAFETY", "Candidate", "Motion", "Verified", "name_of", "read_inputs", "verify"]
 
 #: What is measured may be wrong by so much: steps are chosen for the error divided by this.
 SAFETY = 2.0
-#: An error that grew like a higher power of time grew exponentially.
-POWER = 3.0
-#: More steps than this are not tried on a pilot run.
+#: More steps than this are not tried on a pilot run, nor for the whole motion unless it needs
+#: nearly as many at first.
 MOST_STEPS = 2_000_000
+#: A run stores at most so many numbers for a comparison.
+MOST_NUMBERS = 2**21
 #: Errors closer to rounding than this cannot be told from it.
 FLOOR = 3e-14
 ROUNDS, REPEATS = 8, 3
+#: A motion whose error does not fall in so many rounds is not resolved by any step.
+STAGNANT = 3
 #: A smaller gain in steps is not worth another run.
 FEWER = 0.85
 #: Fewer steps that take this many times as long fell back on another solver. Smaller differences
 #: are those of a busy machine: iterations are counted instead.
 SLOWER = 2.0
+#: The whole motion has at least so many steps, and its step is refined so many times at most.
+LEAST, REFINEMENTS = 20, 6
 
 
 @dataclass(frozen=True)
-class Found:
+class Candidate:
     """How one scheme reaches the error on the pilot run."""
 
     stepper: Stepper
     steps: int
     error: float
-    growth: float
     work: int  # steps and iterations
     taken: int  # steps
     seconds: float
 
 
 @dataclass(frozen=True)
-class Seen:
-    """States of a run at the start, in the middle and at the end."""
+class Verified:
+    """A number of steps for the whole motion, and its error as measured."""
 
-    q: Floats
-    p: Floats
+    stepper: Stepper
     steps: int
-    iterations: int
-    energy_error: float
+    error: PathError
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """The error that is asked for, and the pilot run against which it is measured."""
+class Motion:
+    """A motion from a state to a time, and the error that is allowed."""
 
-    q: Floats
-    p: Floats
     parameters: Mapping[str, float]
-    pilot: float
-    t_end: float
+    t0: float
+    duration: float
     error: float
     on: str
-    frequency: float
-    compared: bool
-    failures: list[str]
+    #: By name: a number, a function of t, or an array of values for equal parts of the duration.
+    inputs: Mapping[str, Any] | None = None
+    events: Any = None
+    parts: int = 1  #: Each of them has a whole number of steps.
+    #: The initial state, each of shape (n,), and the fastest linear oscillation there.
+    q: Floats = field(default_factory=partial(np.zeros, 0))
+    p: Floats = field(default_factory=partial(np.zeros, 0))
+    v: Floats = field(default_factory=partial(np.zeros, 0))
+    frequency: float = 0.0
+    #: Why the last run failed, if it did.
+    failures: list[str] = field(default_factory=list)
+    #: Trials begun by now.
+    tried: list[str] = field(default_factory=list)
 
-    def solve(self, stepper: Stepper, h0: float) -> Found | None:
-        """Find the number of steps that reaches the error; None if there is none.
+    @property
+    def inputs_at_start(self) -> dict[str, float]:
+        """The value of each input at the start."""
+        return {
+            name: float(at_times(x, np.array([self.t0]))[0]) if callable(x) else np.ravel(x)[0]
+            for name, x in (self.inputs or {}).items()
+        }
+
+    def until(self, duration: float) -> Motion:
+        """Return the first part of a motion."""
+        share = min(1.0, duration / self.duration)
+        parts = math.ceil(share * self.parts)
+        inputs = self.inputs and {
+            name: x[: max(1, len(x) * parts // self.parts)] if isinstance(x, np.ndarray) else x
+            for name, x in self.inputs.items()
+        }
+        if self.parts > 1:
+            share = parts / self.parts
+        return replace(self, duration=share * self.duration, parts=parts, inputs=inputs)
+
+    def whole(self, steps: float) -> int:
+        """Return a number of steps, not less than this one, that the motion may have."""
+        unit = self.parts * (64 if steps > MOST_NUMBERS / len(self.q) / 2 else 2)
+        return math.ceil(steps / unit) * unit
+
+    def arguments(self, stepper: Stepper, steps: int) -> dict[str, Any]:
+        """Return what a run is given beside the initial state."""
+        h = self.duration / steps
+        length = {"t_end": self.t0 + self.duration}
+        if not stepper.program.header.retimed:
+            length = {"steps": steps}
+        inputs = self.inputs and {
+            name: self._at_steps(value, stepper, h, steps) for name, value in self.inputs.items()
+        }
+        given = {"parameters": self.parameters, "inputs": inputs, "events": self.events}
+        return {"h": h, "t0": self.t0, **length, **given}
+
+    def _at_steps(self, value: Any, stepper: Stepper, h: float, steps: int) -> Any:
+        if isinstance(value, np.ndarray):
+            return np.repeat(value, steps // len(value))
+        return at_times(value, stepper.node_times(h, steps, self.t0)) if callable(value) else value
+
+    def run(self, stepper: Stepper, steps: int, *, every: int | None = 1) -> Trajectory:
+        """Run, storing as many states as a comparison needs; with ``every=None``, the last."""
+        stride = 1
+        while every and steps % (2 * stride) == 0 and steps * len(self.q) > MOST_NUMBERS * stride:
+            stride *= 2
+        run = uninterrupted(
+            stepper.integrate(
+                self.q,
+                p0=self.p,
+                **self.arguments(stepper, steps),
+                every=every and stride,
+                on_failure="return",
+            )
+        )
+        self.failures[:] = [] if run.success else [run.message]
+        return run
+
+    def measure(
+        self, stepper: Stepper, steps: int, coarse: Trajectory | None = None, *, dense: bool = True
+    ) -> tuple[PathError, Trajectory, Trajectory | None]:
+        """Return the error of so many steps, their run, and that with half the step."""
+        coarse = coarse or self.run(stepper, steps)
+        if self.on == "energy":
+            if not coarse.success:
+                return PathError(math.inf, float(coarse.t[-1])), coarse, None
+            off = np.abs(coarse.energy_error)
+            return PathError.of(coarse.t, off, self.error), coarse, None
+        if not coarse.success:
+            return path_error(coarse, coarse, self.duration, self.error), coarse, None
+        fine = self.run(stepper, 2 * steps)
+        return path_error(coarse, fine, self.duration, self.error, dense=dense), coarse, fine
+
+    def least(self, stepper: Stepper) -> int:
+        """Return the fewest steps, of which none is warned of at the start."""
+        omega = abs(self.duration) * self.frequency
+        steps = self.whole(max(4.0, omega / largest_stable(stepper.scheme)))
+        tools, system = stepper.program.tools, stepper.program.declared
+        if tools is None or system is None or stepper.program.header.retimed:
+            return steps
+        values = [*map(float, (*self.parameters.values(), *self.inputs_at_start.values()))]
+        while True:
+            with warnings.catch_warnings(record=True) as warned:
+                warnings.simplefilter("always", StabilityWarning)
+                h = self.duration / steps
+                tools.check_step(stepper.program, system, self.q, self.v, values, h, self.t0)
+            if not any(issubclass(x.category, StabilityWarning) for x in warned):
+                return steps
+            if steps > MOST_STEPS:
+                return steps
+            steps = self.whole(1.25 * steps)
+
+    def solve(self, stepper: Stepper, h0: float, allowed: float) -> Candidate | None:
+        """Find the number of steps that reaches an error; None if there is none.
 
         In another time it is that of steps as long as the first.
         """
-        limit = largest_stable(stepper.scheme)
-        least = math.ceil(max(4.0, self.pilot * self.frequency / limit))
-        steps = max(least, math.ceil(self.pilot / (h0 * math.sqrt(stepper.order))))
-        best: Found | None = None
+        least = self.least(stepper)
+        steps = max(least, math.ceil(abs(self.duration / h0) / math.sqrt(stepper.order)))
+        best: Candidate | None = None
+        before, stagnant = math.inf, 0
         for _ in range(ROUNDS):
-            steps += steps % 2  # the middle of the run is looked at, too
-            measured = self._measure(stepper, steps) if steps <= MOST_STEPS else None
+            self.tried.append(stepper.scheme)
+            steps = self.whole(steps)
+            measured = self._timed(stepper, steps) if steps <= MOST_STEPS else None
             if measured is None:
                 if steps > MOST_STEPS:
                     return best
@@ -91,128 +201,99 @@ class Wanted:
                 if best and steps > FEWER * best.steps:
                     return best
                 continue
-            error, growth, work, taken, seconds = measured
-            wanted = self._wanted(growth)
-            change = (max(error, FLOOR) / wanted) ** (1 / stepper.order)
-            if error <= wanted:
-                if best and (work > best.work or seconds > SLOWER * best.seconds):
+            error, work = measured.error, measured.work
+            change = (max(error, FLOOR) / allowed) ** (1 / stepper.order)
+            if error <= allowed:
+                if best and (work > best.work or measured.seconds > SLOWER * best.seconds):
                     return best  # fewer steps that are solved with more effort
-                best = Found(stepper, steps, error, growth, work, taken, seconds)
+                best = measured
                 fewer = max(least, math.ceil(steps * max(1.05 * change, 0.5)))
-                if fewer > FEWER * steps:
+                if self.whole(fewer) > FEWER * steps:
                     return best
                 steps = fewer
-            elif best is not None or wanted < FLOOR:
+            elif best is not None or allowed < FLOOR:
                 return best
             else:
-                steps = math.ceil(steps * min(max(change, 1.1), 8.0))
+                stagnant = stagnant + 1 if error > before / 2 else 0
+                if stagnant == STAGNANT:
+                    return None
+                before, steps = error, math.ceil(steps * min(max(change, 1.1), 8.0))
         return best
 
-    def _wanted(self, growth: float) -> float:
-        """Return the error that the pilot run may have, which grew like this power of time there.
-
-        Above POWER it doubled in equal times, as in chaotic motion, and is assumed to go on so.
-        """
-        allowed, rest = self.error / SAFETY, self.t_end / self.pilot - 1
-        if growth > POWER:
-            return allowed * 2.0 ** (-2 * growth * rest)
-        return allowed * (1 + rest) ** -growth
-
-    def _measure(self, stepper: Stepper, steps: int) -> tuple[float, float, int, int, float] | None:
-        """Return the error, the exponent of its growth with time, work, steps, and the run time."""
+    def _timed(self, stepper: Stepper, steps: int) -> Candidate | None:
+        """Measure the error of so many steps, their work and time; None if they fail."""
         seconds = math.inf
         for _ in range(REPEATS):  # the first one may compile
             begin = time.perf_counter()
-            run = self._run(stepper, steps, None)
+            run = self.run(stepper, steps, every=None)
             seconds = min(seconds, time.perf_counter() - begin)
-            if run is None:
+            if not run.success:
                 return None
-        coarse = self._seen(stepper, steps)
-        if coarse is None:
+        found, coarse, fine = self.measure(stepper, steps, dense=False)
+        if not coarse.success or not (fine is None or fine.success):
             return None
-        work = coarse.steps + coarse.iterations
-        if self.on == "energy":
-            return coarse.energy_error, 0.0, work, coarse.steps, seconds
-        fine = self._seen(stepper, 2 * steps)
-        if fine is None:
-            return None
-        share = 1 / (1 - 2.0**-stepper.order)
-        middle, end = (self._distance(coarse, fine, k) * share for k in (1, 2))
-        growth = math.log2(max(end, FLOOR) / max(middle, FLOOR))
-        return end, max(growth, 1.0), work, coarse.steps, seconds
-
-    def _run(self, stepper: Stepper, steps: int, every: int | None) -> Any:
-        length = {"t_end": self.pilot} if stepper.program.header.retimed else {"steps": steps}
-        run = stepper.integrate(
-            self.q,
-            p0=self.p,
-            h=self.pilot / steps,
-            **length,
-            every=every,
-            parameters=self.parameters,
-            on_failure="return",
-        )
-        if run.status is not Status.SUCCESS:
-            self.failures.append(run.message)
-            return None
-        return run
-
-    def _seen(self, stepper: Stepper, steps: int) -> Seen | None:
-        whole = self.on == "energy" or stepper.program.header.retimed
-        run = self._run(stepper, steps, 1 if whole else steps // 2)
-        if run is None:
-            return None
-        q, p, largest = run.q, run.p, 0.0
-        if self.on == "energy":
-            largest = float(np.abs(run.energy_error).max())
-        elif whole:
-            states = run.at([0.0, self.pilot / 2, self.pilot])
-            q, p = states.q, states.p
-        return Seen(q, p, run.steps, int(run.newton_iterations.sum()), largest)
-
-    def _distance(self, run: Seen, other: Seen, place: int) -> float:
-        scale_q = np.maximum(np.abs(other.q).max(axis=0), 1.0)
-        scale_p = np.abs(other.p).max() or 1.0
-        gap_q = np.abs((run.q[place] - other.q[place]) / scale_q).max()
-        return float(max(gap_q, np.abs(run.p[place] - other.p[place]).max() / scale_p))
-
-    def reason(self, best: Found, candidates: Sequence[Found], steps: int) -> str:
-        """Say what was chosen and why."""
-        part = "" if self.pilot == self.t_end else f" until t = {self.pilot:g}"
-        what, retimed = f"{self.on} error", best.stepper.program.header.retimed
-        count = "the first step; then they adapt" if retimed else f"{steps} steps"
-        lines = [
-            f"{best.stepper.scheme} with h = {self.t_end / steps:.6g} ({count}): the relative "
-            f"{what} measured{part} is {best.error:.1e}, {self.error:.1e} is asked for."
-        ]
-        fixed = [
-            candidate for candidate in candidates if not candidate.stepper.program.header.retimed
-        ]
-        if retimed:
-            taken = f"{best.stepper.system} takes {best.taken} steps{part}"
-            fewest = min((candidate.taken for candidate in fixed), default=0)
-            beside = f", the fewest of fixed size are {fewest}" if fixed else ""
-            if self.compared and not fixed:
-                beside = "; no fixed steps that were tried come to that error"
-            lines.append(f"{taken}{beside}.")
-        if part and self.on == "state":
-            grew = f"grew like t^{best.growth:.1f}"
-            if best.growth > POWER:
-                grew = f"doubled in each {self.pilot / 2 / best.growth:.3g} of time"
-            lines.append(
-                f"It {grew} there, and is assumed to go on so; chaotic motion may be worse."
-            )
-        if self.frequency > 0 and math.isfinite(largest_stable(best.stepper.scheme)):
-            bound = largest_stable(best.stepper.scheme) / self.frequency
-            lines.append(f"Linear stability at the start bounds h by {bound:.3g}.")
-        others = sorted((x for x in candidates if x is not best), key=lambda x: x.seconds)
-        if others:
-            list_of = ", ".join(
-                f"{_name(x.stepper)} {x.seconds / best.seconds:.1f} times its time" for x in others
-            )
-            lines.append(f"For the same error: {list_of}.")
-        return " ".join(lines)
+        share = 1.0 if self.on == "energy" else 1 / (1 - 2.0**-stepper.order)
+        work = coarse.steps + int(coarse.newton_iterations.sum())
+        return Candidate(stepper, steps, share * found.largest, work, coarse.steps, seconds)
 
 
-def _name(stepper: Stepper) -> str:
+def verify(motion: Motion, stepper: Stepper, steps: float) -> Verified:
+    """Measure the error of the whole motion, and refine the step until it is small enough."""
+    steps = motion.whole(max(steps, LEAST, motion.least(stepper)))
+    most, coarse = max(MOST_STEPS // 2, 4 * steps), None
+    for refinement in range(REFINEMENTS + 1):
+        motion.tried.append(stepper.scheme)
+        found, _, fine = motion.measure(stepper, steps, coarse)
+        wanted = (SAFETY * found.largest / motion.error) ** (1 / stepper.order)
+        factor = 2 if wanted <= 2 else 4
+        last = refinement == REFINEMENTS or factor * steps > most
+        if found.largest <= motion.error or last:
+            break
+        steps, coarse = factor * steps, fine if factor == 2 else None
+    return Verified(stepper, steps, found)
+
+
+def at_times(function: Any, times: Floats) -> Floats:
+    """Return the values of a function of t, which may take arrays or not."""
+    try:
+        values = np.asarray(function(times), dtype=float)
+        if values.shape in ((), times.shape):
+            return np.broadcast_to(values, times.shape)
+    except (TypeError, ValueError):
+        pass
+    return np.vectorize(function, otypes=[float])(times)
+
+
+def read_inputs(given: Mapping[str, Any], duration: float) -> tuple[dict[str, Any], int]:
+    """Read inputs of a run whose step is chosen, and in how many equal parts they divide it.
+
+    Raises InputError if one is no number, function of t, or array of values for equal parts.
+    """
+    inputs, parts = dict[str, Any](), 1
+    for name, value in given.items():
+        values = value
+        if isinstance(value, Samples):
+            exact = abs(duration) / float(value.period)
+            values = np.asarray(value.values, dtype=float)[: round(exact)]
+            if len(values) != round(exact) or abs(exact - len(values)) > 1e-9 * exact:
+                raise InputError(
+                    f"input {name}: {len(values)} periods of {value.period!r} do not fill the "
+                    f"{abs(duration):g} from t0 to t_end.\nEnd the run with the last period."
+                )
+        if not callable(values):
+            values = np.asarray(values, dtype=float)
+            if values.ndim > 1 or not values.size or not np.isfinite(values).all():
+                raise InputError(
+                    f"input {name} has shape {values.shape}, or is not finite.\nThe step is chosen "
+                    "for you: pass a number, a function of t, or an array of K finite values, each "
+                    "of which is held for the K-th part of the time from t0 to t_end."
+                )
+            parts = math.lcm(parts, max(values.size, 1))
+            values = values if values.ndim else float(values)
+        inputs[name] = values
+    return inputs, parts
+
+
+def name_of(stepper: Stepper) -> str:
+    """Return the name of a scheme, and whether its steps are fixed in another time."""
     return stepper.scheme + (" in tau" if stepper.program.header.retimed else "")

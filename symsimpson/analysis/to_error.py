@@ -4,20 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from symsimpson.analysis.choose import choose
+from symsimpson.analysis.choose import Choice, arguments, select
 from symsimpson.analysis.remembered import remembered
 from symsimpson.api.compiling import check_system
+from symsimpson.errors import ResolutionWarning, StabilityWarning
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.program.status import Status
 from symsimpson.results.sampled import Sampled, Saved
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.schemes.scheme import Scheme
-from symsimpson.support.calling import explained
+from symsimpson.support.calling import explained, warn, without_step_warnings
 from symsimpson.support.names import by_name, in_a_row, read_mapping
+
+if TYPE_CHECKING:
+    from symsimpson.stepping.event import Event
 
 __all__ = ["integrate"]
 
@@ -32,7 +37,10 @@ def integrate(
     t_end: float,
     error: float = 1e-6,
     on: Literal["state", "energy"] = "state",
+    t0: float = 0.0,
     parameters: Mapping[Any, Any] | None = None,
+    inputs: Mapping[Any, Any] | None = None,
+    events: Sequence[Event] | None = None,
     schemes: str | Scheme | Sequence[str | Scheme] | None = None,
     every: int | None = 1,
     t_eval: ArrayLike | None = None,
@@ -40,63 +48,81 @@ def integrate(
     progress: bool | None = None,
     on_failure: Literal["raise", "return"] = "raise",
 ) -> Trajectory | Sampled | Saved:
-    """Integrate to a wanted error, with a scheme and a step that are chosen for it.
+    """Integrate with a given error tolerance: scheme and step size are chosen for it.
 
-    The choice is that of :func:`symsimpson.choose`, which takes some seconds. It is kept on disk:
-    the same call makes no choice again. For many runs of a system, choose once and take the
-    stepper.
+    The choice is that of :func:`symsimpson.choose`, which takes some seconds. It is stored on disk,
+    unless events or functions of t act on the run: the same call runs at once the next time. For
+    many runs of a system, choose once and take the stepper.
 
     Parameters
     ----------
     system : MechanicalSystem
-    q0, v0, p0, t_end, error, on, parameters, schemes
-        As for :func:`symsimpson.choose`. ``error`` is measured by short runs, not bounded.
+    q0, v0, p0, t_end, error, on, t0, parameters, inputs, events, schemes
+        As for :func:`symsimpson.choose`. ``error`` bounds the difference from a run with half the
+        step size along the whole path; ``run.error_estimate`` is that difference.
     every, t_eval, save, progress, on_failure
         As for :meth:`Stepper.integrate`.
 
     Returns
     -------
     Trajectory, or a Sampled or Saved
-        Its ``message`` says what was chosen, and why.
+        Its ``message`` states what was chosen, and why. If six refinements do not reach the error,
+        its ``status`` is ``TOLERANCE_NOT_MET``.
 
     Raises
     ------
     InputError
-        If the input makes no sense, or no scheme reaches the error.
+        If the input makes no sense, or runs with small steps fail.
     ConvergenceError, Interrupted
         As :meth:`Stepper.integrate`.
+
+    Warns
+    -----
+    ResolutionWarning
+        If the error is not reached: with the time from which the bound fails.
 
     Examples
     --------
     >>> import symsimpson as ss
     >>> run = ss.integrate(ss.systems.pendulum(), [1.0], v0=[0.0], t_end=20.0, error=1e-8)
-    >>> run.success, " with h = " in run.message
-    (True, True)
+    >>> run.success, " with h = " in run.message, run.error_estimate <= 1e-8
+    (True, True, True)
     """
     check_system(system)
     values = read_mapping("parameters", parameters, "m")
     named = {getattr(key, "name", str(key)): value for key, value in values.items()}
-    question = {
-        "q0": _state_key(q0),
-        "v0": _state_key(v0),
-        "p0": _state_key(p0),
-        "t_end": t_end,
-        "error": error,
-        "on": on,
-        "parameters": sorted((key, repr(value)) for key, value in named.items()),
-        "schemes": None if schemes is None else [*map(repr, in_a_row(schemes))],
-    }
-    given: dict[str, Any] = {"p0": p0, "parameters": parameters}
-    choice = remembered(
-        system,
-        question,
-        lambda: choose(system, q0, v0, t_end=t_end, error=error, on=on, schemes=schemes, **given),
-    )
+    given: dict[str, Any] = {"parameters": parameters, "inputs": inputs, "events": events}
+    asked = (q0, v0, p0), (t0, t_end), error, on, schemes
+
+    def make() -> Choice:
+        return select(system, *asked, given)
+
+    driving = dict(inputs) if isinstance(inputs, Mapping) else {}
+    if events is not None or any(map(callable, driving.values())):
+        choice = make()
+    else:
+        question = {
+            "state": [*map(_state_key, (q0, v0, p0))],
+            "length": repr((t0, t_end)),
+            "error": error,
+            "on": on,
+            "parameters": sorted((key, repr(value)) for key, value in named.items()),
+            "inputs": _state_key(driving),
+            "schemes": None if schemes is None else [*map(repr, in_a_row(schemes))],
+        }
+        choice = remembered(system, question, make)
     more: dict[str, Any] = {"every": every, "t_eval": t_eval, "save": save}
-    run: Trajectory | Sampled | Saved = choice.stepper.integrate(
-        q0, v0, h=choice.h, t_end=t_end, progress=progress, on_failure=on_failure, **given, **more
-    )
-    return replace(run, message=f"{run.message} {choice.reason}")
+    more |= {"progress": progress, "on_failure": on_failure}
+    with without_step_warnings(StabilityWarning, ResolutionWarning):
+        run: Trajectory | Sampled | Saved = choice.stepper.integrate(
+            q0, v0, p0=p0, **arguments(choice, (t0, t_end), given), **more
+        )
+    message, status = f"{run.message} {choice.reason}", run.status
+    if choice.error_estimate > error and run.success:
+        status = Status.TOLERANCE_NOT_MET
+        message = f"{system.name}: {status.message} {choice.reason}"
+        warn(message, ResolutionWarning)
+    return replace(run, status=status, message=message, error_estimate=choice.error_estimate)
 
 
 def _state_key(state: Any) -> Any:
