@@ -30,6 +30,9 @@ SAFETY = 2.0
 MOST_STEPS = 2_000_000
 #: A run stores at most so many numbers for a comparison.
 MOST_NUMBERS = 2**21
+#: A whole motion of few steps is also compared with a run of so many steps, divided by the number
+#: of coordinates. It shows forces that act for a short time, between the nodes of both others.
+SCOUT = 2**15
 #: Errors closer to rounding than this cannot be told from it.
 FLOOR = 3e-14
 ROUNDS, REPEATS = 8, 3
@@ -148,19 +151,23 @@ class Motion:
         return run
 
     def measure(
-        self, stepper: Stepper, steps: int, coarse: Trajectory | None = None, *, dense: bool = True
+        self, stepper: Stepper, steps: int, coarse: Trajectory | None = None, *, scout: bool = True
     ) -> tuple[PathError, Trajectory, Trajectory | None]:
         """Return the error of so many steps, their run, and that with half the step."""
         coarse = coarse or self.run(stepper, steps)
+        if not coarse.success:
+            return PathError(math.inf, float(coarse.t[-1])), coarse, None
         if self.on == "energy":
-            if not coarse.success:
-                return PathError(math.inf, float(coarse.t[-1])), coarse, None
             off = np.abs(coarse.energy_error)
             return PathError.of(coarse.t, off, self.error), coarse, None
-        if not coarse.success:
-            return path_error(coarse, coarse, self.duration, self.error), coarse, None
         fine = self.run(stepper, 2 * steps)
-        return path_error(coarse, fine, self.duration, self.error, dense=dense), coarse, fine
+        found = path_error(coarse, fine, self.duration, self.error)
+        few = SCOUT // len(self.q) // steps
+        if scout and found.since is None and few > 2:
+            finest = self.run(stepper, 2 ** few.bit_length() * steps)
+            other = path_error(coarse, finest, self.duration, self.error)
+            found = max(found, other, key=lambda error: error.largest)
+        return found, coarse, fine
 
     def least(self, stepper: Stepper) -> int:
         """Return the fewest steps, of which none is warned of at the start."""
@@ -229,7 +236,7 @@ class Motion:
             seconds = min(seconds, time.perf_counter() - begin)
             if not run.success:
                 return None
-        found, coarse, fine = self.measure(stepper, steps, dense=False)
+        found, coarse, fine = self.measure(stepper, steps, scout=False)
         if not coarse.success or not (fine is None or fine.success):
             return None
         share = 1.0 if self.on == "energy" else 1 / (1 - 2.0**-stepper.order)

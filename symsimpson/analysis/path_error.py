@@ -15,10 +15,9 @@ __all__ = ["PathError", "path_error"]
 
 #: The path is compared at so many equidistant times, the ends included.
 EQUIDISTANT = 21
-#: It is also compared at up to MOST_TIMES further times within steps: their irregular places show
-#: what is too short for the nodes of both runs. Large systems have fewer, at least LEAST_TIMES.
-MOST_TIMES, LEAST_TIMES, MOST_NUMBERS = 2048, 64, 2**14
-GOLDEN = (5**0.5 - 1) / 2
+#: It is also compared at so many stored states, divided by the number of coordinates, and at as
+#: many of the first ones.
+STORED = 2**13
 #: A variable is constant if it changes by this part of its size times the root of the steps.
 ROUNDING = 2.0**-49
 
@@ -38,13 +37,10 @@ class PathError:
         return cls(float(off.max(initial=0.0)), float(t[beyond[0]]) if beyond.size else None)
 
 
-def path_error(
-    coarse: Trajectory, fine: Trajectory, duration: float, bound: float, *, dense: bool = True
-) -> PathError:
-    """Compare a run with one of half its step, relative to how far each variable moves.
+def path_error(coarse: Trajectory, fine: Trajectory, duration: float, bound: float) -> PathError:
+    """Compare a run with one of smaller steps, relative to how far each variable moves.
 
-    ``duration`` is the planned length of both runs, negative if they go backwards. ``dense`` adds
-    times within steps.
+    ``duration`` is the planned length of both runs, negative if they go backwards.
     """
     for run in (coarse, fine):
         if not run.success:
@@ -52,7 +48,7 @@ def path_error(
     sign, t0 = np.sign(duration), float(coarse.t[0])
     ends = [float(run.t[-1]) for run in (coarse, fine)]
     end = min(ends, key=lambda t: float(sign * t))
-    times = _times(coarse, duration, dense=dense)
+    times = _times(coarse, duration)
     times = times[sign * (end - times) >= 0]
     scale = _scale(fine)
     try:
@@ -74,17 +70,14 @@ def path_error(
     return PathError.of(times, off, bound)
 
 
-def _times(run: Trajectory, duration: float, *, dense: bool) -> Floats:
+def _times(run: Trajectory, duration: float) -> Floats:
     """Return the times at which a run is compared, in order."""
-    count = max(LEAST_TIMES, min(MOST_TIMES, MOST_NUMBERS // run.program.n))
-    share = np.linspace(0, 1, EQUIDISTANT)
-    if dense:
-        share = np.concatenate([share, np.arange(1, count) * GOLDEN % 1])
-    stored = np.unique(np.linspace(0, len(run) - 1, 4 * count).astype(int))
-    stored = np.union1d(stored, np.arange(min(len(run), 4 * count)))
+    count = STORED // run.program.n + 1
+    some = np.linspace(0, len(run) - 1, count).astype(int)
+    stored = run.t[np.union1d(some, np.arange(min(len(run), count)))]
     # the last of equidistant times is the last stored one, however it was rounded
-    equidistant = float(run.t[0]) + duration * share[share < 1]
-    times = np.union1d(equidistant, run.t[stored])
+    equidistant = float(run.t[0]) + duration * np.linspace(0, 1, EQUIDISTANT)[:-1]
+    times = np.union1d(equidistant, stored)
     return times if duration > 0 else times[::-1]
 
 
