@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 import warnings
@@ -13,16 +14,20 @@ from typing import Any
 import numpy as np
 
 from symsimpson.analysis.path_error import PathError, path_error
-from symsimpson.analysis.stability.frequency import largest_stable
 from symsimpson.api.stepper import Stepper
 from symsimpson.errors import InputError, StabilityWarning
+from symsimpson.program.program import Program
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.ended import uninterrupted
-from symsimpson.stepping.driving import Samples
+from symsimpson.stepping.driving import Samples, given_inputs
 from symsimpson.support.array_types import Floats
 
-__all__ = ["SAFETY", "Candidate", "Motion", "Verified", "name_of", "read_inputs", "verify"]
+__all__ = ["REFINEMENTS", "ROUNDS", "SAFETY", "Candidate", "Motion", "name_of", "verify"]
 
+#: Schemes that would take so many times as long as another are not tried further.
+HOPELESS = 8.0
+#: A run that takes this long is timed twice.
+LONG = 0.05
 #: What is measured may be wrong by so much: steps are chosen for the error divided by this.
 SAFETY = 2.0
 #: More steps than this are not tried on a pilot run, nor for the whole motion unless it needs
@@ -60,15 +65,6 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Verified:
-    """A number of steps for the whole motion, and its error as measured."""
-
-    stepper: Stepper
-    steps: int
-    error: PathError
-
-
-@dataclass(frozen=True)
 class Motion:
     """A motion from a state to a time, and the error that is allowed."""
 
@@ -77,39 +73,62 @@ class Motion:
     duration: float
     error: float
     on: str
-    #: By name: a number, a function of t, or an array of values for equal parts of the duration.
-    inputs: Mapping[str, Any] | None = None
-    events: Any = None
-    parts: int = 1  #: Each of them has a whole number of steps.
-    #: The initial state, each of shape (n,), and the fastest linear oscillation there.
+    events: Any
+    #: By name: a number, a function of t, or samples.
+    inputs: Mapping[str, Any] = field(default_factory=dict)
+    parts: int = 1  #: Each of these parts of the duration has a whole number of steps.
+    #: The initial state, each of shape (n,).
     q: Floats = field(default_factory=partial(np.zeros, 0))
     p: Floats = field(default_factory=partial(np.zeros, 0))
     v: Floats = field(default_factory=partial(np.zeros, 0))
-    frequency: float = 0.0
     #: Why the last run failed, if it did.
     failures: list[str] = field(default_factory=list)
-    #: Trials begun by now.
-    tried: list[str] = field(default_factory=list)
+    #: What a progress bar shows of it.
+    shown: list[str] = field(default_factory=list)
+    most_trials: int = 0
+
+    def driven(self, program: Program, given: Any) -> Motion:
+        """Return the motion with inputs as a user gives them.
+
+        Raises InputError if one is no number, function of t, or array of values for equal parts.
+        """
+        inputs, parts, length = {}, 1, abs(self.duration)
+        if given is not None or program.inputs:
+            inputs = given_inputs(program, given)
+        for name in program.inputs:
+            value = inputs.get(name)
+            if callable(value):
+                continue
+            array = np.asarray(getattr(value, "values", value))
+            if value is None or array.ndim > 1 or not array.size:
+                raise InputError(
+                    f"{program.system}: input {name} has no values, or an array of shape "
+                    f"{array.shape}.\nThe step size is chosen: pass a number, a function of t, or "
+                    "an array of K values, each for the K-th part of the time from t0 to t_end."
+                )
+            if array.ndim:
+                held = value if isinstance(value, Samples) else Samples(value, length / array.size)
+                exact = length / float(held.period)
+                inputs[name], parts = held, math.lcm(parts, max(1, round(exact)))
+                if abs(exact - round(exact)) > 1e-9 * exact:
+                    raise InputError(
+                        f"input {name}: {length:g} from t0 to t_end is no whole number of periods "
+                        f"of {held.period!r}.\nEnd the run with the last of them."
+                    )
+        return replace(self, inputs=inputs, parts=parts)
 
     @property
     def inputs_at_start(self) -> dict[str, float]:
         """The value of each input at the start."""
-        return {
-            name: float(at_times(x, np.array([self.t0]))[0]) if callable(x) else np.ravel(x)[0]
-            for name, x in (self.inputs or {}).items()
-        }
+        values = ((k, x(self.t0) if callable(x) else x) for k, x in self.inputs.items())
+        return {k: float(np.ravel(getattr(x, "values", x))[0]) for k, x in values}
 
     def until(self, duration: float) -> Motion:
         """Return the first part of a motion."""
         share = min(1.0, duration / self.duration)
         parts = math.ceil(share * self.parts)
-        inputs = self.inputs and {
-            name: x[: max(1, len(x) * parts // self.parts)] if isinstance(x, np.ndarray) else x
-            for name, x in self.inputs.items()
-        }
-        if self.parts > 1:
-            share = parts / self.parts
-        return replace(self, duration=share * self.duration, parts=parts, inputs=inputs)
+        share = parts / self.parts if self.parts > 1 else share
+        return replace(self, duration=share * self.duration, parts=parts)
 
     def whole(self, steps: float) -> int:
         """Return a number of steps, not less than this one, that the motion may have."""
@@ -118,37 +137,24 @@ class Motion:
 
     def arguments(self, stepper: Stepper, steps: int) -> dict[str, Any]:
         """Return what a run is given beside the initial state."""
-        h = self.duration / steps
-        length = {"t_end": self.t0 + self.duration}
-        if not stepper.program.header.retimed:
-            length = {"steps": steps}
-        inputs = self.inputs and {
-            name: self._at_steps(value, stepper, h, steps) for name, value in self.inputs.items()
+        retimed, h = stepper.program.header.retimed, self.duration / steps
+        length = {"t_end": self.t0 + self.duration} if retimed else {"steps": steps}
+        inputs = {
+            name: at_times(x, stepper.node_times(h, steps, self.t0)) if callable(x) else x
+            for name, x in self.inputs.items()
         }
-        given = {"parameters": self.parameters, "inputs": inputs, "events": self.events}
+        given = {"parameters": self.parameters, "inputs": inputs or None, "events": self.events}
         return {"h": h, "t0": self.t0, **length, **given}
-
-    def _at_steps(self, value: Any, stepper: Stepper, h: float, steps: int) -> Any:
-        if isinstance(value, np.ndarray):
-            return np.repeat(value, steps // len(value))
-        return at_times(value, stepper.node_times(h, steps, self.t0)) if callable(value) else value
 
     def run(self, stepper: Stepper, steps: int, *, every: int | None = 1) -> Trajectory:
         """Run, storing as many states as a comparison needs; with ``every=None``, the last."""
         stride = 1
         while every and steps % (2 * stride) == 0 and steps * len(self.q) > MOST_NUMBERS * stride:
             stride *= 2
-        run = uninterrupted(
-            stepper.integrate(
-                self.q,
-                p0=self.p,
-                **self.arguments(stepper, steps),
-                every=every and stride,
-                on_failure="return",
-            )
-        )
+        given = self.arguments(stepper, steps) | {"every": every and stride}
+        run = stepper.integrate(self.q, p0=self.p, **given, on_failure="return")
         self.failures[:] = [] if run.success else [run.message]
-        return run
+        return uninterrupted(run)
 
     def measure(
         self, stepper: Stepper, steps: int, coarse: Trajectory | None = None, *, scout: bool = True
@@ -171,34 +177,37 @@ class Motion:
 
     def least(self, stepper: Stepper) -> int:
         """Return the fewest steps, of which none is warned of at the start."""
-        omega = abs(self.duration) * self.frequency
-        steps = self.whole(max(4.0, omega / largest_stable(stepper.scheme)))
-        tools, system = stepper.program.tools, stepper.program.declared
-        if tools is None or system is None or stepper.program.header.retimed:
-            return steps
-        values = [*map(float, (*self.parameters.values(), *self.inputs_at_start.values()))]
-        while True:
+        program, steps = stepper.program, self.whole(4)
+        state = self.q, self.v, [*self.parameters.values(), *self.inputs_at_start.values()]
+        while steps < MOST_STEPS and program.tools and not program.header.retimed:
             with warnings.catch_warnings(record=True) as warned:
                 warnings.simplefilter("always", StabilityWarning)
                 h = self.duration / steps
-                tools.check_step(stepper.program, system, self.q, self.v, values, h, self.t0)
-            if not any(issubclass(x.category, StabilityWarning) for x in warned):
-                return steps
-            if steps > MOST_STEPS:
-                return steps
+                program.tools.check_step(program, program.declared, *state, h, self.t0)
+            if not warned:
+                break
             steps = self.whole(1.25 * steps)
+        return steps
 
-    def solve(self, stepper: Stepper, h0: float, allowed: float) -> Candidate | None:
+    def show(self) -> None:
+        """Count a trial for the progress bar."""
+        count = f"trial {len(self.shown)} of at most {self.most_trials}"
+        self.shown.append(f"choosing a scheme and a step, {count}")
+
+    def solve(
+        self, stepper: Stepper, h0: float, allowed: float, quickest: float
+    ) -> Candidate | None:
         """Find the number of steps that reaches an error; None if there is none.
 
-        In another time it is that of steps as long as the first.
+        The search ends where it would take much longer than ``quickest``. In another time the
+        number is that of steps as long as the first.
         """
         least = self.least(stepper)
         steps = max(least, math.ceil(abs(self.duration / h0) / math.sqrt(stepper.order)))
         best: Candidate | None = None
         before, stagnant = math.inf, 0
         for _ in range(ROUNDS):
-            self.tried.append(stepper.scheme)
+            self.show()
             steps = self.whole(steps)
             measured = self._timed(stepper, steps) if steps <= MOST_STEPS else None
             if measured is None:
@@ -222,83 +231,50 @@ class Motion:
                 return best
             else:
                 stagnant = stagnant + 1 if error > before / 2 else 0
-                if stagnant == STAGNANT:
+                factor = min(max(change, 1.1), 8.0)
+                if stagnant == STAGNANT or factor * measured.seconds > HOPELESS * quickest:
                     return None
-                before, steps = error, math.ceil(steps * min(max(change, 1.1), 8.0))
+                before, steps = error, math.ceil(steps * factor)
         return best
 
     def _timed(self, stepper: Stepper, steps: int) -> Candidate | None:
         """Measure the error of so many steps, their work and time; None if they fail."""
-        seconds = math.inf
-        for _ in range(REPEATS):  # the first one may compile
+        times: list[float] = []
+        while len(times) < REPEATS and not (len(times) > 1 and times[-1] > LONG):
             begin = time.perf_counter()
-            run = self.run(stepper, steps, every=None)
-            seconds = min(seconds, time.perf_counter() - begin)
-            if not run.success:
+            if not self.run(stepper, steps, every=None).success:  # the first may compile
                 return None
+            times.append(time.perf_counter() - begin)
         found, coarse, fine = self.measure(stepper, steps, scout=False)
         if not coarse.success or not (fine is None or fine.success):
             return None
         share = 1.0 if self.on == "energy" else 1 / (1 - 2.0**-stepper.order)
         work = coarse.steps + int(coarse.newton_iterations.sum())
-        return Candidate(stepper, steps, share * found.largest, work, coarse.steps, seconds)
+        return Candidate(stepper, steps, share * found.largest, work, coarse.steps, min(times))
 
 
-def verify(motion: Motion, stepper: Stepper, steps: float) -> Verified:
-    """Measure the error of the whole motion, and refine the step until it is small enough."""
+def verify(motion: Motion, stepper: Stepper, steps: float) -> tuple[Stepper, int, PathError]:
+    """Refine the step until the error of the whole motion is small enough; return that error."""
     steps = motion.whole(max(steps, LEAST, motion.least(stepper)))
     most, coarse = max(MOST_STEPS // 2, 4 * steps), None
     for refinement in range(REFINEMENTS + 1):
-        motion.tried.append(stepper.scheme)
+        motion.show()
         found, _, fine = motion.measure(stepper, steps, coarse)
         wanted = (SAFETY * found.largest / motion.error) ** (1 / stepper.order)
         factor = 2 if wanted <= 2 else 4
-        last = refinement == REFINEMENTS or factor * steps > most
-        if found.largest <= motion.error or last:
+        if found.since is None or refinement == REFINEMENTS or factor * steps > most:
             break
         steps, coarse = factor * steps, fine if factor == 2 else None
-    return Verified(stepper, steps, found)
+    return stepper, steps, found
 
 
 def at_times(function: Any, times: Floats) -> Floats:
-    """Return the values of a function of t, which may take arrays or not."""
-    try:
+    """Return the values of a function of t, which may take arrays or single numbers."""
+    with contextlib.suppress(Exception):
         values = np.asarray(function(times), dtype=float)
-        if values.shape in ((), times.shape):
-            return np.broadcast_to(values, times.shape)
-    except (TypeError, ValueError):
-        pass
+        if values.shape == times.shape:
+            return values
     return np.vectorize(function, otypes=[float])(times)
-
-
-def read_inputs(given: Mapping[str, Any], duration: float) -> tuple[dict[str, Any], int]:
-    """Read inputs of a run whose step is chosen, and in how many equal parts they divide it.
-
-    Raises InputError if one is no number, function of t, or array of values for equal parts.
-    """
-    inputs, parts = dict[str, Any](), 1
-    for name, value in given.items():
-        values = value
-        if isinstance(value, Samples):
-            exact = abs(duration) / float(value.period)
-            values = np.asarray(value.values, dtype=float)[: round(exact)]
-            if len(values) != round(exact) or abs(exact - len(values)) > 1e-9 * exact:
-                raise InputError(
-                    f"input {name}: {len(values)} periods of {value.period!r} do not fill the "
-                    f"{abs(duration):g} from t0 to t_end.\nEnd the run with the last period."
-                )
-        if not callable(values):
-            values = np.asarray(values, dtype=float)
-            if values.ndim > 1 or not values.size or not np.isfinite(values).all():
-                raise InputError(
-                    f"input {name} has shape {values.shape}, or is not finite.\nThe step is chosen "
-                    "for you: pass a number, a function of t, or an array of K finite values, each "
-                    "of which is held for the K-th part of the time from t0 to t_end."
-                )
-            parts = math.lcm(parts, max(values.size, 1))
-            values = values if values.ndim else float(values)
-        inputs[name] = values
-    return inputs, parts
 
 
 def name_of(stepper: Stepper) -> str:

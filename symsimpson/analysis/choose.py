@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any, Literal
 from numpy.typing import ArrayLike
 
 from symsimpson.analysis.candidates import (
+    REFINEMENTS,
+    ROUNDS,
     SAFETY,
     Candidate,
     Motion,
-    Verified,
     name_of,
-    read_inputs,
     verify,
 )
+from symsimpson.analysis.path_error import PathError
 from symsimpson.analysis.pilot import choose_step
-from symsimpson.analysis.stability.frequency import largest_frequency, largest_stable
 from symsimpson.analysis.variants import in_tau
 from symsimpson.api.compiling import check_system
 from symsimpson.api.compiling import compile as compile_system
@@ -30,10 +30,8 @@ from symsimpson.mechanics.retimed import RetimedSystem, attracts, not_retimed, r
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.program.input_values import read_number
 from symsimpson.program.numbers import FLOAT64
-from symsimpson.program.program import Program
 from symsimpson.run.ended import uninterrupted
 from symsimpson.schemes.scheme import Scheme
-from symsimpson.stepping.driving import given_inputs
 from symsimpson.support.ahead import late
 from symsimpson.support.calling import explained, without_step_warnings
 from symsimpson.support.names import in_a_row
@@ -171,8 +169,9 @@ def choose(
     >>> run.status.name
     'SUCCESS'
     """
-    given = {"parameters": parameters, "inputs": inputs, "events": events}
-    choice = select(system, (q0, v0, p0), (t0, t_end), error, on, schemes, given, strict=True)
+    asked = {"q0": q0, "v0": v0, "p0": p0, "t0": t0, "t_end": t_end, "error": error, "on": on}
+    asked |= {"parameters": parameters, "inputs": inputs, "events": events, "schemes": schemes}
+    choice = select(system, asked, strict=True)
     if choice.error_estimate > error:
         raise InputError(
             f"no scheme that was tried comes to an error of {error:g} until t_end={t_end:g} from "
@@ -181,53 +180,46 @@ def choose(
     return choice
 
 
-@waiting("choosing a scheme and a step")
-@late()
-@without_step_warnings()
-def select(
-    system: MechanicalSystem,
-    state: Sequence[Any],
-    length: tuple[Any, Any],
-    error: Any,
-    on: str,
-    schemes: Any,
-    given: Mapping[str, Any],
-    *,
-    strict: bool = False,
-) -> Choice:
+def select(system: MechanicalSystem, asked: Mapping[str, Any], *, strict: bool) -> Choice:
     """Choose as :func:`choose`; unless ``strict``, also where no scheme reaches the error.
 
-    ``state`` is q0, v0 and p0, ``length`` t0 and t_end; ``given`` has parameters, inputs and
-    events. Raises InputError if a run with small steps does not reach the end.
+    ``asked`` has its arguments. Raises InputError if a run with small steps does not reach the end.
     """
+    with waiting("choosing a scheme and a step") as shown, late(), without_step_warnings():
+        return _select(system, asked, shown, strict=strict)
+
+
+def _select(
+    system: MechanicalSystem, asked: Mapping[str, Any], shown: list[str], *, strict: bool
+) -> Choice:
     check_system(system)
-    schemes = None if schemes is None else in_a_row(schemes)
-    t0, t_end = (read_number(*x, FLOAT64) for x in zip(("t0", "t_end"), length, strict=True))
-    error = _read_error(error, on, schemes, system)
+    schemes = None if asked["schemes"] is None else in_a_row(asked["schemes"])
+    t0, t_end = (read_number(name, asked[name], FLOAT64) for name in ("t0", "t_end"))
+    error = _read_error(asked["error"], asked["on"], schemes, system)
     if not t_end - t0:
         raise InputError(f"t_end is {t_end!r}, and the run begins there.\nPass a later time.")
     retimed, adapting = _in_other_time(system, schemes)
     original = system.original if isinstance(system, RetimedSystem) else system
     first = compile_system(original, "simpson")
-    known = compile_system(system, "simpson").program.free_values(given["parameters"])
+    known = compile_system(system, "simpson").program.free_values(asked["parameters"])
     values = {name: known[name] for name in first.parameters}
-    inputs, parts = _inputs(first.program, given["inputs"], t_end - t0)
-    motion = Motion(known, t0, t_end - t0, error, on, inputs, given["events"], parts)
-    constant = motion.inputs_at_start
-    begin = {"t0": t0, "inputs": constant or None, "parameters": values}
-    asked = dict(zip(("q0", "v0", "p0"), state, strict=True))
-    start = first.integrate(**asked, h=1.0, steps=0, **begin)
-    q, p, numbers = start.q[0], start.p[0], [*values.values(), *constant.values()]
-    frequency = largest_frequency(original, q, numbers, t0)
-    motion = replace(motion, q=q, p=p, v=start.v[0], frequency=frequency)
-    # of longer ones a pilot run would go beyond the end
-    h0 = choose_step(first, q, p, values, 64, (t_end - t0) / PILOT, t0=t0, inputs=begin["inputs"])
-    pilot = motion.until(max(PILOT, PILOT_COORDINATES // system.n) * h0)
+    motion = Motion(known, t0, t_end - t0, error, asked["on"], asked["events"])
+    motion = motion.driven(first.program, asked["inputs"])
+    begin = {"t0": t0, "inputs": motion.inputs_at_start or None}
+    start = first.integrate(
+        asked["q0"], asked["v0"], p0=asked["p0"], h=1.0, steps=0, parameters=values, **begin
+    )
+    q, p = start.q[0], start.p[0]
     fixed = schemes
     if schemes is None:
         straight = system.structure.separable and not system.plain.held
         fixed = WITH_EXPLICIT if straight else CANDIDATES
     fixed = () if original is not system else fixed or ()
+    most = ROUNDS * (len(fixed) * (1 + bool(adapting)) + len(adapting)) + 2 * (1 + REFINEMENTS)
+    motion = replace(motion, q=q, p=p, v=start.v[0], shown=shown, most_trials=most)
+    # of longer ones a pilot run would go beyond the end
+    h0 = choose_step(first, q, p, values, 64, (t_end - t0) / PILOT, **begin)
+    pilot = motion.until(max(PILOT, PILOT_COORDINATES // system.n) * h0)
     steppers = [compile_system(system, scheme) for scheme in fixed]
     candidates = _solved(motion, pilot, steppers, h0)
     ratio = motion.duration / pilot.duration
@@ -260,32 +252,22 @@ def select(
         best = min(candidates, key=lambda candidate: candidate.seconds)
         chosen = verify(motion, best.stepper, best.steps * ratio)
         exact = max(candidates, key=lambda candidate: candidate.stepper.order)
-        if chosen.error.since is not None and exact is not best:
+        if chosen[-1].since is not None and exact is not best:
             best, chosen = exact, verify(motion, exact.stepper, exact.steps * ratio)
     else:
-        best, exact_one = None, max(steppers, key=lambda stepper: stepper.order)
-        chosen = verify(motion, exact_one, motion.duration / h0)
-    return Choice(
-        chosen.stepper,
-        motion.duration / chosen.steps,
-        _reason(motion, chosen, best, candidates),
-        chosen.error.largest,
-    )
+        chosen = verify(motion, max(steppers, key=lambda x: x.order), motion.duration / h0)
+        best = Candidate(*chosen[:2], 0.0, 0, 0, math.inf)
+    stepper, count, found = chosen
+    reason = _reason(motion, chosen, best, candidates)
+    return Choice(stepper, motion.duration / count, reason, found.largest)
 
 
-def arguments(choice: Choice, length: tuple[Any, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+def arguments(choice: Choice, asked: Mapping[str, Any]) -> dict[str, Any]:
     """Return the arguments of the chosen run, beside its initial state."""
-    t0, t_end = map(float, length)
-    inputs, _ = _inputs(choice.stepper.program, given["inputs"], t_end - t0)
-    motion = Motion(given["parameters"], t0, t_end - t0, 0.0, "", inputs, given["events"])
-    return motion.arguments(choice.stepper, round((t_end - t0) / choice.h))
-
-
-def _inputs(program: Program, given: Any, duration: float) -> tuple[dict[str, Any] | None, int]:
-    """Read inputs, and in how many equal parts they divide the motion."""
-    if given is None and not program.inputs:
-        return None, 1
-    return read_inputs(given_inputs(program, given), duration)
+    t0, duration = float(asked["t0"]), float(asked["t_end"]) - float(asked["t0"])
+    motion = Motion(asked["parameters"], t0, duration, 0.0, "", asked["events"])
+    motion = motion.driven(choice.stepper.program, asked["inputs"])
+    return motion.arguments(choice.stepper, round(duration / choice.h))
 
 
 def _read_error(
@@ -325,14 +307,22 @@ def _solved(
     allowed = motion.error / SAFETY
     if motion.on == "state":  # errors grow with time at least
         allowed *= pilot.duration / motion.duration
-    return [met for stepper in steppers if (met := pilot.solve(stepper, h, allowed))]
+    candidates: list[Candidate] = []
+    for stepper in reversed(steppers):  # of high order first: others may be far slower
+        quickest = min((x.seconds for x in candidates), default=math.inf)
+        if found := pilot.solve(stepper, h, allowed, quickest):
+            candidates.append(found)
+    return candidates
 
 
 def _reason(
-    motion: Motion, chosen: Verified, best: Candidate | None, candidates: Sequence[Candidate]
+    motion: Motion,
+    chosen: tuple[Stepper, int, PathError],
+    best: Candidate,
+    candidates: Sequence[Candidate],
 ) -> str:
     """Say what was chosen, how large its error is, and what others take."""
-    stepper, steps, found = chosen.stepper, chosen.steps, chosen.error
+    stepper, steps, found = chosen
     retimed = stepper.program.header.retimed
     count = "the first step; then they adapt" if retimed else f"{steps} steps"
     what = "the largest relative energy error is"
@@ -348,11 +338,8 @@ def _reason(
     if retimed:
         beside = f": the fewest of fixed size are {min(fixed)}" if fixed else ""
         lines.append(f"Steps of {stepper.system} adapt{beside}.")
-    if motion.frequency > 0 and math.isfinite(largest_stable(stepper.scheme)):
-        bound = largest_stable(stepper.scheme) / motion.frequency
-        lines.append(f"Linear stability at the start bounds h by {bound:.3g}.")
     slower = sorted((x for x in candidates if x is not best), key=lambda x: x.seconds)
-    if best and slower:
+    if slower:
         times = (f"{name_of(x.stepper)} {x.seconds / best.seconds:.1f} times" for x in slower)
         lines.append(f"For the same error: {' its time, '.join(times)} its time.")
     return " ".join(lines)

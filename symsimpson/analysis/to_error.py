@@ -18,8 +18,9 @@ from symsimpson.program.status import Status
 from symsimpson.results.sampled import Sampled, Saved
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.schemes.scheme import Scheme
+from symsimpson.stepping.driving import Samples
 from symsimpson.support.calling import explained, warn, without_step_warnings
-from symsimpson.support.names import by_name, in_a_row, read_mapping
+from symsimpson.support.names import by_name, read_mapping
 
 if TYPE_CHECKING:
     from symsimpson.stepping.event import Event
@@ -89,34 +90,21 @@ def integrate(
     (True, True, True)
     """
     check_system(system)
-    values = read_mapping("parameters", parameters, "m")
-    named = {getattr(key, "name", str(key)): value for key, value in values.items()}
-    given: dict[str, Any] = {"parameters": parameters, "inputs": inputs, "events": events}
-    asked = (q0, v0, p0), (t0, t_end), error, on, schemes
+    parameters = read_mapping("parameters", parameters, "m")
+    asked = {"q0": q0, "v0": v0, "p0": p0, "t0": t0, "t_end": t_end, "error": error, "on": on}
+    asked |= {"parameters": parameters, "inputs": inputs, "events": events, "schemes": schemes}
 
     def make() -> Choice:
-        return select(system, *asked, given)
+        return select(system, asked, strict=False)
 
-    driving = dict(inputs) if isinstance(inputs, Mapping) else {}
-    if events is not None or any(map(callable, driving.values())):
+    if events is not None or _acts(inputs):
         choice = make()
     else:
-        question = {
-            "state": [*map(_state_key, (q0, v0, p0))],
-            "length": repr((t0, t_end)),
-            "error": error,
-            "on": on,
-            "parameters": sorted((key, repr(value)) for key, value in named.items()),
-            "inputs": _state_key(driving),
-            "schemes": None if schemes is None else [*map(repr, in_a_row(schemes))],
-        }
-        choice = remembered(system, question, make)
+        choice = remembered(system, {name: _key(x) for name, x in asked.items()}, make)
     more: dict[str, Any] = {"every": every, "t_eval": t_eval, "save": save}
-    more |= {"progress": progress, "on_failure": on_failure}
+    more |= arguments(choice, asked) | {"progress": progress, "on_failure": on_failure}
     with without_step_warnings(StabilityWarning, ResolutionWarning):
-        run: Trajectory | Sampled | Saved = choice.stepper.integrate(
-            q0, v0, p0=p0, **arguments(choice, (t0, t_end), given), **more
-        )
+        run: Trajectory | Sampled | Saved = choice.stepper.integrate(q0, v0, p0=p0, **more)
     message, status = f"{run.message} {choice.reason}", run.status
     if choice.error_estimate > error and run.success:
         status = Status.TOLERANCE_NOT_MET
@@ -125,14 +113,20 @@ def integrate(
     return replace(run, status=status, message=message, error_estimate=choice.error_estimate)
 
 
-def _state_key(state: Any) -> Any:
-    """Return the text of an initial state, for the key of a stored choice."""
-    state = by_name(state)
-    if isinstance(state, Mapping):
-        return sorted((str(name), repr(value)) for name, value in state.items())
-    if state is None:
-        return None
+def _acts(inputs: Any) -> bool:
+    """Return whether one of the inputs is a function, of which nothing is known."""
+    given = inputs.values() if isinstance(inputs, Mapping) else (inputs,)
+    return any(map(callable, given))
+
+
+def _key(value: Any) -> Any:
+    """Return the text of an argument, for the key of a stored choice."""
+    value = by_name(value)
+    if isinstance(value, Mapping):
+        return sorted((str(name), _key(x)) for name, x in value.items())
+    if isinstance(value, Samples):
+        return [_key(value.values), repr(value.period)]
     try:
-        return repr(np.asarray(state).tolist())
+        return repr(np.asarray(value).tolist())
     except ValueError:  # ragged rows, which the run refuses
-        return repr(state)
+        return repr(value)
