@@ -17,7 +17,10 @@ __all__ = ["remembered"]
 
 
 def remembered(
-    system: MechanicalSystem, question: Mapping[str, Any], choose: Callable[[], Choice]
+    system: MechanicalSystem,
+    question: Mapping[str, Any],
+    duration: float,
+    choose: Callable[[], Choice],
 ) -> Choice:
     """Return the choice that was made before for the same question, or make it and keep it.
 
@@ -29,7 +32,7 @@ def remembered(
 
     def read(record: Any) -> Choice:
         h, error = float(record["h"]), float(record["error"])
-        if not (0 < abs(h) < math.inf and error >= 0):
+        if not (0 < h / duration < math.inf and error >= 0):
             raise ValueError("no step, or no error")
         whole = system.retimed("encounters") if record["adapting"] is True else system
         return Choice(compile_system(whole, str(record["scheme"])), h, str(record["reason"]), error)

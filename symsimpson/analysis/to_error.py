@@ -14,6 +14,8 @@ from symsimpson.analysis.remembered import remembered
 from symsimpson.api.compiling import check_system
 from symsimpson.errors import ResolutionWarning, StabilityWarning
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.program.input_values import read_number
+from symsimpson.program.numbers import FLOAT64
 from symsimpson.program.status import Status
 from symsimpson.results.sampled import Sampled, Saved
 from symsimpson.results.trajectory import Trajectory
@@ -100,7 +102,9 @@ def integrate(
     if events is not None or _acts(inputs):
         choice = make()
     else:
-        choice = remembered(system, {name: _key(x) for name, x in asked.items()}, make)
+        duration = read_number("t_end", t_end, FLOAT64) - read_number("t0", t0, FLOAT64)
+        question = {name: _key(x) for name, x in asked.items()}
+        choice = remembered(system, question, duration, make)
     more: dict[str, Any] = {"every": every, "t_eval": t_eval, "save": save}
     more |= arguments(choice, asked) | {"progress": progress, "on_failure": on_failure}
     with without_step_warnings(StabilityWarning, ResolutionWarning):
