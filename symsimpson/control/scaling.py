@@ -18,7 +18,7 @@ from symsimpson.control.ipopt import Outcome, Solvable
 from symsimpson.control.layout import Layout
 from symsimpson.support.array_types import Floats, Ints
 
-__all__ = ["Scaled", "scaled", "sizes_at"]
+__all__ = ["Scaled", "cost_size", "scaled", "sizes_at"]
 
 #: A coordinate that moves by less than this part of what others do, at equal energies, is small
 #: beside them. Motions by less than FINE of the positions are lost in rounding.
@@ -26,6 +26,8 @@ NEGLIGIBLE, FINE = 1e-4, 1e-6
 #: Units of the cost, and of momenta, beside what follows from lengths, times and masses. Measured
 #: on golden problems and swing-ups: 6 to 16 iterations, from half to twice of this.
 COST, MOMENTUM = 2.0**-7, 2.0**-3
+#: Costs are rounding below this part of their unit.
+ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +109,13 @@ def scaled(programme: Solvable, layout: Layout, x: Floats) -> Scaled:
     parts = np.concatenate([programme.slopes(x)[0] * columns, curved])
     whole = np.abs(parts[np.isfinite(parts)]).sum()
     return replace(scaled_form, of_cost=float(_rounded(whole) * COST))
+
+
+def cost_size(layout: Layout, x: Floats) -> float:
+    """Return the size of a cost at a guess: the cost there, or rounding of the unit of costs."""
+    programme, *_ = layout.programme
+    cost = abs(programme.values(x)[0])
+    return max(cost if cost < np.inf else 0.0, ROUNDING * scaled(programme, layout, x).of_cost)
 
 
 def sizes_at(layout: Layout, x: Floats) -> tuple[Floats, Floats]:

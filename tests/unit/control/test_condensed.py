@@ -11,7 +11,7 @@ from symsimpson.control.grid import Grid
 from symsimpson.control.layout import Layout
 from symsimpson.control.reading import read_family
 from symsimpson.control.scaling import scaled
-from symsimpson.control.solution import initial_point
+from symsimpson.control.guess import initial_point
 
 pytest.importorskip("casadi")
 
