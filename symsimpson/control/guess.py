@@ -163,7 +163,7 @@ def bent(layout: Layout, x: Floats) -> list[Floats]:
             across.append(side / np.linalg.norm(side))
     guesses = []
     for side in across[bool(reach) :][:MOST_SIDES]:
-        for shape in (wave, wave * np.cos(s) * TWICE):
+        for shape in (wave, wave * np.cos(s) * TWICE, np.where(first ^ last, 1 - turn, 0.0)):
             for sign in (1.0, -1.0):
                 trials = []
                 for far in AMPLITUDES:
@@ -174,7 +174,9 @@ def bent(layout: Layout, x: Floats) -> list[Floats]:
                 guesses.append(min(trials, key=lambda trial: trial[:3]))
     guesses.sort(key=lambda trial: trial[:2])
     least = guesses[0][0] if guesses else off
-    near = [trial for trial in guesses if trial[0] < off and trial[0] <= least + PART * (off - least)]
+    near = [
+        trial for trial in guesses if trial[0] < off and trial[0] <= least + PART * (off - least)
+    ]
     return [trial[-1] for trial in near[:MOST_BENT]]
 
 

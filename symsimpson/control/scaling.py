@@ -132,7 +132,13 @@ def _sizes(programme: Solvable, layout: Layout, x: Floats) -> tuple[Floats, Floa
     entries = np.where(np.isfinite(entries), np.abs(entries), 0.0)
     matrix = sparse.csc_matrix((entries, programme.jacobian_places), shape=programme.shape)
     columns = _unknowns(layout, matrix, x)
-    return columns, _rounded(_largest(matrix @ sparse.diags(columns), 1))
+    rows = _largest(matrix @ sparse.diags(columns), 1)
+    names, kinds = np.unique(layout.names, return_inverse=True)
+    of_kinds = np.zeros(len(names))
+    np.maximum.at(of_kinds, kinds, rows)
+    # rows of a bound or a constraint have one unit, and some may be without a slope
+    mixed = np.array([name == "step" or name.startswith("momentum at") for name in names])
+    return columns, _rounded(np.where(mixed[kinds], rows, of_kinds[kinds]))
 
 
 def _lengths(layout: Layout, masses: Floats, x: Floats, pushed: Floats) -> Floats:
@@ -172,11 +178,13 @@ def _unknowns(layout: Layout, matrix: Any, x: Floats) -> Floats:
     for places, effect, bound in zip(inputs, done, most, strict=True):
         enough = (moved[effect > 0] / effect[effect > 0]).min(initial=np.inf)
         sizes[places] = _rounded(min(bound, enough))
-    of_rows = np.ones(matrix.shape[0])
-    of_rows[steps] = moved
-    turned = _largest(sparse.diags(1 / of_rows) @ matrix, 0)
-    for held in (*np.moveaxis(layout.multipliers, -1, 0), *layout.at_end[:, None]):
-        sizes[held] = 1 / (_rounded(turned[held].max(initial=0.0)))
+    held = (*np.moveaxis(layout.multipliers, -1, 0), *layout.at_end[:, None])
+    if held:
+        sizes[np.concatenate([*map(np.ravel, held)])] = 0.0
+        of_rows = _rounded(_largest(matrix @ sparse.diags(sizes), 1))
+        turned = _largest(sparse.diags(1 / of_rows) @ matrix, 0)
+    for places in held:
+        sizes[places] = 1 / _rounded(turned[places].max(initial=0.0))
     return sizes
 
 
