@@ -124,7 +124,7 @@ def _with_momenta(layout: Layout, x: Floats) -> Floats:
 
 
 def violation(layout: Layout, x: Floats, among: Any = None) -> float:
-    """Return how far a guess is from what holds beside the equations of steps, in units of rows.
+    """Return how far a guess is from what holds beside the equations of steps, by rows' slopes.
 
     It is infinite where the path jumps to another branch of the constraints, or something has no
     value. ``among`` chooses rows.
@@ -144,15 +144,17 @@ def bent(layout: Layout, x: Floats) -> list[Floats]:
     They are bent to both sides, across the way from start to end, in one wave or two. What an end
     leaves free moves there.
     """
-    read, off, most = layout.read, violation(layout, x), layout.grid.times(layout.sizes(x))
-    q, lengths = x[layout.points], sizes_at(layout, x)[0][layout.points[0, 0]]
-    s = (most[:-1, None] + np.diff(most)[:, None] * layout.places)[..., None] / most[-1] * np.pi
+    read, q, ends = layout.read, x[layout.points], layout.grid.times(layout.sizes(x))
+    off, lengths = violation(layout, x), sizes_at(layout, x)[0][layout.points[0, 0]]
+    s = (ends[:-1, None] + np.diff(ends)[:, None] * layout.places)[..., None] / ends[-1] * np.pi
     first, last = (
         np.array([name in _fixed_coordinates(limits, read) for name in read.names])
         for limits in read.ends
     )
-    turn = np.where(first & last, np.cos(s), np.where(first, np.cos(s / 2), np.sin(s / 2)))
+    turn = np.where(first & last, np.cos(s), np.where(last, np.sin(s / 2), np.cos(s / 2)))
     wave = np.where(first | last, 1 - turn**2, 1.0)
+    shapes = [wave, wave * np.cos(s) * TWICE]
+    shapes += [] if (first & last).all() else [np.where(first & last, 0.0, 1 - turn)]
     way = (q[-1, -1] - q[0, 0]) / lengths
     reach = float(np.linalg.norm(way))
     across = [way / reach] if reach else []
@@ -163,7 +165,7 @@ def bent(layout: Layout, x: Floats) -> list[Floats]:
             across.append(side / np.linalg.norm(side))
     guesses = []
     for side in across[bool(reach) :][:MOST_SIDES]:
-        for shape in (wave, wave * np.cos(s) * TWICE, np.where(first ^ last, 1 - turn, 0.0)):
+        for shape in shapes:
             for sign in (1.0, -1.0):
                 trials = []
                 for far in AMPLITUDES:
@@ -174,10 +176,8 @@ def bent(layout: Layout, x: Floats) -> list[Floats]:
                 guesses.append(min(trials, key=lambda trial: trial[:3]))
     guesses.sort(key=lambda trial: trial[:2])
     least = guesses[0][0] if guesses else off
-    near = [
-        trial for trial in guesses if trial[0] < off and trial[0] <= least + PART * (off - least)
-    ]
-    return [trial[-1] for trial in near[:MOST_BENT]]
+    most = least + PART * (off - least)
+    return [trial for left, *_, trial in guesses[:MOST_BENT] if left < off and left <= most]
 
 
 def _fixed_coordinates(limits: Any, read: Any) -> dict[str, float]:

@@ -382,7 +382,7 @@ class ControlResult:
         return figures.iterations(self)
 
     def plot_sparsity(self) -> Any:
-        """Draw where the Jacobian of the constraints and the Hessian of the Lagrangian have entries.
+        """Draw the entries of the constraints' Jacobian and of the Lagrangian's Hessian.
 
         Returns
         -------

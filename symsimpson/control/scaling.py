@@ -26,8 +26,8 @@ NEGLIGIBLE, FINE = 1e-4, 1e-6
 #: Units of the cost, and of momenta, beside what follows from lengths, times and masses. Measured
 #: on golden problems and swing-ups: 6 to 16 iterations, from half to twice of this.
 COST, MOMENTUM = 2.0**-7, 2.0**-3
-#: Costs are rounding below this part of their unit.
-ROUNDING = 1e-12
+#: Costs are nothing below this part of that of the largest motions and inputs.
+NOTHING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,10 +112,10 @@ def scaled(programme: Solvable, layout: Layout, x: Floats) -> Scaled:
 
 
 def cost_size(layout: Layout, x: Floats) -> float:
-    """Return the size of a cost at a guess: the cost there, or rounding of the unit of costs."""
+    """Return the size of costs at a guess: the cost there, or at least what is more than nothing."""
     programme, *_ = layout.programme
-    cost = abs(programme.values(x)[0])
-    return max(cost if cost < np.inf else 0.0, ROUNDING * scaled(programme, layout, x).of_cost)
+    cost, unit = abs(programme.values(x)[0]), scaled(programme, layout, x).of_cost / COST
+    return max(cost if cost < np.inf else 0.0, NOTHING * unit)
 
 
 def sizes_at(layout: Layout, x: Floats) -> tuple[Floats, Floats]:

@@ -67,8 +67,8 @@ def solve(
     """
     _warn_of_undetermined_inputs(read, scheme)
 
-    def result_from(layout: Layout, guess: Any) -> tuple[ControlResult, float]:
-        """Return the result from a guess, and the size of costs there."""
+    def result_from(layout: Layout, guess: Any) -> tuple[ControlResult, Floats]:
+        """Return the result from a guess, and the guess."""
         x0, how = initial_point(layout, guess), (options, progress, condensed)
         result, lengths = _solved(layout, x0, *how, straight=guess is None), layout.points.ravel()
         sizes = (sizes_at(layout, x)[0][lengths] for x in (x0, result.x))
@@ -79,9 +79,10 @@ def solve(
                 sums = ("iterations", "seconds", "in_functions")
                 both = {name: getattr(result, name) + getattr(again, name) for name in sums}
                 result = replace(again, **both)
-        return result, cost_size(layout, x0)
+        return result, x0
 
-    result, size = result_from(Layout(read, scheme, grid), guess)
+    result, x0 = result_from(Layout(read, scheme, grid), guess)
+    size = cost_size(result.layout, x0) if error is not None else 0.0
     for refinements in range(MOST_REFINEMENTS if error is not None else 0):
         unresolved = result.status is ControlStatus.NOT_RESOLVED
         if not result.success and not (unresolved and refinements < MOST_UNRESOLVED):
