@@ -26,7 +26,8 @@ __all__ = [
     *("pressed", "projected", "resolved", "turned"),
 ]
 
-#: Ends that are given by numbers may be off their constraints by so much.
+#: Ends that are given by numbers may be off their constraints by this part of what these change by
+#: over the motion.
 CONSISTENT = 1e-9
 #: Between control points paths may miss constraints by this part of the length of a step, times
 #: the slope of the constraint: one that goes round by 0.8 of a radian in a step of degree 1 does.
@@ -74,9 +75,22 @@ def pressed(read: Reading, end: int, limits: Iterable[Limits]) -> list[bool]:
     for limit in limits:
         (there,) = rebuilt(graph, [limit.value], given)
         known = not there[0] or not graph.nodes[there[1]].symbols
-        number = read.number(there) if known else np.nan
-        flags.append(bool(np.abs(np.subtract([limit.low, limit.high], number)).min() <= CONSISTENT))
+        off = np.subtract([limit.low, limit.high], read.number(there) if known else np.nan)
+        flags.append(bool(known and np.abs(off).min() <= _rounding(read, limit.value, given)))
     return flags
+
+
+def _rounding(read: Reading, value: Value, given: dict[int, Value]) -> float:
+    """Return what is rounding of a value where numbers are given."""
+    graph, lengths = read.graph, read.extents.max(axis=0)
+    slopes = rebuilt(graph, gradient(graph, value, [*read.q, *read.v]), given)
+    sizes = [*lengths, *lengths / read.duration[0]]
+    changes = [
+        abs(read.number(slope)) * size
+        for slope, size in zip(slopes, sizes, strict=True)
+        if slope[0] and not graph.nodes[slope[1]].symbols
+    ]
+    return CONSISTENT * sum(changes)
 
 
 def implied(read: Reading, end: int, values: Iterable[tuple[str, Value]]) -> list[bool]:
@@ -91,7 +105,7 @@ def implied(read: Reading, end: int, values: Iterable[tuple[str, Value]]) -> lis
     for name, value in values:
         (there,) = rebuilt(graph, [value], given)
         known = not there[0] or not graph.nodes[there[1]].symbols
-        if known and abs(off := read.number(there)) > CONSISTENT:
+        if known and abs(off := read.number(there)) > _rounding(read, value, given):
             raise InputError(
                 f"{('start', 'end')[end]} contradicts the constraint {name!r}: what is to be 0 is "
                 f"{off:.3g} there.\nGive values that satisfy it, as system.consistent(q0, v0) "
@@ -168,7 +182,8 @@ def resolved(layout: Any, x: Floats, values: dict[int, Any]) -> bool:
     ends = {**values, **dict(zip(read.q, q[:, 0].T, strict=True))}
     slopes = np.linalg.norm(functions.jacobian(ends, N), axis=2).T
     moved = np.linalg.norm(np.diff(q, axis=1), axis=2).sum(axis=1)
-    return bool((np.abs(off).max(axis=2) <= AWAY * slopes * moved + CONSISTENT).all())
+    near = slopes * (AWAY * moved + CONSISTENT * np.abs(q).max())
+    return bool((np.abs(off).max(axis=2) <= near).all())
 
 
 def onto(layout: Any, q: Floats, values: dict[int, Any]) -> Floats:
@@ -185,7 +200,7 @@ def onto(layout: Any, q: Floats, values: dict[int, Any]) -> Floats:
         if not np.isfinite(moves).all():
             return q
         flat -= moves
-        if np.abs(moves).max() < CONSISTENT:
+        if np.abs(moves).max() <= CONSISTENT * np.abs(flat).max():
             break
     return flat.reshape(q.shape)
 

@@ -31,8 +31,9 @@ SELDOM = 1e-2
 EXACT, NEAR, TOUCHING = 1e-12, 1e-9, 1e-4
 #: A constraint has a part in what is dependent; places so far aside are on the same branch.
 PART, ASIDE = 0.1, 1e-3
-#: Slopes that are dependent differ by so much of rounding.
-ROUNDED = 1e-11
+#: Slopes that are dependent differ by so much of rounding; sizes of less than this part of the
+#: largest one are 0, as the sine of pi.
+ROUNDED, TINY = 1e-11, 1e-13
 
 
 class Following(NamedTuple):
@@ -101,8 +102,8 @@ class _Rows:
             columns = np.arange(len(variables))
             columns += np.where(columns < 2 * n, 2 * n * end, 2 * n)
             self.parts.append((rows, columns, PointFunctions(read.graph, variables, values)))
-        lengths = read.lengths
-        q = np.array([x or max(lengths) or 1.0 for x in lengths])
+        lengths = read.extents.max(axis=0)
+        q = np.where(lengths > TINY * lengths.max(), lengths, lengths.max() or 1.0)
         given = [abs(read.values[i]) or 1.0 for i in read.found]
         self.sizes = np.concatenate([q, q / high, q, q / high, given, [high] * (low < high)])
         self.light = np.where(np.arange(len(self.sizes)) < 4 * n, 1.0, SELDOM)

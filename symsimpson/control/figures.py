@@ -7,58 +7,63 @@ from typing import Any
 import numpy as np
 
 from symsimpson.plotting.axes import axes, colours
+from symsimpson.plotting.run_figures import label, with_unit
 
 __all__ = ["iterations", "motion", "sparsity"]
 
 
 def motion(result: Any) -> Any:
-    """Draw coordinates and inputs over the time, inputs with their bounds."""
-    upper, lower = axes(None, (6.4, 4.8), nrows=2, sharex=True)
-    layout = result.layout
-    upper.set_prop_cycle(color=colours(len(layout.read.names)))
-    lower.set_prop_cycle(color=colours(max(1, len(layout.read.inputs))))
-    t = np.linspace(0, result.duration, 12 * layout.steps + 1)
-    for name in layout.read.names:
-        upper.plot(t, result.functions[name](t), label=name)
-    for k, (name, values) in enumerate(result.inputs(t).items()):
-        (line,) = lower.plot(t, values, label=name)
-        for bound in layout.read.of_inputs.get(k, ()):
-            if np.isfinite(bound):
-                lower.axhline(bound, color=line.get_color(), linestyle=":", linewidth=1)
-    upper.set_ylabel("coordinates")
-    lower.set(xlabel="t", ylabel="inputs")
-    for ax in (upper, lower)[: 1 + bool(layout.read.inputs)]:
-        ax.legend()
-    return upper.figure
+    """Draw coordinates and inputs over the time, a panel for each unit, inputs with bounds."""
+    read, units = result.layout.read, result.layout.read.system.units
+    t = np.linspace(0, result.duration, 12 * result.layout.steps + 1)
+    groups: dict[tuple[str, Any], list[str]] = {}
+    for kind, names in (("coordinates", read.names), ("inputs", read.inputs)):
+        for name in names:
+            groups.setdefault((kind, units.get(name)), []).append(name)
+    size = (6.4, 1.4 + 1.7 * len(groups))
+    panels = np.atleast_1d(axes(None, size, nrows=len(groups), sharex=True))
+    values = {name: result.functions[name](t) for name in read.names} | result.inputs(t)
+    for ax, ((kind, unit), names) in zip(panels, groups.items(), strict=True):
+        for name, colour in zip(names, colours(len(names)), strict=True):
+            ax.plot(t, values[name], label=label(name), color=colour)
+            bounds = read.of_inputs.get(read.inputs.index(name), ()) if kind == "inputs" else ()
+            for bound in filter(np.isfinite, bounds):
+                ax.axhline(bound, color=colour, linestyle=":", linewidth=1)
+        several = f"[{unit}]" if unit else kind
+        ax.set_ylabel(several if len(names) > 1 else with_unit(names[0], units))
+        if len(names) > 1:
+            ax.legend()
+    panels[-1].set_xlabel(with_unit("t", units))
+    return panels[0].figure
 
 
 def iterations(result: Any) -> Any:
-    """Draw by how much rows are violated, and optimality is missed, in each iteration."""
+    """Draw by how much constraints are violated, and optimality is missed, in each iteration."""
     ax = axes(None, (6.4, 3.2))
-    for name, key in (("violation of rows", "inf_pr"), ("optimality", "inf_du")):
+    for name, key in (("constraint violation", "inf_pr"), ("optimality", "inf_du")):
         values = np.array(result.history.get(key, []))
         ax.semilogy(np.where(values > 0, values, np.nan), label=name)
-    ax.set(xlabel="iteration", ylabel="largest, in the solver's units")
+    ax.set(xlabel="iteration", ylabel="largest, scaled")
     ax.legend()
     return ax.figure
 
 
 def sparsity(result: Any) -> Any:
-    """Draw where the Jacobian of the rows and the Hessian of the Lagrangian have entries."""
+    """Draw where the Jacobian of the constraints and the Hessian of the Lagrangian have entries."""
     programme, *_ = result.layout.programme
     left, right = axes(None, (8.0, 4.0), ncols=2)
     rows, size = programme.shape
     named = (
-        (left, "Jacobian", programme.jacobian_places, rows),
-        (right, "Hessian, upper half", programme.hessian_places, size),
+        (left, "Jacobian", programme.jacobian_places, rows, "constraint"),
+        (right, "Hessian, upper half", programme.hessian_places, size, "variable"),
     )
-    for ax, name, (row, column), height in named:
+    for ax, name, (row, column), height, of_rows in named:
         ax.plot(column, row, linestyle="", marker="s", markersize=max(0.4, 120 / size))
         ax.set(
             title=f"{name}: {len(row)} entries",
             xlim=(-0.5, size - 0.5),
             ylim=(height - 0.5, -0.5),
-            xlabel="unknown",
-            ylabel="row",
+            xlabel="variable",
+            ylabel=of_rows,
         )
     return left.figure

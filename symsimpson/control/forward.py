@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from symsimpson.control.point_functions import lagrange
+from symsimpson.control.point_functions import PointFunctions, lagrange
 from symsimpson.control.problem_parts import read_reals
 from symsimpson.errors import InputError
-from symsimpson.program.input_values import read_count
+from symsimpson.program.input_values import read_count, shortened
 from symsimpson.support.array_types import Floats
 
 if TYPE_CHECKING:
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from symsimpson.results.trajectory import Trajectory
 
 __all__ = ["gains", "motions", "simulated"]
+
+#: A matrix of a larger condition has no inverse.
+SINGULAR = 1e14
 
 
 def motions(
@@ -65,10 +68,16 @@ def refined(result: Any, refine: int) -> Floats:
     return values.reshape(layout.steps * refine, layout.nodes, -1)
 
 
-def gains(result: Any, Q: ArrayLike, R: ArrayLike) -> Floats:
-    """Return the gains of the linear regulator along a solution."""
+def gains(result: Any, Q: ArrayLike, R: ArrayLike, of: Any = ("q", "p")) -> Floats:
+    """Return the gains of the linear regulator along a solution, for (q, p) or (q, v)."""
     layout, names = result.layout, result.layout.read.inputs
-    Q, R = _weights("Q", Q, 2 * layout.n, "z = (q, p)"), _weights("R", R, len(names), "inputs")
+    if not isinstance(of, (tuple, list)) or list(of) not in (["q", "p"], ["q", "v"]):
+        raise InputError(
+            f"of is {shortened(of)}: the state of gains is made of momenta or of velocities.\n"
+            "Pass ('q', 'p') or ('q', 'v')."
+        )
+    Q = _weights("Q", Q, 2 * layout.n, f"z = (q, {of[1]})")
+    R = _weights("R", R, len(names), "inputs")
     if not (np.linalg.eigvalsh(R) > 0).all():
         raise InputError(
             f"R is {R.tolist()}, which is not positive definite: inputs would cost nothing, and "
@@ -76,7 +85,11 @@ def gains(result: Any, Q: ArrayLike, R: ArrayLike) -> Floats:
             f"({len(names)})."
         )
     A, B = (np.concatenate(x) for x in zip(*linearised(result), strict=True))
-    P, K = Q, np.zeros((layout.steps, len(names), 2 * layout.n))
+    # what of states (q, p) follows from a change of the state that is asked for, and back
+    turned = np.eye(2 * layout.n) if of[1] == "p" else _by_velocities(result)
+    back = np.linalg.inv(np.broadcast_to(turned, (layout.steps + 1, *Q.shape)))
+    weights = back.swapaxes(1, 2) @ Q @ back
+    P, K = weights[-1], np.zeros((layout.steps, len(names), 2 * layout.n))
     for k in reversed(range(layout.steps)):
         A_k, B_k = A[k], B[k]
         hessian = R + B_k.T @ P @ B_k
@@ -86,8 +99,26 @@ def gains(result: Any, Q: ArrayLike, R: ArrayLike) -> Floats:
                 "Pass a matrix without negative eigenvalues, or a larger R."
             )
         K[k] = np.linalg.solve(hessian, B_k.T @ P @ A_k)
-        P = Q + A_k.T @ P @ (A_k - B_k @ K[k])
-    return K
+        P = weights[k] + A_k.T @ P @ (A_k - B_k @ K[k])
+    return K @ turned[:-1] if turned.ndim == 3 else K
+
+
+def _by_velocities(result: Any) -> Floats:
+    """Return the derivatives of (q, p) by (q, v) at the ends of steps, shape (N + 1, 2 n, 2 n)."""
+    layout, read, n = result.layout, result.layout.read, result.layout.n
+    runs = result.trajectories
+    v = np.concatenate([*(run.v[:-1] for run in runs), runs[-1].v[-1:]])
+    state = zip([*read.q, *read.v], [*result.q.T, *v.T], strict=True)
+    at = {**layout.parameter_values(result.x), read.t: result.t, **dict(state)}
+    turned = np.broadcast_to(np.eye(2 * n), (len(v), 2 * n, 2 * n)).copy()
+    momenta = PointFunctions(read.graph, [*read.q, *read.v], read.momenta)
+    turned[:, n:] = momenta.jacobian(at, len(v))
+    if not (np.linalg.cond(turned[:, n:, n:]) < SINGULAR).all():
+        raise InputError(
+            "the mass matrix is singular on the way, and velocities do not tell momenta.\n"
+            "Take gains for momenta, of=('q', 'p')."
+        )
+    return turned
 
 
 def _weights(name: str, given: ArrayLike, size: int, of: str) -> Floats:

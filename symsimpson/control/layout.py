@@ -297,6 +297,7 @@ class Layout:
             some = np.flatnonzero(~self._alone[i])
             at = rows.add(len(some), low, high, read.names[a])
             parts.append((at, some, np.ones(len(some))))
+        self.path_rows = np.arange(steps.size, rows.count - 1)  #: Of what is bounded on the way.
         return *block, parts
 
     @cached_property

@@ -143,10 +143,13 @@ class OptimalControl:
             Another result, of any scheme and grid; or functions of the time, expressions of
             ``symsimpson.time``, numbers or arrays over equal times, of coordinates and inputs by
             symbol or by name, and a number for "duration" and parameters that are found.
-            Coordinates go in a straight line from start to end unless given, inputs are 0.
+            Coordinates go in a straight line from start to end unless given, inputs are 0. Where
+            that line runs into a bound or an obstacle, or passes a point at which a constraint
+            has no slope, lines that are bent to both sides are tried, and the least cost is taken.
         error : float, optional
-            The number of steps is doubled until the estimated relative error of the cost is below
-            this, at most six times.
+            The number of steps is doubled until the estimated error of the cost is below this, at
+            most six times. The error is relative to the larger of the cost and the cost of the
+            first guess.
         tolerance : float
             Of the optimality conditions, scaled.
         most_iterations : int

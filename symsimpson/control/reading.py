@@ -33,8 +33,6 @@ __all__ = ["Limits", "Reading", "read_family"]
 KINKED = (sp.Abs, sp.Max, sp.Min, sp.sign, sp.Piecewise, sp.Heaviside, sp.floor, sp.ceiling)
 #: Relations of which numbers do not tell the strict ones from others.
 INEQUALITIES = (sp.LessThan, sp.GreaterThan, sp.StrictLessThan, sp.StrictGreaterThan)
-#: What is given of an end is 0 below this: the sine of pi.
-NOTHING = 1e-13
 
 
 @dataclass(frozen=True)
@@ -97,17 +95,24 @@ class Reading:
         self._check()
 
     @property
-    def lengths(self) -> list[float]:
-        """The largest numbers that ends and bounds give of coordinates; 0 if there are none."""
-        bounds: dict[int, list[float]] = {q: [0.0] for q in self.q}
-        for limit in (*self.ends[0], *self.ends[1]):
-            factor, node = limit.value
-            if node in bounds:
-                bounds[node] += [limit.low / float(factor), limit.high / float(factor)]
-        for a, pair in self.of_coordinates.items():
-            bounds[self.q[a]] += pair
-        sizes = [max(abs(x) for x in numbers if np.isfinite(x)) for numbers in bounds.values()]
-        return [size if size > NOTHING else 0.0 for size in sizes]
+    def extents(self) -> Any:
+        """The largest coordinates that ends, velocities there, and bounds give, shape (3, n).
+
+        Velocities count times the duration; what nothing is said of is 0.
+        """
+        whole = float(np.sqrt(self.duration[0] * self.duration[1]))
+        extents = np.zeros((3, len(self.q)))
+        bounds = [Limits("", (1, self.q[a]), *pair) for a, pair in self.of_coordinates.items()]
+        for row, limits in ((0, [*self.ends[0], *self.ends[1]]), (2, [*self.within, *bounds])):
+            for limit in limits:
+                factor, node = limit.value
+                for shift, nodes, size in ((0, self.q, 1.0), (row == 0, self.v, whole)):
+                    if node in nodes:
+                        finite = [abs(x) for x in (limit.low, limit.high) if np.isfinite(x)]
+                        place = row + shift, nodes.index(node)
+                        found = size * max(finite, default=0.0) / abs(float(factor))
+                        extents[place] = max(extents[place], found)
+        return extents
 
     @property
     def found_names(self) -> list[str]:

@@ -67,7 +67,8 @@ class ControlResult:
     history : dict from str to list of float
         What the solver tells of each, of the last search: ``obj`` the cost, ``inf_pr`` ...
     error : float or None
-        An estimate of the relative error of the cost, if one was asked for.
+        An estimate of the error of the cost, if one was asked for: relative to the larger of the
+        cost and the cost of the first guess.
     """
 
     layout: Layout
@@ -313,7 +314,7 @@ class ControlResult:
         """
         return arcs_of(self)
 
-    def lqr(self, Q: ArrayLike, R: ArrayLike) -> Floats:
+    def lqr(self, Q: ArrayLike, R: ArrayLike, of: tuple[str, str] = ("q", "p")) -> Floats:
         """Return gains that hold a run near the solution: u = u_k - K_k (z - z_k), held over steps.
 
         They are those of the linear regulator of the exact linear maps of the steps, of least
@@ -322,8 +323,12 @@ class ControlResult:
         Parameters
         ----------
         Q : array_like, shape (2 n, 2 n)
-            For z = (q, p).
+            The weights of z.
         R : array_like, shape (m, m)
+            The weights of the inputs.
+        of : ("q", "p") or ("q", "v"), optional
+            What z consists of: coordinates and momenta (the default), or coordinates and
+            velocities. ``Q`` and the gains refer to it.
 
         Returns
         -------
@@ -332,9 +337,10 @@ class ControlResult:
         Raises
         ------
         InputError
-            If Q or R has another shape, or no finite numbers, or R is not positive definite.
+            If Q or R has another shape, or no finite numbers, or R is not positive definite; or
+            ``of`` names something else.
         """
-        return gains(self, Q, R)
+        return gains(self, Q, R, of)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the solution to a file, which :meth:`OptimalControl.open` of its problem reads.
@@ -358,6 +364,8 @@ class ControlResult:
     def plot(self) -> Any:
         """Draw coordinates and inputs over the time, inputs with their bounds.
 
+        Axes have the units that were declared with the system, one panel for each.
+
         Returns
         -------
         matplotlib.figure.Figure
@@ -370,11 +378,11 @@ class ControlResult:
         return figures.motion(self)
 
     def plot_iterations(self) -> Any:
-        """Draw how far rows and optimality are off in each iteration, as a matplotlib Figure."""
+        """Draw the constraint violation and the optimality of each iteration, as a Figure."""
         return figures.iterations(self)
 
     def plot_sparsity(self) -> Any:
-        """Draw where the Jacobian of the rows and the Hessian of the Lagrangian have entries.
+        """Draw the entries of the constraints' Jacobian and of the Lagrangian's Hessian.
 
         Returns
         -------

@@ -9,26 +9,22 @@ from typing import Any
 import numpy as np
 
 from symsimpson.control.condensed import Condensed, at_start, moved
-from symsimpson.control.constraint_rows import onto
 from symsimpson.control.control_status import STATUSES, ControlStatus
-from symsimpson.control.functions_of_time import read_function, values_at
 from symsimpson.control.grid import Grid, read_grid
+from symsimpson.control.guess import bent, initial_point, violation
 from symsimpson.control.ipopt import Outcome, run_ipopt
 from symsimpson.control.judged import result_of
 from symsimpson.control.layout import Layout
 from symsimpson.control.optimality import creeping, downhill, optimal
-from symsimpson.control.point_functions import PointFunctions
-from symsimpson.control.problem_parts import read_mapping, read_reals
 from symsimpson.control.reading import Reading, read_family
 from symsimpson.control.result import FOUND, SAVED, ControlResult
-from symsimpson.control.scaling import Scaled, scaled, sizes_at
+from symsimpson.control.scaling import Scaled, cost_size, scaled, sizes_at
 from symsimpson.control.solution_files import read_solution
 from symsimpson.errors import InputError, ResolutionWarning
 from symsimpson.program.input_values import MOST_STEPS
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import warn
-from symsimpson.support.names import did_you_mean
 from symsimpson.support.progress import Progress
 from symsimpson.support.signals import listening
 
@@ -42,6 +38,12 @@ OPTIONS = {"mu_init": 1e-3, "bound_relax_factor": 0.0, "sb": "yes"}
 MOST_REFINEMENTS, MOST_UNRESOLVED = 6, 3
 #: So many searches begin again beside a saddle or a maximum.
 MOST_RESTARTS = 3
+#: A guess that violates what is bounded on the way by more than NEAR, in units of rows, has so many
+#: iterations at first, and bent ones so many. From these barriers of 1e-3 took up to 100 iterations
+#: and more, of 0.1 at most 49.
+NEAR, SHORT, BENT = 1e-6, 60, 100
+#: A solution is found once more if it moves so many times more, or less, than its guess.
+FAR = 1e4
 #: Costs below the first are scaled to 1, by no more than the second allows.
 SMALL, SMALLEST = 0.1, 1e-12
 #: The cost of a solution in a file is computed again, and may differ by so much, relatively.
@@ -64,17 +66,32 @@ def solve(
     installed.
     """
     _warn_of_undetermined_inputs(read, scheme)
-    result = _solved(Layout(read, scheme, grid), guess, options, progress, condensed)
+
+    def result_from(layout: Layout, guess: Any) -> tuple[ControlResult, Floats]:
+        """Return the result from a guess, and the guess."""
+        x0, how = initial_point(layout, guess), (options, progress, condensed)
+        result, lengths = _solved(layout, x0, *how, straight=guess is None), layout.points.ravel()
+        sizes = (sizes_at(layout, x)[0][lengths] for x in (x0, result.x))
+        far = np.abs(np.log(np.divide(*sizes))).max() > np.log(FAR)
+        if far and result.violation < NEAR and result.status is not ControlStatus.INTERRUPTED:
+            again = _solved(layout, result.x, *how, straight=False)
+            if again.success:  # in units of its own
+                sums = ("iterations", "seconds", "in_functions")
+                both = {name: getattr(result, name) + getattr(again, name) for name in sums}
+                result = replace(again, **both)
+        return result, x0
+
+    result, x0 = result_from(Layout(read, scheme, grid), guess)
+    size = cost_size(result.layout, x0) if error is not None else 0.0
     for refinements in range(MOST_REFINEMENTS if error is not None else 0):
         unresolved = result.status is ControlStatus.NOT_RESOLVED
         if not result.success and not (unresolved and refinements < MOST_UNRESOLVED):
             break
-        layout = Layout(read, scheme, result.layout.grid.halved)
-        finer = _solved(layout, result, options, progress, condensed)
-        off = abs(finer.cost - result.cost) / (abs(finer.cost) or 1.0)
+        finer, _ = result_from(Layout(read, scheme, result.layout.grid.halved), result)
         # an error of order 2 is a third of this change; where inputs jump, the order is no higher
-        result = replace(finer, error=off / 3)
-        if result.success and off / 3 <= (error or 0.0):
+        off = abs(finer.cost - result.cost) / (3 * (max(abs(finer.cost), size) or 1.0))
+        result = replace(finer, error=off)
+        if result.success and off <= (error or 0.0):
             return result
     if error is not None and result.success:
         warn(
@@ -87,9 +104,17 @@ def solve(
 
 
 def _solved(
-    layout: Layout, guess: Any, options: dict[str, Any], progress: bool | None, condensed: bool
+    layout: Layout,
+    x0: Floats,
+    options: dict[str, Any],
+    progress: bool | None,
+    condensed: bool,
+    straight: bool,
 ) -> ControlResult:
-    """Solve a problem with one number of steps; begin again beside points that are no minima."""
+    """Solve a problem with one number of steps, from a guess, and from bent ones where it fails.
+
+    One that is ``straight`` tells no side on which to pass what it runs into: all are tried.
+    """
     programme, low, high = layout.programme
     fixed = sum(pair[0] == pair[1] for pair in layout.read.found_bounds)
     equations, size = int((low == high).sum()), layout.size - fixed
@@ -98,7 +123,6 @@ def _solved(
             f"{layout.read.system.name}: {equations} equations for {size} unknowns: there are more "
             "conditions than inputs can satisfy.\nLeave conditions out, or add inputs or steps."
         )
-    x0 = np.clip(initial_point(layout, guess), *layout.bounds)
     scaled_form = scaled(programme, layout, x0)
     x0 = moved(layout, at_start(layout, x0)) if condensed else x0
     bounds, limits = scaled_form.bounds(layout.bounds, (low, high))
@@ -137,18 +161,36 @@ def _solved(
         def run(x: Floats, **more: Any) -> Outcome:
             return run_ipopt(form, x, bounds, limits, {**OPTIONS, **options, **more}, stopped)
 
-        outcomes = [run(begun)]
-        step = escape_step(outcomes[-1])
-        while step is not None and len(outcomes) <= MOST_RESTARTS:
-            outcomes.append(run(outcomes[-1].x + step))
-            step = escape_step(outcomes[-1])
-        result = to_result(outcomes[-1], step)
-        # the solver compares with 1: small costs are found once more, in a unit of their own
-        size = max(abs(form.values(begun)[0]), abs(result.cost) / scaled_form.of_cost)
-        if outcomes[-1].ipopt_status == "Solve_Succeeded" and 0 < size < SMALL:
-            outcomes.append(run(outcomes[-1].x, obj_scaling_factor=1 / max(size, SMALLEST)))
-            again = to_result(outcomes[-1], escape_step(outcomes[-1]))
-            result = again if again.success else result
+        outcomes: list[Outcome] = []
+
+        def search(begin: Floats, most: int, **more: Any) -> ControlResult:
+            """Search from a point; begin again beside points that are no minima."""
+            outcomes.append(run(begin, max_iter=most, **more))
+            step, restarts = escape_step(outcomes[-1]), 0
+            while step is not None and restarts < MOST_RESTARTS:
+                outcomes.append(run(outcomes[-1].x + step))
+                step, restarts = escape_step(outcomes[-1]), restarts + 1
+            result = to_result(outcomes[-1], step)
+            # the solver compares with 1: small costs are found once more, in a unit of their own
+            size = max(abs(form.values(begin)[0]), abs(result.cost) / scaled_form.of_cost)
+            if outcomes[-1].ipopt_status == "Solve_Succeeded" and 0 < size < SMALL:
+                outcomes.append(run(outcomes[-1].x, obj_scaling_factor=1 / max(size, SMALLEST)))
+                again = to_result(outcomes[-1], escape_step(outcomes[-1]))
+                result = again if again.success else result
+            return result
+
+        most = options["max_iter"]
+        off = 0.0 if condensed else violation(layout, x0, layout.path_rows)
+        first = 0 if off == np.inf else min(most, SHORT) if off > NEAR else most
+        result = search(begun, first)
+        if not condensed and (not result.success or (straight and off > NEAR)):
+            end, found = outcomes[-1].x, [result]
+            for trial in bent(layout, x0):
+                if not heard:
+                    found.append(search(scaled_form.inside(trial), min(most, BENT), mu_init=0.1))
+            result = min(found, key=lambda one: one.cost if one.success else np.inf)
+            if first < most and not result.success:
+                result = search(end, most - first)
     return replace(
         result,
         iterations=sum(outcome.iterations for outcome in outcomes),
@@ -216,113 +258,3 @@ def _warn_of_undetermined_inputs(read: Reading, scheme: Scheme) -> None:
             "fewer nodes, as 'lobatto6' or 'gauss6'.",
             ResolutionWarning,
         )
-
-
-def initial_point(layout: Layout, guess: Any) -> Floats:
-    """Return unknowns to begin with: coordinates, inputs, momenta, steps, parameters.
-
-    Without a guess, straight lines between the ends. Raises InputError if the guess has other names
-    or shapes, or momenta are not finite.
-    """
-    read, N = layout.read, layout.steps
-    low, high = read.duration
-    functions: dict[str, Any] = {}
-    whole = float(np.sqrt(low * high))
-    values = [np.sqrt(a * b) if 0 < a < b < np.inf else (a + b) / 2 for a, b in read.found_bounds]
-    values = [
-        x if np.isfinite(x) else read.values[i] for x, i in zip(values, read.found, strict=True)
-    ]
-    if isinstance(guess, ControlResult):
-        functions = guess.functions
-        strange = [name for name in functions if name not in (*read.names, *read.inputs)]
-        if strange:
-            raise InputError(
-                f"guess is a result of {guess.layout.read.system.name}, with {', '.join(strange)}; "
-                f"{read.system.name} has {', '.join((*read.names, *read.inputs))}.\nPass those "
-                "that belong to one another by name: {name: result.functions[other]}."
-            )
-        whole = guess.duration
-        unknowns = guess.unknowns
-        values = [unknowns.get(name, x) for name, x in zip(read.found_names, values, strict=True)]
-    elif guess is not None:
-        how = (
-            "another result, or a mapping from names to functions of the time, numbers, or arrays "
-            "over equal times"
-        )
-        given = {name: value for name, _, value in read_mapping("guess", guess, how)}
-        allowed = {*read.names, *read.inputs, "duration", *read.found_names}
-        for name in given:
-            if name not in allowed:
-                raise InputError(
-                    f"guess names {name!r}.{did_you_mean(name, sorted(allowed))}\n"
-                    f"It has values of {', '.join(sorted(allowed))}."
-                )
-        whole = _number("duration", given.pop("duration", whole))
-        if whole <= 0:
-            raise InputError(f"guess['duration'] is {whole:g}.\nPass a positive number.")
-        pairs = zip(read.found_names, values, strict=True)
-        values = [_number(name, given.pop(name, x)) for name, x in pairs]
-        functions = {
-            name: read_function(f"guess[{name!r}]", value, whole) for name, value in given.items()
-        }
-    whole = min(max(whole, low), high)
-    x = np.zeros(layout.size)
-    grid = layout.grid
-    sizes = np.full(len(grid.steps), whole / N)
-    if isinstance(guess, ControlResult) and len(guess.layout.grid.steps) == len(grid.steps):
-        durations = guess.layout.sizes(guess.x) * guess.layout.grid.steps
-        sizes = whole * durations / durations.sum() / grid.steps
-    ends_of_steps, h = grid.times(sizes), sizes[grid.phase]
-    starts = ends_of_steps[:-1]
-    times = starts[:, None] + h[:, None] * layout.places
-    ends = [_fixed_coordinates(limits, read) for limits in read.ends]
-    for a, name in enumerate(read.names):
-        first = ends[0].get(name, ends[1].get(name, 0.0))
-        last = ends[1].get(name, first)
-        line = functions.get(
-            name, lambda t, first=first, last=last: first + (last - first) * t / whole
-        )
-        x[layout.points[:, :, a]] = values_at(f"guess[{name!r}]", line, times)
-    nodes = starts[:, None] + h[:, None] * layout.c
-    for k, name in enumerate(read.inputs):
-        if name in functions:
-            x[layout.inputs[..., k]] = values_at(f"guess[{name!r}]", functions[name], nodes)
-    x[layout.parameters] = values
-    x[layout.h] = sizes[: len(layout.h)]
-    known = layout.parameter_values(x)
-    x[layout.points] = onto(layout, x[layout.points], known)
-    # momenta of the path at the ends of steps
-    q = x[layout.points]
-    at_start, at_end = (np.array(row, dtype=np.float64) for row in layout.end_slopes)
-    v = np.concatenate([at_start @ q / h[:, None], (at_end @ q[-1])[None] / h[-1]])
-    at = np.concatenate([q[:, 0], q[-1:, -1]])
-    momenta = PointFunctions(read.graph, read.q, read.momenta)
-    state: dict[int, Any] = dict(zip([*read.q, *read.v], [*at.T, *v.T], strict=True))
-    state |= {**known, read.t: ends_of_steps}
-    x[layout.momenta] = momenta.values(state, N + 1).T
-    x[layout.velocities] = v[[0, -1]]
-    if not np.isfinite(x).all():
-        raise InputError(
-            "the guess has no finite momenta, or holds NaN.\nGive functions of the time with which "
-            "the motion stays where the energies have values."
-        )
-    return x
-
-
-def _fixed_coordinates(limits: Any, read: Any) -> dict[str, float]:
-    """Return the coordinates that conditions factor * q = value fix at an end, by name."""
-    return {
-        read.names[read.q.index(node)]: limit.low / float(factor)
-        for limit in limits
-        for factor, node in [limit.value]
-        if limit.low == limit.high and node in read.q
-    }
-
-
-def _number(name: str, given: Any) -> float:
-    """Read a number of a guess."""
-    how = "Pass a finite number."
-    number = read_reals(f"guess[{name!r}]", given, how)
-    if number.ndim or not np.isfinite(number):
-        raise InputError(f"guess[{name!r}] is {given!r}, no finite number.\n{how}")
-    return float(number)

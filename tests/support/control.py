@@ -8,8 +8,8 @@ def check_derivatives(problem, scheme, steps=3):
     from scipy import sparse
 
     from symsimpson.control.grid import read_grid
+    from symsimpson.control.guess import initial_point
     from symsimpson.control.layout import Layout
-    from symsimpson.control.solution import initial_point
     from symsimpson.schemes.named import read_scheme
 
     grid = read_grid(steps, len(problem.reading.phases))

@@ -8,10 +8,10 @@ from support.cases import sweep
 import symsimpson as ss
 from symsimpson.control.condensed import Condensed, at_start, moved
 from symsimpson.control.grid import Grid
+from symsimpson.control.guess import initial_point
 from symsimpson.control.layout import Layout
 from symsimpson.control.reading import read_family
 from symsimpson.control.scaling import scaled
-from symsimpson.control.solution import initial_point
 
 pytest.importorskip("casadi")
 

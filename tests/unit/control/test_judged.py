@@ -67,7 +67,7 @@ def test_inputs_that_turn_a_body_at_rest_within_a_step_are_no_solution(scheme):
     given = {"start": {x: 0, y: 0, **rest}, "end": {x: 2, y: -2}, "duration": (0.2, 5)}
     problem = ss.OptimalControl(BEAD, cost=1, **given)
     found = [problem.solve(scheme, steps=steps) for steps in (10, 20, 40)]
-    assert found[0].success
+    assert found[-1].success
     for one in found:
         assert not one.success or one.duration == pytest.approx(0.8243386694, abs=3e-6)
 

@@ -1,0 +1,199 @@
+"""Where a search begins: at a guess of the user's, at a straight line, or at a bent one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from symsimpson.control.constraint_rows import onto, resolved
+from symsimpson.control.functions_of_time import read_function, values_at
+from symsimpson.control.layout import Layout
+from symsimpson.control.point_functions import PointFunctions
+from symsimpson.control.problem_parts import read_mapping, read_reals
+from symsimpson.control.result import ControlResult
+from symsimpson.control.scaling import sizes_at
+from symsimpson.errors import InputError
+from symsimpson.support.array_types import Floats
+from symsimpson.support.names import did_you_mean
+
+__all__ = ["bent", "initial_point", "violation"]
+
+#: How far guesses are bent, as parts of the way from start to end; two waves are as high as one.
+#: Of what bends can mend of violations the others mend all but this part.
+AMPLITUDES, TWICE, PART = (0.25, 0.5, 1.0, 2.0), 2.6, 0.5
+#: Searches begin at so many of them at most, bent to so many sides; sides differ by so much.
+MOST_BENT, MOST_SIDES, PARALLEL = 6, 6, 0.1
+
+
+def initial_point(layout: Layout, guess: Any) -> Floats:
+    """Return unknowns to begin with: coordinates, inputs, momenta, steps, parameters.
+
+    Without a guess, straight lines between the ends. Raises InputError if the guess has other names
+    or shapes, or momenta are not finite.
+    """
+    read, N = layout.read, layout.steps
+    low, high = read.duration
+    functions: dict[str, Any] = {}
+    whole = float(np.sqrt(low * high))
+    values = [np.sqrt(a * b) if 0 < a < b < np.inf else (a + b) / 2 for a, b in read.found_bounds]
+    values = [
+        x if np.isfinite(x) else read.values[i] for x, i in zip(values, read.found, strict=True)
+    ]
+    if isinstance(guess, ControlResult):
+        functions = guess.functions
+        strange = [name for name in functions if name not in (*read.names, *read.inputs)]
+        if strange:
+            raise InputError(
+                f"guess is a result of {guess.layout.read.system.name}, with {', '.join(strange)}; "
+                f"{read.system.name} has {', '.join((*read.names, *read.inputs))}.\nPass those "
+                "that belong to one another by name: {name: result.functions[other]}."
+            )
+        whole = guess.duration
+        unknowns = guess.unknowns
+        values = [unknowns.get(name, x) for name, x in zip(read.found_names, values, strict=True)]
+    elif guess is not None:
+        how = (
+            "another result, or a mapping from names to functions of the time, numbers, or arrays "
+            "over equal times"
+        )
+        given = {name: value for name, _, value in read_mapping("guess", guess, how)}
+        allowed = {*read.names, *read.inputs, "duration", *read.found_names}
+        for name in given:
+            if name not in allowed:
+                raise InputError(
+                    f"guess names {name!r}.{did_you_mean(name, sorted(allowed))}\n"
+                    f"It has values of {', '.join(sorted(allowed))}."
+                )
+        whole = _number("duration", given.pop("duration", whole))
+        if whole <= 0:
+            raise InputError(f"guess['duration'] is {whole:g}.\nPass a positive number.")
+        pairs = zip(read.found_names, values, strict=True)
+        values = [_number(name, given.pop(name, x)) for name, x in pairs]
+        functions = {
+            name: read_function(f"guess[{name!r}]", value, whole) for name, value in given.items()
+        }
+    whole = min(max(whole, low), high)
+    x = np.zeros(layout.size)
+    grid = layout.grid
+    sizes = np.full(len(grid.steps), whole / N)
+    if isinstance(guess, ControlResult) and len(guess.layout.grid.steps) == len(grid.steps):
+        durations = guess.layout.sizes(guess.x) * guess.layout.grid.steps
+        sizes = whole * durations / durations.sum() / grid.steps
+    ends_of_steps, h = grid.times(sizes), sizes[grid.phase]
+    starts = ends_of_steps[:-1]
+    times = starts[:, None] + h[:, None] * layout.places
+    ends = [_fixed_coordinates(limits, read) for limits in read.ends]
+    for a, name in enumerate(read.names):
+        first = ends[0].get(name, ends[1].get(name, 0.0))
+        last = ends[1].get(name, first)
+        line = functions.get(
+            name, lambda t, first=first, last=last: first + (last - first) * t / whole
+        )
+        x[layout.points[:, :, a]] = values_at(f"guess[{name!r}]", line, times)
+    nodes = starts[:, None] + h[:, None] * layout.c
+    for k, name in enumerate(read.inputs):
+        if name in functions:
+            x[layout.inputs[..., k]] = values_at(f"guess[{name!r}]", functions[name], nodes)
+    x[layout.parameters] = values
+    x[layout.h] = sizes[: len(layout.h)]
+    x = _with_momenta(layout, x)
+    if not np.isfinite(x).all():
+        raise InputError(
+            "the guess has no finite momenta, or holds NaN.\nGive functions of the time with which "
+            "the motion stays where the energies have values."
+        )
+    return x
+
+
+def _with_momenta(layout: Layout, x: Floats) -> Floats:
+    """Put the path of a guess onto its constraints, and give it its own momenta."""
+    read, x, known, sizes = layout.read, x.copy(), layout.parameter_values(x), layout.sizes(x)
+    x[layout.points] = q = onto(layout, x[layout.points], known)
+    h = sizes[layout.grid.phase]
+    # momenta of the path at the ends of steps
+    at_start, at_end = (np.array(row, dtype=np.float64) for row in layout.end_slopes)
+    v = np.concatenate([at_start @ q / h[:, None], (at_end @ q[-1])[None] / h[-1]])
+    at = np.concatenate([q[:, 0], q[-1:, -1]])
+    momenta = PointFunctions(read.graph, read.q, read.momenta)
+    state: dict[int, Any] = dict(zip([*read.q, *read.v], [*at.T, *v.T], strict=True))
+    state |= {**known, read.t: layout.grid.times(sizes)}
+    x[layout.momenta] = momenta.values(state, layout.steps + 1).T
+    x[layout.velocities] = v[[0, -1]]
+    return np.clip(x, *layout.bounds)
+
+
+def violation(layout: Layout, x: Floats, among: Any = None) -> float:
+    """Return how far a guess is from what holds beside the equations of steps, by rows' slopes.
+
+    It is infinite where the path jumps to another branch of the constraints, or something has no
+    value. ``among`` chooses rows.
+    """
+    programme, low, high = layout.programme
+    (cost, rows), sizes = programme.values(x), sizes_at(layout, x)[1]
+    if not (np.isfinite([cost, *rows]).all() and resolved(layout, x, layout.parameter_values(x))):
+        return np.inf
+    off = np.maximum(np.maximum(low - rows, rows - high), 0.0) / sizes
+    beside = np.setdiff1d(np.arange(len(rows)), layout.step_rows - 1) if among is None else among
+    return float(off[beside].sum())
+
+
+def bent(layout: Layout, x: Floats) -> list[Floats]:
+    """Return guesses that are bent aside and violate less; those that violate least come first.
+
+    They are bent to both sides, across the way from start to end, in one wave or two. What an end
+    leaves free moves there.
+    """
+    read, q, ends = layout.read, x[layout.points], layout.grid.times(layout.sizes(x))
+    off, lengths = violation(layout, x), sizes_at(layout, x)[0][layout.points[0, 0]]
+    s = (ends[:-1, None] + np.diff(ends)[:, None] * layout.places)[..., None] / ends[-1] * np.pi
+    first, last = (
+        np.array([name in _fixed_coordinates(limits, read) for name in read.names])
+        for limits in read.ends
+    )
+    turn = np.where(first & last, np.cos(s), np.where(last, np.sin(s / 2), np.cos(s / 2)))
+    wave = np.where(first | last, 1 - turn**2, 1.0)
+    shapes = [wave, wave * np.cos(s) * TWICE]
+    shapes += [] if (first & last).all() else [np.where(first & last, 0.0, 1 - turn)]
+    way = (q[-1, -1] - q[0, 0]) / lengths
+    reach = float(np.linalg.norm(way))
+    across = [way / reach] if reach else []
+    for side in np.eye(layout.n):
+        for other in across:
+            side = side - side @ other * other
+        if np.linalg.norm(side) > PARALLEL:
+            across.append(side / np.linalg.norm(side))
+    guesses = []
+    for side in across[bool(reach) :][:MOST_SIDES]:
+        for shape in shapes:
+            for sign in (1.0, -1.0):
+                trials = []
+                for far in AMPLITUDES:
+                    trial = x.copy()
+                    trial[layout.points] += sign * far * (reach or 1.0) * lengths * side * shape
+                    trial = _with_momenta(layout, trial)
+                    trials.append((violation(layout, trial), len(guesses), far, trial))
+                guesses.append(min(trials, key=lambda trial: trial[:3]))
+    guesses.sort(key=lambda trial: trial[:2])
+    least = guesses[0][0] if guesses else off
+    most = least + PART * (off - least)
+    return [trial for left, *_, trial in guesses[:MOST_BENT] if left < off and left <= most]
+
+
+def _fixed_coordinates(limits: Any, read: Any) -> dict[str, float]:
+    """Return the coordinates that conditions factor * q = value fix at an end, by name."""
+    return {
+        read.names[read.q.index(node)]: limit.low / float(factor)
+        for limit in limits
+        for factor, node in [limit.value]
+        if limit.low == limit.high and node in read.q
+    }
+
+
+def _number(name: str, given: Any) -> float:
+    """Read a number of a guess."""
+    how = "Pass a finite number."
+    number = read_reals(f"guess[{name!r}]", given, how)
+    if number.ndim or not np.isfinite(number):
+        raise InputError(f"guess[{name!r}] is {given!r}, no finite number.\n{how}")
+    return float(number)
