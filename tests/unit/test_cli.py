@@ -103,7 +103,7 @@ ERRORS = {
     "a function with arguments": (["run", "{own}:needs"], "needs() makes no system: TypeError"),
     "no state": (["run", "{own}:spring"], "no reference state"),
     "scheme": (["run", "pendulum", "--scheme", "euler"], "no scheme 'euler'"),
-    "format": (["run", "pendulum", "--out", "run.xls"], "names no kind of file"),
+    "format": (["run", "pendulum", "--out", "run.xls"], "unsupported file extension '.xls'"),
     "step": (["run", "pendulum", "--h", "0"], "the step h is 0"),
     "directory": (["generate", "pendulum", "--directory", "{own}"], "cannot be written"),
     "both ends": (["run", "pendulum", "--t-end", "1", "--steps", "5"], "exactly one of"),
