@@ -70,7 +70,7 @@ def trajectory_of(
                 np.vstack([x[:-1], end_of])
                 for x, end_of in ((q, end[0]), (p, end[1]), (recorded, run.left()))
             )
-    message = run.reason or status.message
+    message = f"{run.reason or status.message}{spec.note}"
     if status is not Status.SUCCESS:
         of = f" of {count}" if spec.t_end is None else ""
         time, h = float(run.now), float(run.h)
