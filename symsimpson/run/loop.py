@@ -91,7 +91,7 @@ class ControlLoop:
                 "given none.\nPass them: loop.step(u), with a number for each, or a mapping."
             )
         with numbers.working():
-            self._inputs[:] = read_driving(program, of_a_step(u), run.h, 1)
+            self._inputs[:] = read_driving(program, of_a_step(u), run.h, 1, run.now)
             before = run.step
             if run.arrived:
                 raise InputError(f"the loop is at its end: {run.reason}\nBegin another one.")
