@@ -209,7 +209,9 @@ def read_value(system: str, symbol: sp.Symbol, value: Any) -> float:
             f"Write parameters={{..., {symbol.name}: 1.0}}.",
         )
     real = isinstance(value, (numbers.Real, Decimal, sp.Expr)) and not isinstance(value, bool)
-    if getattr(value, "shape", None) == () and not is_masked(value):  # as arrays of xarray and NumPy hold single numbers
+    if getattr(value, "shape", None) == () and not is_masked(
+        value
+    ):  # as arrays of xarray and NumPy hold single numbers
         real = getattr(getattr(value, "dtype", None), "kind", None) in ("f", "i", "u")
     try:
         number = float(value) if real else math.nan

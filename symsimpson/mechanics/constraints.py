@@ -155,7 +155,8 @@ def check_number(
     """Refuse constraints that leave nothing to move, or of which one follows from others.
 
     ``name`` is that of the system; ``rows`` has of each constraint by what it holds velocities, Phi
-    v or A v; with ``driven`` one of A v = b has a b, so that as many as coordinates move. Raises ModelError with the names of the fewest first ones that depend on each other.
+    v or A v; if one of A v = b has a b, they are ``driven``, and as many as coordinates move.
+    Raises ModelError with the names of the fewest first ones that depend on each other.
     """
     if not rows:
         return

@@ -236,7 +236,7 @@ def _clearly_regular(
 def samples(symbols: Symbols, values: Sequence[Value]) -> Iterator[list[float]]:
     """Evaluate values at a few random points, in doubles."""
     generator = random.Random(20)  # the same points each time
-    everything = (*symbols.q, *symbols.v, *symbols.a, symbols.t)
+    everything = (*symbols.q, *symbols.v, *symbols.a, symbols.t, *symbols.u)
     for _ in range(SAMPLES):
         point = {
             n: generator.uniform(0.3, 1) * (-1 if s.is_negative or s.is_nonpositive else 1)
