@@ -83,12 +83,8 @@ def _number(context: Any, x: Exact) -> Any:
 def _constant(context: Any, parts: Sequence[str]) -> Any:
     if not parts:
         return context.mpf(1)
-    return {
-        "pi": context.pi,
-        "EulerGamma": context.euler,
-        "Catalan": context.catalan,
-        "Tiny": context.mpf(TINY),
-    }[parts[0]]
+    known = {"pi": context.pi, "EulerGamma": context.euler, "Catalan": context.catalan}
+    return known.get(parts[0], TINY)
 
 
 def _function(context: Any, name: str) -> Callable[..., Any]:

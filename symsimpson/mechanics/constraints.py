@@ -164,10 +164,8 @@ def check_number(
         raise fail(
             name,
             f"{counted(len(rows), 'constraint')} on {counted(len(symbols.q), 'coordinate')}.",
-            "At most as many as coordinates can be independent. Leave some out."
-            if driven
-            else "Nothing could move. There must be fewer constraints than coordinates; as many "
-            "if velocity constraints have a right-hand side, as x' = cos(t).",
+            "Nothing could move. There must be fewer constraints than coordinates, or as many if a "
+            "velocity constraint has a right-hand side, as x' = cos(t).",
         )
     every = list(rows.values())
     if _clearly_independent(symbols, every):

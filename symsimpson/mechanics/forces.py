@@ -107,7 +107,7 @@ def _smooth_at_rest(symbols: Symbols, values: Sequence[Value]) -> list[Value]:
     sqrt(s) becomes sqrt(s + Tiny), whose slope is 0/sqrt(Tiny) there and not 0/0; elsewhere the sum
     is s, rounded. What is divided by s or its root has no value at rest, and keeps none.
     """
-    graph = symbols.graph
+    graph, v = symbols.graph, {*symbols.numbers(symbols.v)}
     roots: set[int] = set()
     divided: set[int] = set()
     for n in graph.reached(m for _, m in values):
@@ -117,8 +117,10 @@ def _smooth_at_rest(symbols: Symbols, values: Sequence[Value]) -> list[Value]:
         for m, e in parts if kind == "product" else ():
             if e < 0:
                 divided.add(m)
-            elif e.denominator > 1 and (2 * e >= 1 or len(parts) > 1):
-                roots.add(m)
+            elif e.denominator > 1:  # of lower roots alone slopes are infinite
+                others = (graph.nodes[k].symbols for k, _ in parts if k != m)
+                if 2 * e >= 1 or not v.isdisjoint(set().union(*others)):
+                    roots.add(m)
     smooth = [m for m in sorted(roots - divided) if _touches_zero(symbols, m)]
     return rebuilt(graph, values, {m: graph.add([(1, m), graph.constant("Tiny")]) for m in smooth})
 
@@ -130,12 +132,12 @@ def _touches_zero(symbols: Symbols, n: int) -> bool:
         return False
     slopes = gradient(graph, (1, n), v)
     curves = [x for slope in slopes for x in gradient(graph, slope, v)]
-    for value, *numbers in samples(symbols, [(1, n), *slopes, *curves]):
-        slope, curve = np.array(numbers[: len(v)]), np.reshape(numbers[len(v) :], (len(v), len(v)))
-        if not np.isfinite([value, *numbers]).all() or np.linalg.eigvalsh(curve)[0] < -NOTHING:
+    for value, *rest in samples(symbols, [(1, n), *slopes, *curves]):
+        slope, curve = np.array(rest[: len(v)]), np.reshape(rest[len(v) :], (-1, len(v)))
+        if not np.isfinite([value, *rest]).all() or np.linalg.eigvalsh(curve)[0] < -NOTHING:
             return False
         lowest = value - slope @ np.linalg.pinv(curve, rcond=NOTHING) @ slope / 2
-        if not abs(lowest) <= NOTHING * abs(value):
+        if abs(lowest) > NOTHING * abs(value):
             return False
     return True
 

@@ -57,28 +57,23 @@ def read_steps(
     number = round(exact)
     lost = ROUNDING * (exact + float(max(abs(t0), abs(end)) / abs(h)))
     if abs(exact - number) > min(STEP_FRACTION + lost, MOST_MISSED):
-        number = math.ceil(exact)
-        nearest = (end - t0) / number
+        given, number = h, math.ceil(exact)
+        h = (end - t0) / number
         if request.exact_h:
             raise InputError(
-                f"t_end={float(end):.15g} is not a whole number of steps of h={float(h):.15g} from "
-                f"t0={float(t0):.15g}: it is {exact:.12g}.\nUse h={float(nearest)!r}, or "
-                f"steps={number}; exact_h=False takes that h."
+                f"t_end={float(end):.15g} is {exact:.12g} steps of h={float(given):.15g} from t0="
+                f"{float(t0):.15g}, not a whole number.\nUse h={float(h)!r}, steps={number}, or "
+                "exact_h=False."
             )
-        h = nearest
     _check_times(h, t0, number, numbers)
     return h, number, t0
 
 
 def step_taken(request: Request, h: Any, steps: int, numbers: Numbers) -> str:
     """Return a sentence on the step, with a blank before it, if it is not the requested one."""
-    given = read_step(request.h, numbers)
-    if h == given:
-        return ""
-    return (
-        f" The step is h={float(h):.15g} in place of {float(given):.15g}: t_end is "
-        f"{counted(steps, 'step')} from t0."
-    )
+    given, number = read_step(request.h, numbers), counted(steps, "step")
+    changed = f" The step is h={float(h):.15g}, not {float(given):.15g}: t_end is {number} from t0."
+    return "" if h == given else changed
 
 
 def _check_times(h: Any, t0: Any, steps: int, numbers: Numbers) -> None:
