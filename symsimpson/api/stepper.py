@@ -242,8 +242,8 @@ class Stepper(Examining):
         """
         begin = q0, v0, p0, h, t_end, steps, t0
         derivatives, kept = (tangents, sensitivities), (t_eval, save, checkpoint)
-        further = record, reduce, events, exact_h
-        request = Request(*begin, parameters, inputs, every, *derivatives, *kept, *further)
+        further = record, reduce, events
+        request = Request(*begin, parameters, inputs, every, *derivatives, *kept, *further, exact_h)
         return run(self.program, request, checkpoint_every, progress, on_failure)
 
     def ensemble(
@@ -341,6 +341,6 @@ class Stepper(Examining):
 
         begin = q0, v0, p0, h, t_end, steps, t0
         asked = parameters, inputs, every, tangents, sensitivities
-        request = Request(*begin, *asked, record=record, reduce=reduce, events=events)
-        request = request._replace(exact_h=exact_h)
+        further = {"record": record, "reduce": reduce, "events": events}
+        request = Request(*begin, *asked, **further, exact_h=exact_h)
         return run_ensemble(self.program, request, store, threads, client, progress, on_failure)

@@ -105,8 +105,9 @@ class Reader:
         if node.is_Pow and type(node) is not sp.exp:
             return self._power(node, *arguments)
         if node.is_Function:
-            log = logarithm(graph, *arguments, self._positive) if node.func is sp.log else None
-            return log or graph.function(FUNCTIONS[node.func], *arguments)
+            is_log = node.func is sp.log
+            stable = logarithm(graph, arguments[0], self._positive) if is_log else None
+            return stable or graph.function(FUNCTIONS[node.func], *arguments)
         wider = node.expand(func=True)  # the golden ratio and its kin
         if wider == node:
             raise TypeError(f"{type(node).__name__} cannot be read")
