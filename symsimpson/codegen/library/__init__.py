@@ -17,7 +17,7 @@ __all__ = ["library_sources"]
 #: The files, in the order in which their functions stand in a module.
 FILES = (
     "sincos",
-    "exponentials",
+    "softplus",
     "path",
     "clear",
     "assemble",

@@ -34,7 +34,7 @@ def soft(kind):
     (z,), k = ss.coordinates("z"), sp.Symbol("k", positive=True)
     depth = {
         "softplus": sp.log(1 + sp.exp(-k * z)) / k,
-        "logcosh": (sp.log(2 * sp.cosh(k * z)) / k - z) / 2,
+        "logcosh": sp.log(2 * sp.cosh(k * z / 2)) / k - z / 2,
     }[kind]
     return ss.MechanicalSystem(
         "soft",
