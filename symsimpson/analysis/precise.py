@@ -253,7 +253,7 @@ class Precise:
         step, start = numbers.read(h).item(), numbers.read(list(z))
         run = Run(program, values, step, 0 * step, 0, 1, (kernels,))
         run.begin(start[: self.n], start[self.n :], velocity=False)
-        inputs = read_driving(program, None, step, 1)
+        inputs = read_driving(program, None, step, 1, 0)
         numbers.driver("give")(run.W, program.header.driver_layout, inputs, 0)
         run.rows("RELATIVE", 1)[:] = numbers.read(float("inf"))
         return run

@@ -54,7 +54,7 @@ def with_inputs(stepper: Stepper, given: Mapping[Any, float] | None) -> Stepper:
         name = stepper.inputs[stepper.program.names.inputs.found(key)]
         held[name] = read_number(f"input {name}", value, stepper.program.numbers)
     fixed = replace(stepper.program, default_inputs=held, findings=Findings())
-    read_driving(fixed, None, 1.0, 1)
+    read_driving(fixed, None, 1.0, 1, 0.0)
     return Stepper(fixed)
 
 

@@ -73,6 +73,7 @@ class Stepper(Examining):
         record: str | Sequence[str] | None = None,
         reduce: Mapping[str, Any] | None = None,
         events: Sequence[Event] | None = None,
+        exact_h: bool = False,
         checkpoint: str | os.PathLike[str] | None = None,
         checkpoint_every: int | None = None,
         progress: bool | None = None,
@@ -94,6 +95,7 @@ class Stepper(Examining):
         parameters: Parameters | None = None,
         inputs: Any = None,
         events: Sequence[Event] | None = None,
+        exact_h: bool = False,
         progress: bool | None = None,
         on_failure: Literal["raise", "return"] = "raise",
     ) -> Sampled: ...
@@ -114,6 +116,7 @@ class Stepper(Examining):
         inputs: Any = None,
         every: int | None = 1,
         events: Sequence[Event] | None = None,
+        exact_h: bool = False,
         progress: bool | None = None,
         on_failure: Literal["raise", "return"] = "raise",
     ) -> Saved: ...
@@ -137,6 +140,7 @@ class Stepper(Examining):
         record: str | Sequence[str] | None = None,
         reduce: Mapping[str, Any] | None = None,
         events: Sequence[Event] | None = None,
+        exact_h: bool = False,
         checkpoint: str | os.PathLike[str] | None = None,
         checkpoint_every: int | None = None,
         progress: bool | None = None,
@@ -153,7 +157,8 @@ class Stepper(Examining):
         h : float
             Step; negative to run backwards.
         t_end : float, optional
-            Final time, a whole number of steps from ``t0``.
+            Final time. If h does not divide the time up to it, the nearest smaller step that does
+            is taken: ``run.h``, and ``run.message`` says so.
         steps : int, optional
             Number of steps; exactly one of ``t_end`` and ``steps``, unless ``t_eval`` is given.
         t0 : float
@@ -161,8 +166,8 @@ class Stepper(Examining):
             Values by symbol or by name, in place of the defaults.
         inputs : mapping, optional
             Values of the system's inputs, by symbol or by name: a number; an array of shape
-            (steps,), held over each step; (steps, s), at its nodes (:meth:`node_times`); or
-            :func:`symsimpson.samples`.
+            (steps,), held over each step; (steps, s), at its nodes (:meth:`node_times`); a function
+            of time, which is evaluated at the nodes; or :func:`symsimpson.samples`.
         every : int or None
             Number of steps between stored states, of which the start is the first; the end is one
             of them if this divides the number of steps. None stores only the last state.
@@ -185,6 +190,8 @@ class Stepper(Examining):
         events : sequence of Event, optional
             Events that act on the run: impacts, changes of the state, ends; ``run.events(name)``
             has the record of each. Stored states are those of the grid of times.
+        exact_h : bool
+            Whether an h that does not divide the time up to ``t_end`` is an error.
         checkpoint : path, optional
             A file from which an interrupted run is resumed, to the same bits, by the same call or
             :func:`symsimpson.resume`. Stored states go to a file beside it.
@@ -236,7 +243,7 @@ class Stepper(Examining):
         begin = q0, v0, p0, h, t_end, steps, t0
         derivatives, kept = (tangents, sensitivities), (t_eval, save, checkpoint)
         further = record, reduce, events
-        request = Request(*begin, parameters, inputs, every, *derivatives, *kept, *further)
+        request = Request(*begin, parameters, inputs, every, *derivatives, *kept, *further, exact_h)
         return run(self.program, request, checkpoint_every, progress, on_failure)
 
     def ensemble(
@@ -257,6 +264,7 @@ class Stepper(Examining):
         sensitivities: Any = None,
         record: str | Sequence[str] | None = None,
         events: Sequence[Event] | None = None,
+        exact_h: bool = False,
         store: str | os.PathLike[str] | None = None,
         threads: int | None = None,
         client: Any = None,
@@ -273,7 +281,7 @@ class Stepper(Examining):
         q0, v0, p0 : array_like, shape (K, n) or (n,), or mapping
             Initial positions, and velocities or momenta, one row for all members; numbers or arrays
             of shape (K,) by name.
-        h, t_end, steps, t0
+        h, t_end, steps, t0, exact_h
             As for :meth:`integrate`.
         parameters : mapping, optional
             Numbers, or arrays of shape (K,), by symbol or by name.
@@ -333,5 +341,6 @@ class Stepper(Examining):
 
         begin = q0, v0, p0, h, t_end, steps, t0
         asked = parameters, inputs, every, tangents, sensitivities
-        request = Request(*begin, *asked, record=record, reduce=reduce, events=events)
+        further = {"record": record, "reduce": reduce, "events": events}
+        request = Request(*begin, *asked, **further, exact_h=exact_h)
         return run_ensemble(self.program, request, store, threads, client, progress, on_failure)

@@ -22,8 +22,8 @@ __all__ = ["main"]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; give 0, 1 after an error or a finding, 2 for wrong usage, 130 at Ctrl-C."""
     os.environ.setdefault(LATE, "late")  # a command takes a run or two
-    options = _read(_joined(sys.argv[1:] if arguments is None else arguments))
     try:
+        options = _read(_joined(sys.argv[1:] if arguments is None else arguments))
         with _warnings_in_words():
             return int(options.run(options))
     except SymsimpsonError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib.util
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -82,17 +83,24 @@ def named(name: str) -> MechanicalSystem:
         )
     if not Path(path).is_file():
         raise InputError(f"there is no file {path}.\nGive path/to/file.py:attribute.")
-    with _of_the_user(f"{path}: the file cannot be run", f"python {path} runs it by itself."):
-        spec = importlib.util.spec_from_file_location("symsimpson_user_file", path)
-        if spec is None or spec.loader is None:
-            raise ImportError("not a Python file")
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-    candidate = getattr(module, attribute, None)
-    if callable(candidate) and not isinstance(candidate, MechanicalSystem):
-        called = "The function that makes a system is called without arguments."
-        with _of_the_user(f"{path}: {attribute}() makes no system", called):
-            candidate = candidate()
+    with _as_a_script(path):
+        remedy = f"python {path} runs it by itself."
+        with _of_the_user(f"{path}: the file cannot be run", remedy):
+            spec = importlib.util.spec_from_file_location("symsimpson_user_file", path)
+            if spec is None or spec.loader is None:
+                raise ImportError("not a Python file")
+            module = importlib.util.module_from_spec(spec)
+            sys.modules[spec.name] = module  # dataclasses look there
+            try:
+                spec.loader.exec_module(module)
+            except SystemExit as error:
+                if error.code:  # neither None nor 0: the file says that it failed
+                    raise
+        candidate = getattr(module, attribute, None)
+        if callable(candidate) and not isinstance(candidate, MechanicalSystem):
+            called = "The function that makes a system is called without arguments."
+            with _of_the_user(f"{path}: {attribute}() makes no system", called):
+                candidate = candidate()
     if not isinstance(candidate, MechanicalSystem):
         raise InputError(
             f"{path}: {attribute!r} is no MechanicalSystem.\n"
@@ -102,11 +110,30 @@ def named(name: str) -> MechanicalSystem:
 
 
 @contextlib.contextmanager
+def _as_a_script(path: str) -> Iterator[None]:
+    """Let a file find its neighbours, and no arguments of the command, as ``python path`` does."""
+    folder, before, arguments = Path(path).resolve().parent, {*sys.modules}, sys.argv
+    sys.path.insert(0, str(folder))
+    sys.argv = [path]
+    try:
+        yield
+    finally:
+        sys.argv = arguments
+        with contextlib.suppress(ValueError):
+            sys.path.remove(str(folder))
+        for name in {*sys.modules} - before:  # another file may have a neighbour of that name
+            if Path(getattr(sys.modules[name], "__file__", None) or "").parent == folder:
+                del sys.modules[name]
+
+
+@contextlib.contextmanager
 def _of_the_user(what: str, remedy: str) -> Iterator[None]:
     """Tell what a user's own code raises, whatever it may be, in words."""
     try:
         yield
     except SymsimpsonError:
         raise
+    except SystemExit as error:
+        raise InputError(f"{what}: it calls sys.exit({error.code!r}).\n{remedy}") from None
     except Exception as error:
         raise InputError(f"{what}: {type(error).__name__}: {error}.\n{remedy}") from error

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 from symsimpson import __version__
 from symsimpson.cli import commands, runs
 from symsimpson.support.extras import library
+from symsimpson.support.names import did_you_mean
 
 __all__ = ["parser"]
 
@@ -18,7 +20,7 @@ SHELLS = ("bash", "zsh")
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of all commands."""
-    top = argparse.ArgumentParser(
+    top = _Parser(
         prog="symsimpson", description="Variational integrators from kinetic and potential energy."
     )
     top.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
@@ -185,6 +187,15 @@ def _file() -> argparse.ArgumentParser:
         "--out", help="write the run to this .nc, .zarr, .npz, .csv or .parquet file"
     )
     return parent
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors name what a wrong choice may mean."""
+
+    def error(self, message: str) -> NoReturn:
+        wrong = re.search(r"invalid choice: '(.*)' \(choose from (.*)\)", message)
+        hint = did_you_mean(wrong[1], re.findall(r"[\w-]+", wrong[2])) if wrong else ""
+        super().error(message + hint)
 
 
 class _Completion(argparse.Action):

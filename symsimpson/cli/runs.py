@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import time
 import warnings
 from pathlib import Path
@@ -52,6 +51,8 @@ def run(options: argparse.Namespace) -> int:
     trajectory = _integrated(options, stepper, given)
     done = time.perf_counter()
     _report(trajectory, given)
+    if trajectory.h != options.h:
+        print(f"  {trajectory.message}")
     print(f"  derived and compiled in {ready - begin:.2f} s, run in {(done - ready) * 1e3:.2f} ms")
     if options.out:
         trajectory.save(options.out)
@@ -114,12 +115,13 @@ def _integrated(options: argparse.Namespace, stepper: Stepper, given: dict[str, 
 
 
 def _steps(options: argparse.Namespace) -> int:
-    """Return how many steps are asked for; 0 if they make no sense."""
-    if options.steps is not None:
-        return int(options.steps)
-    end = END if options.t_end is None else options.t_end
-    steps = abs(end / options.h) if options.h else 0.0
-    return round(steps) if math.isfinite(steps) else 0
+    """Return how many steps are requested; raises InputError if they make no sense."""
+    from symsimpson.program.numbers import FLOAT64
+    from symsimpson.stepping.inputs import read_steps
+    from symsimpson.stepping.request import Request
+
+    end = END if options.t_end is None and options.steps is None else options.t_end
+    return read_steps(Request(None, h=options.h, t_end=end, steps=options.steps), FLOAT64)[1]
 
 
 def _inputs(options: argparse.Namespace, stepper: Stepper, steps: int) -> dict[str, Any]:

@@ -25,7 +25,7 @@ OWN = """
     math numpy np numba carray cfunc njit array real int sum len zip tuple max min abs range pi
     sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh exp log sqrt erf erfc sincos
     compiled W h t workspace lane step node smooth term variation
-    SIGNATURE INTERFACE OPTIONS FACTS ROWS NEWTON_UNKNOWNS STRAIGHT FRESH EULER_GAMMA CATALAN
+    SIGNATURE INTERFACE OPTIONS FACTS ROWS NEWTON_UNKNOWNS STRAIGHT FRESH EULER_GAMMA CATALAN TINY
     step_equations jet forces gradient mass gyroscopic potential pushes parameter_slopes cost_slopes
     time_rate constrain constraint_slopes constraint_values constraint_parameter_slopes
     node_curvature point_curvature node_power hold_velocities rates rate_parameter_slopes

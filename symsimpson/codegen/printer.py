@@ -6,15 +6,17 @@ from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
 from symsimpson.codegen.expression import Expression, Expressions
-from symsimpson.graph.nodes import UNIT, Exact, Graph, Value, exact, magnitude
+from symsimpson.graph.nodes import TINY, UNIT, Exact, Graph, Value, exact, magnitude
 from symsimpson.graph.read import in_doubles, is_float
 
 __all__ = ["LARGE", "NAMED_CONSTANTS", "Printer", "count_operations", "formula"]
 
 #: Numbers without a formula: their names in a module, where they stand as doubles, and their
 #: values; a binding of more digits has its own.
-NAMED_CONSTANTS = {"EULER_GAMMA": 0.5772156649015329, "CATALAN": 0.915965594177219}
-_CONSTANT = {"pi": "pi", "EulerGamma": "EULER_GAMMA", "Catalan": "CATALAN"}
+NAMED_CONSTANTS = {"EULER_GAMMA": 0.5772156649015329, "CATALAN": 0.915965594177219, "TINY": TINY}
+_CONSTANT = {"pi": "pi", "EulerGamma": "EULER_GAMMA", "Catalan": "CATALAN", "Tiny": "TINY"}
+#: Functions of the library, and what they call.
+_LIBRARY = {"softplus": {"exp", "atanh"}, "logcosh": {"exp", "atanh", "tanh", "log"}}
 #: Integers from here on are no exact doubles, and soon none that fit into 64 bits.
 LARGE = 2**53
 #: How strongly the parts of a text hold together.
@@ -149,7 +151,7 @@ class Printer:
             base, exponent = arguments
             return f"{self._within(base, ATOM)}**{self._within(exponent, ATOM)}", POWER
         if name != "abs":
-            self.used.add(name)
+            self.used |= _LIBRARY.get(name, {name})
         if name == "exp" and parts[1] == (1, UNIT):
             return "exp(real(1))", ATOM
         return f"{name}({', '.join(text for text, _ in arguments)})", ATOM

@@ -11,7 +11,8 @@ import numpy as np
 from scipy.special import erf, erfc
 
 from symsimpson.graph.derive import gradient
-from symsimpson.graph.nodes import Exact, Graph, Value
+from symsimpson.graph.exponentials import without_overflow
+from symsimpson.graph.nodes import TINY, Exact, Graph, Value
 from symsimpson.support.array_types import Floats
 
 __all__ = ["PointFunctions", "lagrange", "lagrange_slopes"]
@@ -26,7 +27,9 @@ FUNCTIONS: dict[str, Any] = {
     **{f"a{name}": getattr(np, f"arc{name}") for name in ("cos", "cosh", "sin", "sinh", "tan")},
     **{"atanh": np.arctanh, "atan2": np.arctan2, "pow": np.power, "erf": erf, "erfc": erfc},
 }
+FUNCTIONS |= without_overflow(np.exp, np.log, np.arctanh)
 CONSTANTS = {"pi": math.pi, "EulerGamma": float(np.euler_gamma), "Catalan": 0.915965594177219015}
+CONSTANTS["Tiny"] = TINY
 
 
 class PointFunctions:

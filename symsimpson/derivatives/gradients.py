@@ -144,7 +144,7 @@ def _of_input(name: str, slopes: Reals, given: Any, spec: RunSpec, numbers: Numb
         by_sample = 0 * np.resize(slopes[0], values.shape)
         by_sample[: starts.size] = np.add.reduceat(slopes.sum(axis=1), starts)
         return by_sample
-    shape = np.shape(given)
+    shape = slopes.shape if callable(given) else np.shape(given)
     if not shape:
         return np.asarray(slopes.sum())
     derivatives = slopes if slopes.size == np.prod(shape) else slopes.sum(axis=1)

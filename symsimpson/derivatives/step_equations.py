@@ -145,7 +145,7 @@ class _Step:
         run.rows("INCREMENT", d * n)[:] = (points - q).ravel()
         if mu is not None:
             run.rows("INCREMENT", d * (n + m))[d * n :] = (mu * h).ravel()
-        return cls(program, run, q, h, t, read_driving(program, at.inputs, h, 1))
+        return cls(program, run, q, h, t, read_driving(program, at.inputs, h, 1, t))
 
     def evaluate(self, kernel: str, p: Reals) -> None:
         """Call a kernel for it, with a momentum at its start."""

@@ -108,6 +108,7 @@ class Ensemble(Quantities, Differentiated):
     driven: Driven | None = field(default=None, repr=False)
     #: 1 if the time goes on with the steps, -1 if it goes back.
     _ahead: float = field(default=1.0, repr=False)
+    note: str = field(default="", repr=False)  #: What the message says of the step.
 
     @overload
     def __getitem__(self, key: str) -> NDArray[Any]: ...
@@ -205,7 +206,8 @@ class Ensemble(Quantities, Differentiated):
     def message(self) -> str:
         """The outcome in words."""
         counts = {code: int((self.status == code).sum()) for code in Status}
-        return ", ".join(f"{count} {code.name}" for code, count in counts.items() if count)
+        words = ", ".join(f"{count} {code.name}" for code, count in counts.items() if count)
+        return f"{words}.{self.note}" if self.note else words
 
     def to_xarray(self) -> Any:
         """Return an ``xarray.Dataset`` with dimensions member, time and coord.

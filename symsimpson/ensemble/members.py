@@ -16,7 +16,7 @@ from symsimpson.program.observed import read_reductions
 from symsimpson.program.program import Program
 from symsimpson.stepping.constrained_start import project_start
 from symsimpson.stepping.driving import read_driving
-from symsimpson.stepping.inputs import read_every, read_given, read_times
+from symsimpson.stepping.inputs import read_every, read_given, read_times, step_taken
 from symsimpson.stepping.recording import read_record
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run_events import check_variations, read_run_events
@@ -51,7 +51,7 @@ def read_task(
     columns = _parameters(program, request.parameters, (request.events, request.reduce))
     sizes = {name: len(rows) for name, rows in zip(names, states, strict=True) if rows.ndim == 2}
     sizes |= {f"parameter {name}": x.size for name, x in columns.items() if x.ndim == 1}
-    driving = read_driving(program, request.inputs, h, count, max(sizes.values(), default=1))
+    driving = read_driving(program, request.inputs, h, count, t0, max(sizes.values(), default=1))
     sizes |= {"inputs": len(driving)} if len(driving) > 1 else {}
     members = max(sizes.values(), default=1)
     for name, size in sizes.items():
@@ -101,6 +101,7 @@ def read_task(
         record=read_record(program, request.record),
         reductions=reductions,
         run_events=run_events,
+        note=step_taken(request, h, count, FLOAT64),
     )
 
 

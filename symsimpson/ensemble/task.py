@@ -149,5 +149,6 @@ def ensemble_of(program: Program, task: Task, **columns: Any) -> Ensemble:
         program=program,
         driven=driven(task.inputs, task.t0, task.h, task.steps),
         _ahead=1.0 if task.h > 0 else -1.0,
+        note=task.note,
         **columns,
     )

@@ -122,6 +122,10 @@ def _outer(graph: Graph, n: int, name: str, arguments: Sequence[Value]) -> list[
             return [graph.power(with_one(1, -1), -1)]
         case "exp":
             return [value]
+        case "logcosh":
+            return [graph.function("tanh", x)]
+        case "softplus":  # exp(x)/(1 + exp(x))
+            return [graph.function("exp", scaled(-1, graph.function("softplus", scaled(-1, x))))]
         case "log":
             return [graph.power(x, -1)]
         case "erf" | "erfc":

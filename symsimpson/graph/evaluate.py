@@ -8,7 +8,8 @@ from typing import Any
 
 import mpmath
 
-from symsimpson.graph.nodes import Exact, Graph, Value
+from symsimpson.graph.exponentials import without_overflow
+from symsimpson.graph.nodes import TINY, Exact, Graph, Value
 
 __all__ = ["doubles", "evaluated", "line_value", "moduli"]
 
@@ -82,7 +83,8 @@ def _number(context: Any, x: Exact) -> Any:
 def _constant(context: Any, parts: Sequence[str]) -> Any:
     if not parts:
         return context.mpf(1)
-    return {"pi": context.pi, "EulerGamma": context.euler, "Catalan": context.catalan}[parts[0]]
+    known = {"pi": context.pi, "EulerGamma": context.euler, "Catalan": context.catalan}
+    return known.get(parts[0], TINY)
 
 
 def _function(context: Any, name: str) -> Callable[..., Any]:
@@ -90,5 +92,7 @@ def _function(context: Any, name: str) -> Callable[..., Any]:
         return lambda x, y: x**y
     if name == "abs":
         return abs
+    if name in ("softplus", "logcosh"):
+        return without_overflow(*(_function(context, x) for x in ("exp", "log", "atanh")))[name]
     function: Callable[..., Any] = getattr(context, name, None) or getattr(math, name)
     return function

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 __all__ = [
     "ONE",
+    "TINY",
     "UNIT",
     "ZERO",
     "Exact",
@@ -36,14 +37,16 @@ UNIT = 0
 ZERO: Value = (0, UNIT)
 ONE: Value = (1, UNIT)
 
+#: The constant "Tiny" in doubles: it makes the root of 0 smooth, and is lost beside other squares.
+TINY = 2.0**-600
 #: Common factors of the coefficients of a sum are pulled out if no part of them reaches this.
 LARGE = 2**40
 #: Functions f(-x) = -f(x), and f(-x) = f(x), with their value at zero.
 ODD = frozenset(["sin", "tan", "asin", "atan", "sinh", "tanh", "asinh", "atanh", "erf"])
 #: Nodes that are pulled out of sums, where all terms have them.
 COMMON = frozenset(["symbol", "function", "sum"])
-EVEN = frozenset(["cos", "cosh"])
-AT_ZERO = {**dict.fromkeys(ODD, 0), **dict.fromkeys(EVEN, 1), "exp": 1, "erfc": 1}
+EVEN = frozenset(["cos", "cosh", "logcosh"])
+AT_ZERO = {**dict.fromkeys(ODD, 0), **dict.fromkeys(EVEN, 1), "exp": 1, "erfc": 1, "logcosh": 0}
 
 
 class Node(NamedTuple):

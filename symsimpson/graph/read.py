@@ -10,7 +10,8 @@ from typing import Any
 import sympy as sp
 
 from symsimpson.errors import GenerationError
-from symsimpson.graph.nodes import Graph, Value, exact, magnitude
+from symsimpson.graph.exponentials import logarithm, without_overflow
+from symsimpson.graph.nodes import TINY, Graph, Value, exact, magnitude
 
 __all__ = [
     "Reader",
@@ -45,7 +46,8 @@ HIGHEST_ROOT = 24
 FLOAT = 2**10
 
 _BY_NAME = {name: function for function, name in FUNCTIONS.items()}
-_CONSTANT_OF = {name: constant for constant, name in CONSTANTS.items()}
+_BY_NAME |= without_overflow(sp.exp, sp.log, sp.atanh)
+_CONSTANT_OF = {name: constant for constant, name in CONSTANTS.items()} | {"Tiny": sp.Float(TINY)}
 
 
 class Reader:
@@ -64,6 +66,7 @@ class Reader:
     ) -> None:
         self._graph, self._check = graph, check
         self.done: dict[sp.Basic, Value] = dict(known)
+        self._positive = {n for user, (_, n) in known.items() if user.is_positive}
 
     def __call__(self, expression: sp.Basic) -> Value:
         """Return the value of an expression."""
@@ -102,7 +105,9 @@ class Reader:
         if node.is_Pow and type(node) is not sp.exp:
             return self._power(node, *arguments)
         if node.is_Function:
-            return graph.function(FUNCTIONS[node.func], *arguments)
+            is_log = node.func is sp.log
+            stable = logarithm(graph, arguments[0], self._positive) if is_log else None
+            return stable or graph.function(FUNCTIONS[node.func], *arguments)
         wider = node.expand(func=True)  # the golden ratio and its kin
         if wider == node:
             raise TypeError(f"{type(node).__name__} cannot be read")

@@ -9,7 +9,7 @@ from symsimpson.graph.nodes import Graph, Value
 __all__ = ["Signs"]
 
 #: Functions that are positive everywhere, and those with the sign of their argument.
-POSITIVE = frozenset(["exp", "cosh"])
+POSITIVE = frozenset(["exp", "cosh", "softplus"])
 LIKE_ARGUMENT = frozenset(["sinh", "tanh", "asinh", "atan", "erf"])
 #: Functions with a real value only on a part of the real numbers.
 PARTIAL = frozenset(["asin", "acos", "acosh", "atanh"])

@@ -19,6 +19,7 @@ from sympy.core.function import AppliedUndef
 from symsimpson.errors import ModelError
 from symsimpson.mechanics.coordinates import time
 from symsimpson.module.quantity import SCALARS
+from symsimpson.support.names import is_masked
 
 __all__ = ["check_names", "fail", "read_coordinates", "read_name", "read_parameters", "spell"]
 
@@ -208,7 +209,9 @@ def read_value(system: str, symbol: sp.Symbol, value: Any) -> float:
             f"Write parameters={{..., {symbol.name}: 1.0}}.",
         )
     real = isinstance(value, (numbers.Real, Decimal, sp.Expr)) and not isinstance(value, bool)
-    if getattr(value, "shape", None) == ():  # as arrays of xarray and NumPy hold single numbers
+    if getattr(value, "shape", None) == () and not is_masked(
+        value
+    ):  # as arrays of xarray and NumPy hold single numbers
         real = getattr(getattr(value, "dtype", None), "kind", None) in ("f", "i", "u")
     try:
         number = float(value) if real else math.nan

@@ -149,19 +149,23 @@ def slopes(graph: Graph, phi: Iterable[Value], q: Sequence[int]) -> list[list[Va
     return [[derivatives(value, x) for x in q] for value in phi]
 
 
-def check_number(name: str, rows: Mapping[str, Sequence[Value]], symbols: Symbols) -> None:
+def check_number(
+    name: str, rows: Mapping[str, Sequence[Value]], symbols: Symbols, *, driven: bool
+) -> None:
     """Refuse constraints that leave nothing to move, or of which one follows from others.
 
     ``name`` is that of the system; ``rows`` has of each constraint by what it holds velocities, Phi
-    v or A v. Raises ModelError with the names of the fewest first ones that depend on each other.
+    v or A v; if one of A v = b has a b, they are ``driven``, and as many as coordinates move.
+    Raises ModelError with the names of the fewest first ones that depend on each other.
     """
     if not rows:
         return
-    if len(rows) >= len(symbols.q):
+    if len(rows) >= len(symbols.q) + driven:
         raise fail(
             name,
             f"{counted(len(rows), 'constraint')} on {counted(len(symbols.q), 'coordinate')}.",
-            "Nothing could move. There must be fewer constraints than coordinates.",
+            "Nothing could move. There must be fewer constraints than coordinates, or as many if a "
+            "velocity constraint has a right-hand side, as x' = cos(t).",
         )
     every = list(rows.values())
     if _clearly_independent(symbols, every):

@@ -57,10 +57,11 @@ def coordinates(names: str, *more: str, **assumed: object) -> tuple[AppliedUndef
             "Write q1, q2 = symsimpson.coordinates('q1 q2')."
         )
     if assumed:
+        words = [f"{name}={value!r}" for name, value in assumed.items()]
         raise ModelError(
-            f"coordinates take no assumptions, as {', '.join(assumed)}.\nThey are functions of "
-            "time that are real here, whose motion need not keep to more. Leave it out; "
-            "parameters may have assumptions: sympy.symbols('m', positive=True)."
+            f"coordinates accept no assumptions such as {', '.join(words)}.\nA coordinate is a "
+            "real function of time, and its motion may change its sign. Leave them out. "
+            "Parameters accept them: sympy.symbols('m', positive=True)."
         )
     try:
         functions = sp.symbols(names, cls=sp.Function)

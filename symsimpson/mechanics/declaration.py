@@ -112,7 +112,7 @@ def read_energies(
     of_positions = slopes(s.graph, constraints.values(), s.numbers(s.q))
     rows = dict(zip(constraints, of_positions, strict=True))
     rows |= {key: list(row[:-1]) for key, row in rolling.items()}
-    check_number(name, rows, s)
+    check_number(name, rows, s, driven=any(row[-1][0] for row in rolling.values()))
     warn_of_integrable(name, rolling, of_positions, s)
     if rows:
         check_held_mass(name, parts.M, list(rows.values()), s)

@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from symsimpson.errors import ModelWarning
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import ZERO, Value
+from symsimpson.graph.rebuild import rebuilt
 from symsimpson.mechanics.checks import fail, spell
 from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.plain import Symbols
+from symsimpson.mechanics.quadratic import samples
 from symsimpson.support.calling import warn
 
 __all__ = ["DISSIPATION", "TOTAL", "check_used", "read_forces", "read_inputs"]
@@ -22,6 +25,8 @@ __all__ = ["DISSIPATION", "TOTAL", "check_used", "read_forces", "read_inputs"]
 DISSIPATION, TOTAL = "dissipation", "total"
 #: Names of what is no force but does work, too.
 OTHERS = (TOTAL, "constraints")
+#: Numbers below this, relative to others, are zero at random points of doubles.
+NOTHING = 1e-9
 
 Read = Callable[[str, Any], Value]
 Forces = Mapping[Any, Any]
@@ -91,8 +96,50 @@ def read_forces(
                 "with c > 0 for f = -c v; or give forces that drive by forces={...}.",
                 ModelWarning,
             )
-    rows = {key: tuple(row) for key, row in components.items()}
+    smooth = iter(_smooth_at_rest(symbols, [value for row in components.values() for value in row]))
+    rows = {key: tuple(next(smooth) for _ in row) for key, row in components.items()}
     return {key: row for key, row in rows.items() if any(c for c, _ in row)}
+
+
+def _smooth_at_rest(symbols: Symbols, values: Sequence[Value]) -> list[Value]:
+    """Write roots of squared speeds, which drag is made of, with slopes where the speed is 0.
+
+    sqrt(s) becomes sqrt(s + Tiny), whose slope is 0/sqrt(Tiny) there and not 0/0; elsewhere the sum
+    is s, rounded. What is divided by s or its root has no value at rest, and keeps none.
+    """
+    graph, v = symbols.graph, {*symbols.numbers(symbols.v)}
+    roots: set[int] = set()
+    divided: set[int] = set()
+    for n in graph.reached(m for _, m in values):
+        kind, parts, _ = graph.nodes[n]
+        if kind == "function" and parts[0] == "pow":
+            roots.add(parts[1][1])
+        for m, e in parts if kind == "product" else ():
+            if e < 0:
+                divided.add(m)
+            elif e.denominator > 1:  # of lower roots alone slopes are infinite
+                others = (graph.nodes[k].symbols for k, _ in parts if k != m)
+                if 2 * e >= 1 or not v.isdisjoint(set().union(*others)):
+                    roots.add(m)
+    smooth = [m for m in sorted(roots - divided) if _touches_zero(symbols, m)]
+    return rebuilt(graph, values, {m: graph.add([(1, m), graph.constant("Tiny")]) for m in smooth})
+
+
+def _touches_zero(symbols: Symbols, n: int) -> bool:
+    """Return whether a node is a quadratic form in velocities whose least value is 0."""
+    graph, v = symbols.graph, symbols.numbers(symbols.v)
+    if graph.nodes[n].symbols.isdisjoint(v):
+        return False
+    slopes = gradient(graph, (1, n), v)
+    curves = [x for slope in slopes for x in gradient(graph, slope, v)]
+    for value, *rest in samples(symbols, [(1, n), *slopes, *curves]):
+        slope, curve = np.array(rest[: len(v)]), np.reshape(rest[len(v) :], (-1, len(v)))
+        if not np.isfinite([value, *rest]).all() or np.linalg.eigvalsh(curve)[0] < -NOTHING:
+            return False
+        lowest = value - slope @ np.linalg.pinv(curve, rcond=NOTHING) @ slope / 2
+        if abs(lowest) > NOTHING * abs(value):
+            return False
+    return True
 
 
 def read_inputs(

@@ -10,7 +10,7 @@ import numpy as np
 from symsimpson.errors import InputError
 from symsimpson.mechanics.declared import Declared
 from symsimpson.support.array_types import Floats
-from symsimpson.support.names import Named, read_mapping, spelled
+from symsimpson.support.names import Named, is_masked, read_mapping, spelled
 
 __all__ = ["read_values", "read_vector"]
 
@@ -19,7 +19,8 @@ def read_vector(system: Declared, name: str, given: Any) -> Floats:
     """Read a number for each coordinate, in order or by name; raises InputError."""
     table = Named("coordinate", [spelled(q) for q in system.coordinates])
     try:
-        vector = np.array(table.in_order(name, given), dtype=np.float64)
+        ordered = table.in_order(name, given)
+        vector = np.array(None if is_masked(ordered) else ordered, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         vector = np.empty(0)
     if vector.shape != (system.n,) or not np.isfinite(vector).all():
@@ -42,7 +43,7 @@ def read_values(
         except InputError as error:
             raise InputError(f"{name} names {spelled(key)!r}: {error}") from None
         try:
-            values[place] = float(value)
+            values[place] = np.nan if is_masked(value) else float(value)
         except (TypeError, ValueError, OverflowError):
             values[place] = np.nan
         if not np.isfinite(values[place]):

@@ -238,7 +238,7 @@ class Plain:
     def written(self, value: Value) -> sp.Expr:
         """Write a value in the plain symbols."""
         known = dict(zip(self.numbers(self.symbols), self.symbols, strict=True))
-        return written(self.graph, value, known)
+        return written(self.graph, value, {**known, self.graph.constant("Tiny")[1]: sp.S.Zero})
 
     @property
     def mass(self) -> Matrix:

@@ -174,7 +174,9 @@ def check_mass_matrix(system: str, M: Mapping[tuple[int, int], Value], symbols: 
                 f"the kinetic energy does not depend on {velocity}, so the mass matrix has a "
                 "zero row.",
                 f"A variational step needs an invertible mass matrix. Give {name} a mass "
-                f"(T += m*{velocity}**2/2) or remove {name} from the coordinates.",
+                f"(T += m*{velocity}**2/2) or remove {name} from the coordinates. A derivative by "
+                f"another symbol t, with other assumptions, is 0: write {name}.diff(), or "
+                f"{name}.diff(symsimpson.time).",
             )
         if symbols.signs(M.get((i, i), ZERO)) == (-1, True):
             raise fail(
@@ -234,7 +236,7 @@ def _clearly_regular(
 def samples(symbols: Symbols, values: Sequence[Value]) -> Iterator[list[float]]:
     """Evaluate values at a few random points, in doubles."""
     generator = random.Random(20)  # the same points each time
-    everything = (*symbols.q, *symbols.v, *symbols.a, symbols.t)
+    everything = (*symbols.q, *symbols.v, *symbols.a, symbols.t, *symbols.u)
     for _ in range(SAMPLES):
         point = {
             n: generator.uniform(0.3, 1) * (-1 if s.is_negative or s.is_nonpositive else 1)

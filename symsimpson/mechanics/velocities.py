@@ -112,7 +112,8 @@ def warn_of_integrable(
     """
     if not rows:
         return
-    whole = _integrable(rows, held, symbols)
+    driven = len(rows) + len(held) == len(symbols.q)  # by the time, if not held by equations
+    whole = not driven and _integrable(rows, held, symbols)
     names = (
         list(rows) if whole else [key for key in rows if _integrable({key: rows[key]}, (), symbols)]
     )

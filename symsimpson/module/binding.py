@@ -173,6 +173,7 @@ def bind_mpmath(
     }
     functions["pi"] = +context.pi
     functions |= {"EULER_GAMMA": +context.euler, "CATALAN": +context.catalan}
+    functions["TINY"] = context.mpf(2) ** (-4 * context.prec)
     functions["sincos"] = lambda x: context.cos_sin(x)[::-1]
     functions["raised"] = real_valued(lambda a, b: a**b)
     functions["divided"] = divide
@@ -191,6 +192,7 @@ def bind_arb(source: str, *, checking: bool = False) -> SimpleNamespace:
     functions: dict[str, Any] = {name: method(name) for name in MATH}
     functions["pi"] = arb.pi()
     functions |= {"EULER_GAMMA": arb.const_euler(), "CATALAN": arb.const_catalan()}
+    functions["TINY"] = arb(2) ** (-4 * ctx.prec)
     functions["atan2"] = lambda y, x: arb.atan2(arb(y), arb(x))
     functions["sincos"] = method("sin_cos")
     functions["raised"] = _power

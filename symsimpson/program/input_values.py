@@ -10,7 +10,7 @@ import numpy as np
 
 from symsimpson.errors import InputError
 from symsimpson.support.array_types import Reals
-from symsimpson.support.names import Named, read_mapping, shortened
+from symsimpson.support.names import Named, is_masked, read_mapping, shortened
 
 if TYPE_CHECKING:
     from symsimpson.program.numbers import Numbers
@@ -54,7 +54,7 @@ def read_number(name: str, value: Any, numbers: Numbers) -> Any:
     if numbers.is_one(value):
         return value
     try:
-        array = numbers.read(value)
+        array = None if is_masked(value) else numbers.read(value)
     except (TypeError, ValueError, OverflowError):
         array = None
     if array is None or array.shape != () or not numbers.all_finite(array):
@@ -64,7 +64,7 @@ def read_number(name: str, value: Any, numbers: Numbers) -> Any:
 
 def read_array(name: str, value: Any, numbers: Numbers) -> Reals:
     """Read an array of real numbers of any shape."""
-    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+    if is_masked(value):
         raise InputError(
             f"{name} has masked entries, which have no value.\n"
             "Fill them, or leave these members out: x.compressed(), x[~x.mask.any(axis=1)]."

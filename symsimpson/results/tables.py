@@ -37,9 +37,9 @@ def check_kind(place: Path) -> str:
     """
     if place.suffix not in KINDS:
         raise InputError(
-            f"{str(place)!r} names no kind of file that is known.\nEnd it in .nc for netCDF or "
-            ".zarr for a store of Zarr, which hold everything and can be opened again; or in .npz, "
-            ".csv or .parquet for a table."
+            f"unsupported file extension {place.suffix!r} of {str(place)!r}.\nUse .nc (netCDF) or "
+            ".zarr, which store everything and can be opened again; or .npz, .csv or .parquet for "
+            "a table."
         )
     for name in NEEDS[place.suffix]:
         library(name, f"a {place.suffix} file", "parquet" if name == "pyarrow" else "data")

@@ -73,7 +73,7 @@ def trajectory_of(
                 np.vstack([x[:-1], end_of])
                 for x, end_of in ((q, end[0]), (p, end[1]), (recorded, run.left()))
             )
-    message = run.reason or status.message
+    message = f"{run.reason or status.message}{spec.note}"
     if status is Status.INTERRUPTED:
         where = f"t={float(run.now):g}, after step {done}. {message}"
         message = f"{program.system}, {program.scheme}: the run was interrupted at {where}"

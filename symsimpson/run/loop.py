@@ -111,7 +111,7 @@ class ControlLoop:
                 "given none.\nPass them: loop.step(u), with a number for each, or a mapping."
             )
         with numbers.working():
-            given = read_driving(program, of_a_step(u), run.h, 1)
+            given = read_driving(program, of_a_step(u), run.h, 1, run.now)
             self._inputs[:] = given
             before = run.step
             if run.arrived:

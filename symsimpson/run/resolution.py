@@ -233,8 +233,8 @@ def check_forces(program: Program, spec: RunSpec) -> None:
         raise InputError(
             f"{program.system}: the force on {program.coordinates[bad[0]]} has a value at the "
             f"velocities of the start, ({', '.join(f'{x:g}' for x in v.tolist())}), but no slope.\n"
-            "A root of squares makes it so, as in -c*v*sqrt(v**2) at v = 0. Write "
-            "sqrt(v**2 + eps**2), with an eps that is small against the speeds of the motion."
+            "A root that is 0 makes it so, as sqrt(v) at v = 0. Begin with another velocity, or "
+            "write a force that is smooth there, as sqrt(v**2 + eps**2) with a small eps."
         )
 
 

@@ -210,7 +210,7 @@ def _of_steps(
 ) -> Trajectory | None:
     """Take a given number of steps."""
     h, t0, steps = times = read_plain_steps(request)
-    if not 0 < steps * program.header.rows <= MOST_ROWS:
+    if h != request.h or not 0 < steps * program.header.rows <= MOST_ROWS:
         return None
     every, n = asked.every, program.n
     stride = finer_stride(every, steps) if every else sampling_stride(program, steps)

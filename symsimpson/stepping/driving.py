@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from typing import TYPE_CHECKING, Any
@@ -78,12 +79,13 @@ def samples(values: ArrayLike, *, period: float) -> Samples:
 
 
 def read_driving(
-    program: Program, given: Any, h: Any, steps: int, members: int | None = None
+    program: Program, given: Any, h: Any, steps: int, t0: Any, members: int | None = None
 ) -> Reals:
     """Read the values of all inputs of a run, or of the ``members`` of an ensemble.
 
-    They are given by symbol or by name; or all of them along the last axis. ``members`` is 1 where
-    nothing but the inputs tells how many there are. The values are of shape (K, N, s, m), by
+    They are given by symbol or by name; or all of them along the last axis. Functions of time are
+    evaluated at the nodes of the steps from t0 on. ``members`` is 1 where nothing but the inputs
+    tells how many there are. The values are of shape (K, N, s, m), by
     member, step, node and input; where an axis has one entry it stands for all. Raises InputError
     if one is missing, unknown or not finite, or has the wrong shape.
     """
@@ -101,8 +103,11 @@ def read_driving(
         raise InputError(
             f"{program.system}: the input {missing[0]} has no values.\nPass inputs="
             f"{{{missing[0]!r}: values}}, one value for each of the {steps} steps, or at the nodes "
-            "of all steps: stepper.node_times(h, steps)."
+            "of all steps: stepper.node_times(h, steps); or a function of time."
         )
+    for name, value in values.items():
+        if callable(value):
+            values[name] = _at_nodes(program, name, value, node_times(program, h, steps, t0))[None]
     read = [_one(program, name, values[name], h, steps, members) for name in names]
     try:
         shape = np.broadcast_shapes(*(array.shape for array in read))
@@ -129,6 +134,8 @@ def given_inputs(program: Program, given: Any) -> dict[str, Any]:
                 raise InputError(f"the input {names[place]} is given twice.\nGive it once.")
             values[names[place]] = value
         return values
+    if len(names) == 1 and callable(given):
+        return {names[0]: given}
     array = read_array("inputs", given, program.numbers)
     if len(names) == 1 and (array.ndim < 2 or array.shape[-1] != 1):
         return {names[0]: array}
@@ -138,6 +145,33 @@ def given_inputs(program: Program, given: Any) -> dict[str, Any]:
             f"{', '.join(names)}.\nPass a mapping, inputs={{{names[0]!r}: values, ...}}."
         )
     return {name: array[..., k] for k, name in enumerate(names)}
+
+
+def _at_nodes(program: Program, name: str, function: Callable[[Any], Any], times: Reals) -> Reals:
+    """Evaluate an input at the nodes of all steps: at all times in one call, or at each of them."""
+    moved = {"h", "t"}.intersection(program.header.varied_by or ())
+    if moved:
+        raise InputError(
+            f"input {name} is a function of time, and a derivative by {min(moved)!r} moves the "
+            "times.\nPass its values: f(stepper.node_times(h, steps, t0))."
+        )
+    with contextlib.suppress(Exception):  # it may take single numbers alone
+        values = np.asarray(function(times))
+        if values.shape == times.shape:
+            return values
+    each = []
+    for t in times.ravel():
+        try:
+            each.append(function(t))
+        except Exception as error:
+            error.add_note(f"The function that is passed as input {name} raised this at t={t}.")
+            raise
+        if np.shape(each[-1]) != ():
+            raise InputError(
+                f"input {name}: its function gives shape {np.shape(each[-1])} at a time.\nReturn "
+                "a number for a time, or an array in the shape of the times."
+            )
+    return np.array(each).reshape(times.shape)
 
 
 def _one(program: Program, name: str, given: Any, h: Any, steps: int, members: int | None) -> Reals:

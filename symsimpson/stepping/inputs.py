@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -11,6 +12,7 @@ from numpy.typing import ArrayLike
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import MOST_STEPS, read_count, read_number, shortened
 from symsimpson.stepping.request import Request
+from symsimpson.support.names import counted
 
 if TYPE_CHECKING:
     from symsimpson.program.numbers import Numbers
@@ -25,6 +27,7 @@ __all__ = [
     "refuse_together",
     "refuse_too_many",
     "refused_start",
+    "step_taken",
 ]
 
 #: The end of a run may miss a whole number of steps by so much of a step, and by what double
@@ -37,7 +40,10 @@ LEAST_STEP = 1e-150
 def read_steps(
     request: Request, numbers: Numbers, *, retimed: bool = False
 ) -> tuple[Any, int, Any]:
-    """Read step, number of steps and start time; exactly one of ``t_end`` and ``steps``."""
+    """Read step, number of steps and start time; exactly one of ``t_end`` and ``steps``.
+
+    If the step does not divide the duration, the nearest smaller one that does takes its place.
+    """
     h, t0 = read_step(request.h, numbers), read_number("t0", request.t0, numbers)
     _check_length(request)
     if request.steps is not None:
@@ -51,14 +57,23 @@ def read_steps(
     number = round(exact)
     lost = ROUNDING * (exact + float(max(abs(t0), abs(end)) / abs(h)))
     if abs(exact - number) > min(STEP_FRACTION + lost, MOST_MISSED):
-        some = max(number, 1)
-        raise InputError(
-            f"t_end={float(end):.15g} is not a whole number of steps of h={float(h):.15g} from "
-            f"t0={float(t0):.15g}: it is {exact:.12g}.\nA fixed step keeps the method symplectic. "
-            f"Use h={float(end - t0) / some!r}, or steps={some}."
-        )
+        given, number = h, math.ceil(exact)
+        h = (end - t0) / number
+        if request.exact_h:
+            raise InputError(
+                f"t_end={float(end):.15g} is {exact:.12g} steps of h={float(given):.15g} from t0="
+                f"{float(t0):.15g}, not a whole number.\nUse h={float(h)!r}, steps={number}, or "
+                "exact_h=False."
+            )
     _check_times(h, t0, number, numbers)
     return h, number, t0
+
+
+def step_taken(request: Request, h: Any, steps: int, numbers: Numbers) -> str:
+    """Return a sentence on the step, with a blank before it, if it is not the requested one."""
+    given, number = read_step(request.h, numbers), counted(steps, "step")
+    changed = f" The step is h={float(h):.15g}, not {float(given):.15g}: t_end is {number} from t0."
+    return "" if h == given else changed
 
 
 def _check_times(h: Any, t0: Any, steps: int, numbers: Numbers) -> None:

@@ -42,6 +42,7 @@ class Request(NamedTuple):
     record: Any = None
     reduce: Any = None
     events: Any = None  #: Events that act on the run.
+    exact_h: bool = False  #: Whether ``h`` must divide the time up to ``t_end``.
 
     @property
     def varied(self) -> bool:

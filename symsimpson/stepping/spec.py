@@ -14,7 +14,7 @@ from symsimpson.program.observed import Reduction, read_reductions
 from symsimpson.program.program import Program
 from symsimpson.stepping.constrained_start import project_start
 from symsimpson.stepping.driving import read_driving
-from symsimpson.stepping.inputs import read_every, read_given, read_times
+from symsimpson.stepping.inputs import read_every, read_given, read_times, step_taken
 from symsimpson.stepping.recording import read_record
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run_events import RunEvents, read_run_events
@@ -47,6 +47,7 @@ class RunSpec:
     #: What values of states are reduced to.
     reductions: tuple[Reduction, ...] = field(default=(), kw_only=True)
     run_events: RunEvents | None = field(default=None, kw_only=True)  #: Events that act on it.
+    note: str = field(default="", kw_only=True)  #: What its message says of the step.
 
     @property
     def velocities(self) -> bool:
@@ -85,7 +86,7 @@ def read_run(program: Program, request: Request) -> RunSpec:
         q, second = (
             x[0] for x in project_start(program, q[None], second[None], given, values[None], t0)
         )
-        inputs, carried = read_driving(program, request.inputs, h, steps), request.carried
+        inputs, carried = read_driving(program, request.inputs, h, steps, t0), request.carried
         tangents = None if carried is None else read_tangents(program, carried)
         run_events = read_run_events(program, request)
         return RunSpec(
@@ -103,6 +104,7 @@ def read_run(program: Program, request: Request) -> RunSpec:
             record=read_record(program, request.record),
             reductions=_reductions(program, request.reduce, run_events.names if run_events else ()),
             run_events=run_events,
+            note=step_taken(request, h, steps, numbers),
         )
 
 

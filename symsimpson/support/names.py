@@ -9,6 +9,8 @@ import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from symsimpson.errors import InputError
 
 __all__ = [
@@ -17,6 +19,7 @@ __all__ = [
     "counted",
     "did_you_mean",
     "in_a_row",
+    "is_masked",
     "read_mapping",
     "shortened",
     "speed_of_approach",
@@ -60,6 +63,13 @@ def in_a_row(given: Any) -> tuple[Any, ...]:
     """Return what is given, or its name, in a row: one by itself is a row of one."""
     several = isinstance(given, Iterable) and not isinstance(given, str)
     return tuple(given) if several else (given,)
+
+
+def is_masked(given: Any) -> bool:
+    """Return whether a number is masked, as in arrays of numpy.ma, or one in lists of them."""
+    if isinstance(given, (list, tuple)):
+        return not {float, int}.issuperset(map(type, given)) and any(map(is_masked, given))
+    return isinstance(given, np.ma.MaskedArray) and bool(np.ma.is_masked(given))
 
 
 def by_name(given: Any) -> Any:

@@ -103,7 +103,7 @@ def test_functions_without_arguments_and_methods_of_parents(stepper):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: ss.coordinates("q", real=True), "no assumptions, as real.*Leave it out"),
+        (lambda: ss.coordinates("q", real=True), "such as real=True.*Leave them out"),
         (lambda: ss.coordinates(), "coordinates is not given names=.\nIt takes names=."),
         (lambda: ss.momenta(x=x), "momenta has no argument x="),
         (lambda: ss.MechanicalSystem("p", coordinates=(x,), T=T, V=V), "T=. Did you mean kinetic="),

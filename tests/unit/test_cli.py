@@ -5,10 +5,12 @@ import sys
 
 import numpy as np
 import pytest
+import sympy as sp
 from support.places import GENERATED
 
 import symsimpson as ss
 from symsimpson.cli import main
+from symsimpson.cli.find import find
 
 OWN = """
 import symsimpson as ss
@@ -45,6 +47,77 @@ def test_generate(tmp_path, own, capsys):
     assert names == ["own_spring__gauss4.py", "pendulum__gauss4.py"]
     assert str(target / names[0]) in capsys.readouterr().out
     assert ss.load(target / names[0]).order == 4
+
+
+PROJECT = """
+import argparse, sys
+from dataclasses import dataclass
+import symsimpson as ss
+from constants_of_mine import STIFFNESS
+
+@dataclass
+class Spring:
+    stiffness: "float"
+
+argparse.ArgumentParser().parse_args()
+(x,) = ss.coordinates("x")
+
+def spring():
+    from lengths_of_mine import LENGTH
+    return ss.MechanicalSystem("own", coordinates=(x,), kinetic=x.diff()**2/2, parameters={},
+                               potential=Spring(STIFFNESS).stiffness * (x - LENGTH)**2)
+
+if __name__ == "__main__":
+    raise ValueError("this is no script")
+sys.exit(CODE)
+"""
+
+
+def project(folder, stiffness=2, code=0):
+    folder.mkdir()
+    (folder / "constants_of_mine.py").write_text(f"STIFFNESS = {stiffness}")
+    (folder / "lengths_of_mine.py").write_text(f"LENGTH = {stiffness + 1}")
+    (folder / "model.py").write_text(PROJECT.replace("CODE", str(code)))
+    return f"{folder}/model.py:spring"
+
+
+def test_a_file_runs_as_python_runs_it(tmp_path):
+    """It imports its neighbours, those of its own folder; it has no arguments, and may exit."""
+    before = list(sys.path), sys.argv
+    for stiffness in (2, 5):
+        system = find(project(tmp_path / f"of {stiffness}", stiffness))
+        (x,) = system.coordinates
+        assert sp.expand(system.potential - stiffness * (x - stiffness - 1) ** 2) == 0
+    assert (sys.path, sys.argv) == before
+    with pytest.raises(ss.InputError, match=r"it calls sys.exit\(3\)"):
+        find(project(tmp_path / "failing", code=3))
+
+
+def test_a_file_that_exits_is_run(tmp_path, capsys):
+    command = ["run", project(tmp_path / "own"), "--q0", "1", "--v0", "0", "--steps", "3"]
+    assert main(command) == 0
+    assert "3 steps to t" in capsys.readouterr().out
+
+
+def test_a_step_that_does_not_divide_the_time(capsys):
+    assert main(["run", "pendulum", "--h", "0.3", "--t-end", "1"]) == 0
+    assert "The step is h=0.25, not 0.3: t_end is 4 steps from t0." in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("command", "meant"),
+    [(["rum", "pendulum"], "run"), (["plot", "pendulum", "--out", "a", "--kind", "tim"], "time")],
+)
+def test_wrong_commands_are_asked_about(command, meant, capsys):
+    with pytest.raises(SystemExit):
+        main(command)
+    assert f"Did you mean {meant}?" in capsys.readouterr().err
+
+
+def test_completion_without_its_library(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "shtab", None)
+    assert main(["--print-completion", "bash"]) == 1
+    assert "completion needs shtab, which is not installed" in capsys.readouterr().err
 
 
 def test_what_is_told_of_a_run_does_not_depend_on_the_states_that_it_stores(capsys):
@@ -103,7 +176,7 @@ ERRORS = {
     "a function with arguments": (["run", "{own}:needs"], "needs() makes no system: TypeError"),
     "no state": (["run", "{own}:spring"], "no reference state"),
     "scheme": (["run", "pendulum", "--scheme", "euler"], "no scheme 'euler'"),
-    "format": (["run", "pendulum", "--out", "run.xls"], "names no kind of file"),
+    "format": (["run", "pendulum", "--out", "run.xls"], "unsupported file extension '.xls'"),
     "step": (["run", "pendulum", "--h", "0"], "the step h is 0"),
     "directory": (["generate", "pendulum", "--directory", "{own}"], "cannot be written"),
     "both ends": (["run", "pendulum", "--t-end", "1", "--steps", "5"], "exactly one of"),

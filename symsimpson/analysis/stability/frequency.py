@@ -53,7 +53,7 @@ def largest_frequency(
         squares = np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real
     except (ArithmeticError, ValueError, np.linalg.LinAlgError):
         return 0.0
-    return math.sqrt(max(0.0, float(squares.max())))
+    return math.sqrt(max(0.0, float(squares.max(initial=0.0))))
 
 
 def fastest_rotation(

@@ -17,6 +17,7 @@ __all__ = ["library_sources"]
 #: The files, in the order in which their functions stand in a module.
 FILES = (
     "sincos",
+    "softplus",
     "path",
     "clear",
     "assemble",

@@ -36,6 +36,54 @@ EXPRESSIONS = [
 ]
 
 
+LOGARITHMS = [
+    sp.log(sp.cosh(a * x)),
+    sp.log(2 * sp.cosh(x)),
+    sp.log(1 + sp.exp(x)),
+    sp.log(1 + sp.exp(-a * x)),
+    sp.log(sp.exp(x) + sp.exp(-2 * x)),
+    sp.log(a * sp.exp(x) + 3 * sp.exp(-x) + a),
+    sp.log(1 + sp.cosh(x)) / a,
+    sp.log(sp.exp(x) * sp.cosh(x)),
+    sp.log(sp.sinh(x)),
+]
+
+
+@pytest.mark.parametrize("expression", LOGARITHMS, ids=str)
+def test_logarithms_of_exponentials_do_not_overflow(expression):
+    """Values and three derivatives, where the exponentials are numbers and where they are none."""
+    graph, (value,), places = read(expression)
+    derivatives = Derivatives(graph)
+    for order in range(4):
+        right = sp.lambdify(
+            (x, a), sp.diff(expression, x, order) if order else expression, "mpmath"
+        )
+        for at in (-900.0, -30.0, -0.4, 0.4, 30.0, 900.0)[3 * (expression.has(sp.sinh)) :]:
+            doubles = evaluated(graph, [value[1]], {places[x]: at, places[a]: 1.25}, mp.fp)
+            found = float(value[0]) * doubles[value[1]]
+            with mp.workdps(2000):
+                exact = right(mp.mpf(at), mp.mpf(1.25))
+            assert abs(found - exact) <= 1e-14 * (1 + abs(exact)) + 2e-16 * abs(at), (order, at)
+        value = derivatives(value, places[x])
+
+
+@pytest.mark.parametrize("at", [-700.0, -60.0, -3.0])
+def test_what_is_left_of_an_exponential_is_not_lost(at):
+    graph, (value,), places = read(sp.log(1 + sp.exp(x)))
+    for _ in range(3):
+        found = evaluated(graph, [value[1]], {places[x]: at}, mp.fp)[value[1]]
+        assert abs(found * float(value[0]) / mp.exp(at) - 1) < (1e-12 if at < -30 else 0.2)
+        value = Derivatives(graph)(value, places[x])
+
+
+@pytest.mark.parametrize(
+    "expression", [sp.log(x + sp.exp(y)), sp.log(1 - sp.exp(x)), sp.log(a * x)]
+)
+def test_other_logarithms_stay(expression):
+    graph, (value,), _ = read(expression)
+    assert graph.nodes[value[1]].parts[0] == "log"
+
+
 def read(*expressions, factored=False):
     graph = Graph(factored=factored)
     known = {s: graph.symbol(s.name) for s in SYMBOLS}

@@ -7,6 +7,8 @@ from support.bodies import hanging_particle
 from sympy.physics import mechanics as me
 
 import symsimpson as ss
+from symsimpson.graph.derive import gradient
+from symsimpson.graph.evaluate import doubles
 
 t = ss.time
 x, y = ss.coordinates("x y")
@@ -19,6 +21,94 @@ VALUES = {c: 0.1, k: 2.0, w: 3.0}
 def declared(**more):
     given = {"coordinates": (x, y), "kinetic": T, "potential": V, "parameters": VALUES, **more}
     return ss.MechanicalSystem("forced", **given)
+
+
+SPEED = sp.sqrt(x.diff() ** 2 + y.diff() ** 2)
+
+
+def slopes_at(force, v):
+    """Return the force on x, and its slopes by both velocities, in doubles."""
+    plain = declared(forces={x: force}).plain
+    f = plain.f[0]
+    values = [f, *gradient(plain.graph, f, plain.numbers(plain.v))]
+    known = dict.fromkeys([*plain.numbers(plain.q), plain.time], 0.5)
+    known |= dict(zip(plain.numbers(plain.v), v, strict=True))
+    known |= dict(zip(plain.numbers(plain.parameters), VALUES.values(), strict=True))
+    return doubles(plain.graph, values, known)
+
+
+@pytest.mark.parametrize(
+    ("force", "v", "right"),
+    [
+        (-c * SPEED * x.diff(), (0.0, 0.0), (0, 0, 0)),
+        (-c * SPEED * x.diff(), (3.0, 4.0), (-1.5, -0.68, -0.24)),
+        (-c * SPEED * x.diff(), (3e-60, 4e-60), (-1.5e-120, -0.68e-60, -0.24e-60)),
+        (-(k + c * SPEED) * x.diff(), (0.0, 0.0), (0, -2, 0)),
+        (-c * sp.sqrt((x.diff() - w) ** 2) * (x.diff() - w), (3.0, 1.0), (0, 0, 0)),
+        (-c * sp.sqrt((x.diff() - y.diff()) ** 2) * (x.diff() - y.diff()), (7.0, 7.0), (0, 0, 0)),
+        (
+            -c
+            * sp.sqrt(x.diff() ** 2 + y.diff() ** 2 + 2 * sp.cos(x - y) * x.diff() * y.diff())
+            * x.diff(),
+            (0.0, 0.0),
+            (0, 0, 0),
+        ),
+        (-c * x.diff() * (x.diff() ** 2) ** ((w - 1) / 2), (0.0, 1.0), (0, 0, 0)),
+        (-c * x.diff() * (x.diff() ** 2) ** sp.Rational(1, 4), (0.0, 1.0), (0, 0, 0)),
+    ],
+)
+def test_drag_has_slopes_at_rest(force, v, right):
+    np.testing.assert_allclose(
+        slopes_at(force, v), right, rtol=1e-13, atol=1e-40 * (max(v) ** 2 or 1)
+    )
+
+
+@pytest.mark.parametrize(
+    "force",
+    [
+        -c * x.diff() / SPEED,
+        -c * sp.sqrt(x.diff()),
+        -c * (x.diff() ** 2) ** sp.Rational(1, 4),
+        -c * x.diff() * SPEED + x.diff() / SPEED,
+    ],
+)
+def test_a_force_without_a_slope_at_rest_stays_so(force):
+    assert not np.isfinite(slopes_at(force, (0.0, 0.0))).all()
+
+
+def test_roots_that_are_never_zero_stay():
+    plain = declared(forces={x: -c * sp.sqrt(x.diff() ** 2 + k**2) * x.diff()}).plain
+    assert "Tiny" not in {node.parts[0] for node in plain.graph.nodes if node.kind == "constant"}
+    drag = declared(forces={x: -c * SPEED * x.diff()})
+    assert sp.expand(drag.equations[0].rhs + c * SPEED * x.diff()) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [{}, {"precision": 20}])
+@pytest.mark.parametrize(("scheme", "close"), [("simpson", 3e-7), ("gauss6", 1e-11)])
+def test_a_body_falls_from_rest(scheme, close, options):
+    """y = -(vt^2/g) log(cosh(g t/vt)): on the first step, alone and as a member of an ensemble."""
+    v = y.diff()
+    force = {"drag": {x: -c * SPEED * x.diff(), y: -c * SPEED * v}}
+    fall = ss.MechanicalSystem(
+        "fall",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + v**2) / 2,
+        potential=k * y,
+        parameters={k: 9.81, c: 0.2},
+        forces=force,
+    )
+    end = 5.0 if not options else 0.2
+    right = -5 * np.log(np.cosh(np.sqrt(9.81 * 0.2) * end))
+    stepper = ss.compile(fall, scheme, **options)
+    run = stepper.integrate([0, 0], v0=[0, 0], h=0.05, t_end=end)
+    assert abs(float(run.q[-1, 1]) - right) < close
+    if not options:
+        members = stepper.ensemble([[0, 0], [0, 0]], v0=[[0, 0], [0, 1]], h=0.05, t_end=end)
+        assert abs(members.q[0, 1] - right) < close
+        assert np.isfinite(
+            stepper.integrate([0, 0], v0=[0, 0], h=0.05, steps=9, tangents=4).tangent
+        ).all()
 
 
 WRONG = {

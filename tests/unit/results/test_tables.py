@@ -86,7 +86,7 @@ def test_tables_are_no_runs(tmp_path):
     with pytest.raises(ss.InputError, match=r"is a table[\s\S]*pandas.read_csv"):
         ss.open_trajectory(tmp_path / "run.csv")
     for some in (run_of(), many_of()):
-        with pytest.raises(ss.InputError, match="names no kind of file") as said:
+        with pytest.raises(ss.InputError, match="unsupported file extension") as said:
             some.save(tmp_path / "run.xls")
         assert all(kind in str(said.value) for kind in KINDS)
 

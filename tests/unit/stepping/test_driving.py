@@ -1,5 +1,7 @@
 """Inputs at run time: what they may be, and that every way to take steps takes the same ones."""
 
+import math
+
 import numpy as np
 import pytest
 import sympy as sp
@@ -54,6 +56,56 @@ def test_node_times():
     assert abs(precise[0, 0] - (sp.Rational(1, 2) - sp.sqrt(15) / 10).n(45) / 10) < 1e-40
     with pytest.raises(ss.InputError, match="has no inputs"):
         ss.compile(ss.systems.pendulum()).node_times(0.1, 3)
+
+
+def cart(*names):
+    (x,), u = ss.coordinates("x"), sp.symbols(names)
+    force = {"forces": {x: sum(u)}, "inputs": tuple(u)}
+    return ss.MechanicalSystem(
+        "cart", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=0 * x, **force
+    )
+
+
+def test_functions_of_time_are_evaluated_at_the_nodes():
+    """In one call, or one by one if they take single numbers."""
+    made, k = ss.compile(cart("u"), "gauss4"), {"v0": [0.0], "h": 0.1, "t0": 2.0}
+    values = np.sin(made.node_times(0.1, 4, 2.0))
+    right = made.integrate([0.0], **k, steps=4, inputs={"u": values}).q[-1]
+    for given in ({"u": np.sin}, {"u": math.sin}, np.sin):
+        assert (made.integrate([0.0], **k, steps=4, inputs=given).q[-1] == right).all()
+    short = made.integrate([0.0], v0=[0.0], h=0.15, t0=2.0, t_end=2.4, inputs={"u": np.sin})
+    assert (short.steps, short.q[-1]) == (3, pytest.approx(right, abs=1e-5))
+    members = made.ensemble([[0.0], [1.0]], **k, steps=4, inputs={"u": math.sin})
+    assert np.abs(members.q[:, 0] - [0, 1] - right).max() < 1e-15
+    loop = made.start([0.0], **k)
+    for _ in range(4):
+        loop.step(np.sin)
+    assert abs(loop.q - right) < 1e-15
+    both = ss.compile(cart("u", "w"), "gauss4")
+    mixed = both.integrate([0.0], **k, steps=4, inputs={"u": lambda t: 1 if t < 2.2 else 0, "w": 0})
+    assert mixed["v_x"][-1] == pytest.approx(0.2, abs=1e-15)
+    slopes = made.gradient([0.0], **k, steps=4, inputs={"u": np.sin}, cost="x", wrt="u")
+    assert slopes.parts["u"].shape == values.shape
+
+
+def test_functions_that_give_no_numbers():
+    made, k = ss.compile(cart("u")), {"v0": [0.0], "h": 0.1, "steps": 3}
+    for wrong, told in (
+        (lambda t: np.array([t]).ravel()[:1], r"input u: its function gives shape \(1,\)"),
+        (lambda t: None, "input u is .*not real numbers"),
+        (lambda t: math.nan, "input u is nan at u"),
+    ):
+        with pytest.raises(ss.InputError, match=f"(?s){told}"):
+            made.integrate([0.0], **k, inputs={"u": wrong})
+    with pytest.raises(ZeroDivisionError) as caught:
+        made.integrate([0.0], **k, inputs={"u": lambda t: 1 / 0})
+    assert caught.value.__notes__ == [
+        "The function that is passed as input u raised this at t=0.0."
+    ]
+    with pytest.raises(
+        ss.InputError, match=r"moves the times.\nPass its values: f\(stepper.node_t"
+    ):
+        made.gradient([0.0], **k, inputs={"u": np.sin}, cost="x", wrt="h")
 
 
 @pytest.mark.parametrize("scheme", sweep(["simpson", "gauss8", "radau3", "midpoint"]))

@@ -12,6 +12,7 @@ def stepper():
     return ss.compile(ss.systems.double_pendulum(), "midpoint")
 
 
+EXACT = {"steps": None, "exact_h": True}
 GOOD = {"q0": [0.5, 0.2], "p0": [0.0, 0.1], "h": 0.1, "steps": 3}
 WRONG = {
     "shape": ({"q0": [0.5]}, r"q0 has shape \(1,\), expected \(2,\)"),
@@ -29,15 +30,23 @@ WRONG = {
     "nan step": ({"h": float("nan")}, "h is nan, not a finite real number"),
     "text step": ({"h": "0.1"}, "h is .*not a finite real number"),
     "part of a step": (
-        {"steps": None, "t_end": 0.35},
-        r"not a whole number of steps.*\n.*Use h=0\.1",
+        EXACT | {"t_end": 0.35},
+        r"t_end=0.35 is 3.5 steps of h=0.1 from t0=0, not a whole number.*\n.*steps=4, or exact_h",
     ),
-    "less than a step": ({"steps": None, "t_end": 0.05}, r"Use h=0\.05, or steps=1\."),
-    "thirds": ({"steps": None, "t_end": 1.0, "h": 0.3}, r"h=0\.3333333333333333, or steps=3\."),
+    "less than a step": (EXACT | {"t_end": 0.05}, r"Use h=0\.05, steps=1, "),
+    "thirds": (EXACT | {"t_end": 1.0, "h": 0.3}, r"h=0\.25, steps=4, "),
     "late": (
-        {"steps": None, "t0": 1e7, "t_end": 10000000.25, "h": 0.1},
-        r"t_end=10000000.25 .* from t0=10000000: it is 2.5\.",
+        EXACT | {"t0": 1e7, "t_end": 10000000.25, "h": 0.1},
+        r"t_end=10000000.25 is 2.5 steps .* from t0=10000000, not",
     ),
+    "masked step": ({"h": np.ma.masked}, "h is masked, not a finite real number"),
+    "masked start": ({"t0": np.ma.masked}, "t0 is masked, not"),
+    "masked end": ({"steps": None, "t_end": np.ma.masked}, "t_end is masked, not"),
+    "masked value": ({"parameters": {"m1": np.ma.masked}}, "parameter m1 is masked, not"),
+    "masked position": ({"q0": [0.5, np.ma.masked]}, "q0 has masked entries"),
+    "masked position by name": ({"q0": {"q1": np.ma.masked, "q2": 0.2}}, "q0 has masked entries"),
+    "masked momentum": ({"p0": np.ma.masked}, "p0 has masked entries"),
+    "masked time": ({"t_eval": [0.1, np.ma.masked]}, "t_eval has masked entries"),
     "no end": ({"steps": None}, "exactly one of t_end and steps, and has neither"),
     "two ends": ({"t_end": 0.3}, "exactly one of t_end and steps, and has both"),
     "backwards": ({"steps": None, "t_end": -1.0}, "is not reached"),
@@ -71,8 +80,38 @@ def test_an_end_far_from_zero_is_rounded_as_times_are(stepper):
     far = GOOD | {"steps": None, "t0": 1e9, "h": 1e-3}
     run = stepper.integrate(**far, t_end=1e9 + 400 * 1e-3)
     assert (len(run.t) - 1, run.t[-1]) == (400, 1e9 + 0.4)
-    with pytest.raises(ss.InputError, match=r"t_end=1000000000\.35 .* t0=1000000000: it is 3\.5"):
-        stepper.integrate(**(far | {"h": 0.1, "t_end": 1e9 + 0.35}))
+    with pytest.raises(ss.InputError, match=r"t_end=1000000000\.35 is 3\.5.* t0=1000000000, not"):
+        stepper.integrate(**(far | {"h": 0.1, "t_end": 1e9 + 0.35}), exact_h=True)
+
+
+@pytest.mark.parametrize(
+    ("h", "t0", "t_end", "steps"),
+    [(0.03, 0.0, 0.1, 4), (-0.03, 0.1, 0.0, 4), (0.3, 1.0, 1.05, 1), (0.1, 0.0, 0.35, 4)],
+)
+def test_a_step_that_does_not_divide_the_time_is_shortened(stepper, h, t0, t_end, steps):
+    """Twice: short runs, of which the step has been looked at, take it, too."""
+    asked = GOOD | {"steps": None, "h": h, "t0": t0, "t_end": t_end}
+    for run in (stepper.integrate(**asked), stepper.integrate(**asked)):
+        assert (run.steps, run.h) == (steps, (t_end - t0) / steps)
+        assert run.t[-1] == pytest.approx(t_end, rel=1e-15, abs=1e-15)
+        assert f" The step is h={run.h:.15g}, not {h:.15g}: t_end is {steps} step" in run.message
+    same = stepper.integrate(**(GOOD | {"h": run.h, "t0": t0, "steps": steps}))
+    assert (run.q == same.q).all()
+    assert "The step is" not in same.message
+    saved = stepper.integrate(**asked, t_eval=[t_end])
+    assert "The step is" in saved.message
+    assert (saved.q[-1] == run.q[-1]).all()
+
+
+def test_a_masked_default_is_no_value():
+    (x,), k = ss.coordinates("x"), sp.Symbol("k")
+    given = {"coordinates": (x,), "kinetic": x.diff() ** 2 / 2, "potential": k * x}
+    with pytest.raises(ss.ModelError, match="parameter k has the value --, which"):
+        ss.MechanicalSystem("masked", parameters={k: np.ma.masked}, **given)
+    system = ss.MechanicalSystem("masked", parameters={k: 1.0}, **given)
+    for wrong in ({"q0": [np.ma.masked]}, {"parameters": {"k": np.ma.masked}}):
+        with pytest.raises(ss.InputError, match="masked"):
+            system.linearise(**({"q0": [0.0]} | wrong))
 
 
 def test_rounding_of_times_is_no_part_of_a_step(stepper):
