@@ -387,6 +387,11 @@ class ControlResult:
         """
         return figures.sparsity(self)
 
+    def _repr_html_(self) -> str:
+        from symsimpson.results.html import solution
+
+        return solution(self)
+
     def __repr__(self) -> str:
         layout = self.layout
         return (

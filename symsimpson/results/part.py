@@ -33,6 +33,8 @@ ROWS = (
     "constraint_forces",
     "velocity_constraint_error",
 )
+#: What a part shares with its run.
+WHOLE = ("sol", "records")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,12 +58,18 @@ class Part(States):
     _places: Ints = field(repr=False)
 
     def __getattr__(self, name: str) -> Any:
+        if name in WHOLE:
+            return getattr(self._run, name)
         if name not in ROWS:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         values = getattr(self._run, name)
         if isinstance(values, dict):
             return {key: rows[self._places] for key, rows in values.items()}
         return values[self._places]
+
+    def __dir__(self) -> list[str]:
+        """Return public names, with rows of the run."""
+        return sorted({*super().__dir__(), *ROWS, *WHOLE[:1]})
 
     def __getitem__(self, key: Any) -> Any:
         """Return a quantity by its name, shape (N,), or some of the states."""
@@ -72,11 +80,11 @@ class Part(States):
         """Return the states at any times of the whole run, as :meth:`Trajectory.at`."""
         return self._run.at(t)
 
-    def animate(self, *, seconds: float | None = None, fps: int = 20) -> Animation:
-        """Film this part of the run, as :meth:`Trajectory.animate`."""
+    def animate(self, **options: Any) -> Animation:
+        """Animate this part of the run, with the arguments of :meth:`Trajectory.animate`."""
         from symsimpson.plotting.animate import animate
 
-        return animate(self, seconds=seconds, fps=fps)
+        return animate(self, **options)
 
 
 def part_of(run: Stored, places: Ints, key: Any) -> Part:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, overload
 
@@ -156,20 +156,25 @@ class States(Quantities):
     def __getstate__(self) -> dict[str, Any]:
         return {f.name: getattr(self, f.name) for f in fields(self)}  # without what was computed
 
-    #: There is no iteration: over quantities or over states would be as natural.
-    __iter__ = None
+    def __iter__(self) -> Iterator[States]:
+        """Iterate over the states, each as ``run[k]`` gives it."""
+        return (self[k] for k in range(len(self)))
 
     def plot(self, names: str | Sequence[str] | None = None, *more: str, ax: Any = None) -> Any:
         """Draw quantities over time.
 
+        A run takes steps again where lines between its stored states would miss the motion. Dots
+        are drawn where that takes too many steps, or where the states alone are known.
+
         Parameters
         ----------
         names : str or sequence of str, optional
-            As in ``run["q1"]``; all coordinates unless given.
+            As in ``run["q1"]``; all coordinates, up to 60, unless given.
         *more : str
             Further ones.
         ax : matplotlib axes, optional
-            Axes to draw in; new ones, one for each unit of the system, unless given.
+            Axes to draw in. Unless given, there are new ones: one for each unit, and one for
+            quantities whose ranges differ from those of others by more than 30 times.
 
         Returns
         -------
@@ -194,7 +199,10 @@ class States(Quantities):
         return plot(self, wanted, connected=self._connected, ax=ax)
 
     def plot_phase(self, x: str | None = None, y: str | None = None, *, ax: Any = None) -> Any:
-        """Draw one quantity over another.
+        """Draw one quantity over another, as a curve like that of :meth:`plot`.
+
+        Both axes have scales of their own, as units differ. Call ``ax.set_aspect("equal")`` for
+        two quantities of the same unit.
 
         Parameters
         ----------
@@ -225,6 +233,8 @@ class States(Quantities):
 
     def plot_path(self, *, ax: Any = None) -> Any:
         """Draw the paths of the system's ``positions``, into ``ax`` if given; returns the axes.
+
+        Paths are curves like those of :meth:`plot`, on axes of equal scales.
 
         Raises
         ------
