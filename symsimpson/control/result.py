@@ -20,6 +20,7 @@ from symsimpson.control.layout import Layout
 from symsimpson.control.point_functions import lagrange
 from symsimpson.control.solution_files import write_solution
 from symsimpson.errors import InputError
+from symsimpson.results.html import solution
 from symsimpson.stepping.driving import driven
 from symsimpson.support.array_types import Floats
 from symsimpson.support.names import counted
@@ -387,10 +388,7 @@ class ControlResult:
         """
         return figures.sparsity(self)
 
-    def _repr_html_(self) -> str:
-        from symsimpson.results.html import solution
-
-        return solution(self)
+    _repr_html_ = solution
 
     def __repr__(self) -> str:
         layout = self.layout

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from symsimpson.errors import InputError
-from symsimpson.plotting.axes import DOTTED, axes, colours, label, legend
-from symsimpson.plotting.curve import FINE, ROUGH, curve_of, resolution
+from symsimpson.plotting.axes import axes, colours, dotted, label, legend
+from symsimpson.plotting.curve import FINE, ROUGH, at_once, chords_miss, curve_of
 from symsimpson.plotting.pictures import DOTS, KINDS, film_in_plane, frame_scene, write_film
 from symsimpson.plotting.scene import Film, places_of, scene_of
 from symsimpson.plotting.space import film_in_space
@@ -116,7 +116,7 @@ def animate(
             f"seconds={seconds!r}, fps={fps!r} make no film.\n"
             "Pass up to 600 seconds, and from 1 to 100 frames in each."
         )
-    sizes = [dpi, *(figsize if isinstance(figsize, (tuple, list)) else (figsize or 1, 1))]
+    sizes = [dpi, *np.ravel((1, 1) if figsize is None else figsize)]
     if len(sizes) != 3 or not all(isinstance(x, Real) and 0 < x < MOST_DOTS for x in sizes):
         raise InputError(
             f"figsize={figsize!r}, dpi={dpi!r} are no size of a figure.\n"
@@ -128,7 +128,7 @@ def animate(
     fine = COARSE
     while True:
         t = np.linspace(float(run.t[0]), float(run.t[-1]), (frames - 1) * fine + 1)
-        miss = resolution(run, t, read_places)
+        miss = chords_miss(run.at(t), read_places, run)
         if miss <= FINE or fine >= FINEST:
             break
         fine *= 2
@@ -152,10 +152,10 @@ def read_places(some: Any) -> list[Any]:
     return [np.concatenate([x.reshape(len(some), -1) for x in places], axis=1)]
 
 
-def plot_path(run: Any, *, ax: Any = None) -> Any:
+def plot_path(run: Any, *, connected: bool = True, ax: Any = None) -> Any:
     """Draw the paths of the points of a system, and where all is in the end."""
     read_places(run[-1:])
-    curve = curve_of(run, read_places, thin=True)
+    curve = curve_of(run, read_places, connected, thin=True)
     scene = scene_of(curve.states, joined=curve.connected)
     in_space = {"subplot_kw": {"projection": "3d"}} if scene.spatial else {}
     ax = axes(ax, (5, 5) if scene.spatial else (4.5, 4.5), **in_space)
@@ -164,10 +164,11 @@ def plot_path(run: Any, *, ax: Any = None) -> Any:
             f"{run.program.system} moves in space, and these axes are plane.\n"
             "Make axes with plt.subplots(subplot_kw={'projection': '3d'}), or leave ax out."
         )
-    still = np.diff(np.asarray(curve.states.t, dtype=np.float64)) == 0
-    jumps = still & (np.abs(np.diff(scene.fine, axis=0)).max(axis=(1, 2)) > JUMP * scene.reach)
+    jumps = at_once(curve.states.t) & (
+        np.abs(np.diff(scene.fine, axis=0)).max(axis=(1, 2)) > JUMP * scene.reach
+    )
     paths = np.insert(scene.fine, np.flatnonzero(jumps) + 1, np.nan, axis=0)
-    how = {"lw": 0.7, "alpha": 0.8} if scene.joined else DOTTED
+    how = {"lw": 0.7, "alpha": 0.8} if scene.joined else dotted(len(scene.fine))
     for k, (name, colour) in enumerate(zip(scene.names, colours(len(scene.names)), strict=True)):
         ax.plot(*paths[:, k].T, color=colour, label=label(name), **how)
     for link in scene.links:

@@ -9,10 +9,8 @@ from symsimpson.errors import InputError
 from symsimpson.support.extras import library
 from symsimpson.support.names import spelled
 
-__all__ = ["DOTTED", "axes", "colours", "label", "legend", "name_axis"]
+__all__ = ["axes", "colours", "dotted", "label", "legend", "name_axis"]
 
-#: The dots of states that no line connects.
-DOTTED = {"ls": "none", "marker": ".", "ms": 2.5}
 #: An axis has its power of ten in its label if its range is at least this part of its values; else
 #: matplotlib writes what its numbers have in common beside it.
 WIDE = 0.01
@@ -52,27 +50,32 @@ def label(name: Any) -> str:
     return f" {text}" if text.startswith("_") else text
 
 
+def dotted(count: int) -> dict[str, Any]:
+    """Return the style of so many states that no line connects."""
+    return {"ls": "none", "marker": ".", "ms": 2.5 if count > 300 else 5}
+
+
 def name_axis(ax: Any, axis: str, name: Any, unit: str | None = None) -> None:
     """Label the axis "x", "y" or "z" with a name and a unit, after all is drawn.
 
     The label has the power of ten of large and small numbers, which matplotlib puts in a corner.
     """
     ticker = library("matplotlib.ticker", "a figure", "plot")
-    own = getattr(ax, f"{axis}axis")
+    scale = getattr(ax, f"{axis}axis")
     limits = getattr(ax, f"get_{axis}lim")()
     largest = max(map(abs, limits))
     power = math.floor(math.log10(largest)) if 0 < largest < math.inf else 0
     least, most = library("matplotlib", "a figure", "plot").rcParams["axes.formatter.limits"]
     moved = not least < power < most and abs(limits[1] - limits[0]) > WIDE * largest
     parts = [label(unit)] if unit else []
-    if isinstance(own.get_major_formatter(), ticker.ScalarFormatter):
+    if isinstance(scale.get_major_formatter(), ticker.ScalarFormatter):
         formatter = ticker.ScalarFormatter()
         if moved:
             parts.insert(0, f"$10^{{{power}}}$")
             formatter.set_useOffset(False)
             formatter.set_powerlimits((power, power))
-        own.set_major_formatter(formatter)
-        own.offsetText.set_visible(not moved)
+        scale.set_major_formatter(formatter)
+        scale.offsetText.set_visible(not moved)
     shown = [label(name), f"[{' '.join(parts)}]"] if parts else [label(name)]
     getattr(ax, f"set_{axis}label")(" ".join(filter(str.strip, shown)))
 

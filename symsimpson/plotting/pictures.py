@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from symsimpson.plotting.axes import DOTTED, name_axis
+from symsimpson.plotting.axes import dotted, name_axis
 from symsimpson.plotting.scene import Film, Scene
 from symsimpson.support.extras import library
 from symsimpson.support.progress import Progress
@@ -114,7 +114,7 @@ def _painter(ax: Any, scene: Scene, t: Any, title: str) -> Callable[[int], list[
     """Return what draws a frame."""
     nothing: list[Any] = [[]] * len(scene.middle)
     caption = ax.set_title("", fontsize=10)
-    trail_style = {"lw": 0.9} if scene.joined else DOTTED
+    trail_style = {"lw": 0.9} if scene.joined else dotted(len(scene.fine))
     trails = [ax.plot(*nothing, color="C1", alpha=0.6, **trail_style)[0] for _ in scene.names]
     lines = [
         ax.plot(*nothing, color="0.25", lw=2.2 if x.rigid else 0.8, ls="-" if x.rigid else ":")[0]

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import cycle
 from typing import Any
 
 import numpy as np
 
 from symsimpson.errors import InputError
-from symsimpson.plotting.axes import DOTTED, axes, colours, label, legend, name_axis
-from symsimpson.plotting.curve import MOST, Curve, curve_of, envelope, sample
+from symsimpson.plotting.axes import axes, colours, dotted, label, legend, name_axis
+from symsimpson.plotting.curve import MOST, curve_of, envelope, sample
 from symsimpson.program.input_values import read_count
 from symsimpson.support.names import counted, shortened, spelled
 
 __all__ = ["plot", "plot_energy", "plot_exponents", "plot_members", "plot_phase", "plot_section"]
 
-#: Quantities whose ranges differ by more than this, or lie so far apart, have panels of their own.
+#: Quantities whose largest values differ by more than this factor have panels of their own.
 APART = 30
-#: Ranges below this part of others are rounding, and values that differ by less are the same.
-ROUNDING, SAME = 1e-9, 1e-9
-#: Up to LINES share a panel, and FEW, of colours that are easily told apart, if there are more.
-LINES, FEW, PANELS = 12, 10, 6
+#: Numbers below this part of others are rounding.
+ROUNDING = 1e-9
+#: Up to LINES share a panel; if there are more, FEW do, in colours that are easily told apart.
+LINES, FEW = 12, 10
+#: So many coordinates are drawn unless names are given.
+SHOWN = 60
 #: What bands show of an ensemble.
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
@@ -52,32 +56,28 @@ def plot(some: Any, names: Any = None, *, connected: bool = True, ax: Any = None
     wanted = [spelled(name) for name in read_names(names, some.program.coordinates)]
     units, steady = some.program.units, {"energy", *some.program.invariants}
     title = f"{some.program.system}, {some.program.scheme}"
-    if names is None and len(wanted) > (most := PANELS * LINES):
-        title += f": {most} of {counted(len(wanted), 'coordinate')}"
-        wanted = wanted[:most]
-    if connected:  # the energy at a state between others says little of that at these
-        moving = [name for name in wanted if name not in steady]
-        curve = curve_of(some, lambda states: [states[name] for name in moving])
-    else:
-        curve = Curve(some, some, False)
-    drawn = {name: curve.knots if name in steady else curve.states for name in wanted}
+    if names is None and len(wanted) > SHOWN:
+        title += f": {SHOWN} of {len(wanted)} coordinates"
+        wanted = wanted[:SHOWN]
+    # the energy at a state between others says little of that at these
+    moving = [name for name in wanted if name not in steady]
+    curve = curve_of(some, lambda states: [states[name] for name in moving], connected)
+    drawn = {name: curve.states if name in moving else curve.knots for name in wanted}
     values = {name: states[name] for name, states in drawn.items()}
-    together = panels_of(values, units) if ax is None else [(None, wanted)]
-    size = (7, 3.5 if len(together) == 1 else 1.2 + 1.6 * len(together))
-    panels = np.ravel(axes(ax, size, **({} if ax else {"nrows": len(together), "sharex": True})))
-    hues = [*colours(len(values))] if ax or len(values) <= LINES else None
-    for panel, (unit, group) in zip(panels, together, strict=True):
-        ways = [{"color": hue} for hue in hues[: len(group)]] if hues else [{}] * len(group)
-        hues = hues[len(group) :] if hues else None
-        for name, way in zip(group, ways, strict=True):
-            joined = connected and (curve.connected or name in steady)
-            draw_over_time(panel, drawn[name].t, values[name], joined, label=label(name), **way)
+    groups = panels_of(values, units) if ax is None else [list(values)]
+    size = (7, 3.5 if len(groups) == 1 else 1.2 + 1.6 * len(groups))
+    panels = np.ravel(axes(ax, size, **({} if ax else {"nrows": len(groups), "sharex": True})))
+    hues = cycle(colours(len(values) if ax or len(values) <= LINES else FEW))
+    for panel, group in zip(panels, groups, strict=True):
+        for name in group:
+            joined, how = connected and (curve.connected or name in steady), {"label": label(name)}
+            draw_over_time(panel, drawn[name].t, values[name], joined, color=next(hues), **how)
         panel.grid(lw=0.4, alpha=0.6)
-        if len(group) == 1:
-            name_axis(panel, "y", group[0], units.get(group[0]))
-        else:
-            same = {units.get(name) for name in group}
-            name_axis(panel, "y", "", unit or (same.pop() if len(same) == 1 else None))
+        same = {units.get(name) for name in group}
+        name_axis(
+            panel, "y", group[0] if len(group) == 1 else "", min(same) if len(same) == 1 else None
+        )
+        if len(group) > 1:
             legend(panel)
     panels[0].set_title(title)
     name_axis(panels[-1], "x", "t", units.get("t"))
@@ -86,43 +86,36 @@ def plot(some: Any, names: Any = None, *, connected: bool = True, ax: Any = None
 
 def draw_over_time(ax: Any, t: Any, values: Any, joined: bool, **how: Any) -> None:
     """Draw a line, or dots, of a quantity that has a number or several at each time."""
-    how = {"lw": 1.2, **how} if joined else {**DOTTED, **how}
-    for column in np.reshape(values, (len(t), -1)).T:
+    how = {"lw": 1.2, **how} if joined else {**dotted(len(t)), **how}
+    for column in np.reshape(values, (len(t), math.prod(np.shape(values)[1:]))).T:
         few = sample(len(t), MOST)
         ax.plot(*(envelope(t, column) if joined else (t[few], column[few])), **how)
 
 
-def panels_of(
-    values: Mapping[str, Any], units: Mapping[str, str]
-) -> list[tuple[str | None, list[str]]]:
-    """Return names for panels, one above the other, each with its unit.
+def panels_of(values: Mapping[str, Any], units: Mapping[str, str]) -> list[list[str]]:
+    """Return names for panels, one above the other.
 
-    Lengths say nothing beside angles, and what moves little would be flat beside what moves much.
+    Lengths say nothing beside angles, and small numbers nothing beside large ones.
     """
-    groups: list[tuple[str | None, list[str], list[Any]]] = []
-    for name, column in values.items():
-        y = np.asarray(column, dtype=np.float64)
-        finite, unit = np.isfinite(y), units.get(name)
-        ends = y.min(where=finite, initial=np.inf), y.max(where=finite, initial=-np.inf)
-        for of_group, names, ranges in groups:
-            low, high = np.transpose([*ranges, ends])
-            spans, all_of = high - low, high.max() - low.min()
-            moves = spans > ROUNDING * all_of
-            if of_group == unit and all_of <= APART * spans.min(where=moves, initial=np.inf):
-                names.append(name)
-                ranges.append(ends)
-                break
-        else:
-            groups.append((unit, [name], [ends]))
-    if len(groups) > PANELS:
-        several = list(dict.fromkeys(map(units.get, values)))
-        groups = [(x, [name for name in values if units.get(name) == x], []) for x in several]
-    most = LINES if len(values) <= LINES else FEW
-    return [
-        (unit, part.tolist())
-        for unit, names, _ in groups
-        for part in np.array_split(np.array(names, dtype=object), -(-len(names) // most))
-    ]
+    groups = []
+    for unit in dict.fromkeys(map(units.get, values)):
+        sizes = {}
+        for name, column in values.items():
+            if units.get(name) == unit:
+                y = np.abs(np.asarray(column, dtype=np.float64))
+                sizes[name] = y.max(where=np.isfinite(y), initial=0.0)
+        largest = max(sizes.values())  # what is 0 up to rounding may stand anywhere
+        sizes = {name: x if x > ROUNDING * largest else largest for name, x in sizes.items()}
+        least = np.inf
+        for name in sorted(sizes, key=sizes.__getitem__):
+            if not groups or sizes[name] > APART * least or least == np.inf:
+                groups.append([])
+                least = sizes[name]
+            groups[-1].append(name)
+    order, most = list(values).index, LINES if len(values) <= LINES else FEW
+    groups = sorted((sorted(group, key=order) for group in groups), key=lambda x: order(x[0]))
+    parts = [np.array_split(group, -(-len(group) // most)) for group in groups]
+    return [part.tolist() for group in parts for part in group]
 
 
 def members_drawn(count: int, members: Any, most: Any) -> Any:
@@ -147,23 +140,23 @@ def plot_members(many: Any, name: Any, some: Any, *, ax: Any = None) -> Any:
     (name,) = read_names(None if name is None else [name], many.program.coordinates[:1])
     values, program = np.asarray(many[name], dtype=np.float64), many.program
     ax, shown, unit = axes(ax, (7, 3.5)), len(many), program.units.get(spelled(name))
+    if some is None and np.ndim(many.t) == 2:  # each has times of its own
+        some = members_drawn(len(many), 100, None)
     if values.ndim == 1:
         last = values[np.isfinite(values)]
         shown = len(last)
         ax.hist(last, bins=min(60, max(5, int(len(last) ** 0.5))))
-        name_axis(ax, "x", f"{spelled(name)} at the end", unit)
         ax.set_ylabel("members")
+        name_axis(ax, "x", f"{spelled(name)} at the end", unit)
     else:
         if some is None:
-            draw_bands(ax, *at_common_times(np.asarray(many.t, dtype=np.float64), values))
-            legend(ax)
+            draw_bands(ax, many.t, values)
         else:
-            shown, alpha = len(some), max(0.15, min(1.0, 8 / len(some)))
+            shown, how = len(some), {"lw": 0.8, "alpha": max(0.15, min(1.0, 8 / len(some)))}
             joined = curve_of(many[int(some[0])], lambda states: [states[name]]).connected
-            for t, column in zip(
-                np.broadcast_to(many.t, values.shape)[some], values[some], strict=True
-            ):
-                draw_over_time(ax, t, column, joined, lw=0.8, alpha=alpha)
+            times = np.broadcast_to(many.t, values.shape)
+            for k in some:
+                draw_over_time(ax, times[k], values[k], joined, **how)
         name_axis(ax, "x", "t", program.units.get("t"))
         name_axis(ax, "y", name, unit)
     ax.set_title(f"{program.system}, {program.scheme}: {shown} of {counted(len(many), 'member')}")
@@ -174,24 +167,12 @@ def plot_members(many: Any, name: Any, some: Any, *, ax: Any = None) -> Any:
 def draw_bands(ax: Any, t: Any, values: Any) -> None:
     """Draw the median of members at each time, and bands that hold half and 90 % of them."""
     some = np.isfinite(values).any(axis=0)  # until the last member failed
-    t, values = t[some], np.where(np.isfinite(values), values, np.nan)[:, some]
+    values, t = np.where(np.isfinite(values), values, np.nan)[:, some], t[some]
     lowest, low, median, high, highest = np.nanquantile(values, QUANTILES, axis=0)
     ax.fill_between(t, lowest, highest, color="C0", alpha=0.2, lw=0, label="5 to 95 %")
     ax.fill_between(t, low, high, color="C0", alpha=0.35, lw=0, label="25 to 75 %")
     ax.plot(t, median, color="C0", lw=1.2, label="median", marker="." if len(t) <= 50 else "")
-
-
-def at_common_times(t: Any, values: Any) -> tuple[Any, Any]:
-    """Return values at the same times for all members, those of retimed systems interpolated."""
-    if t.ndim == 1:
-        return t, values
-    sign = -1.0 if np.nanmean(np.diff(t)) < 0 else 1.0
-    times = np.linspace(np.nanmin(sign * t), np.nanmax(sign * t), t.shape[1])
-    rows = []
-    for own, column in zip(sign * t, values, strict=True):
-        there = np.isfinite(own)
-        rows.append(np.interp(times, own[there], column[there], left=np.nan, right=np.nan))
-    return sign * times, np.array(rows)
+    legend(ax)
 
 
 def plot_phase(
@@ -200,13 +181,12 @@ def plot_phase(
     """Draw one quantity over another: a momentum over its coordinate, unless others are named."""
     (x,) = read_names(None if x is None else [x], some.program.coordinates[:1])
     (y,) = read_names(None if y is None else [y], [f"p_{spelled(x)}"])
-    some[y]  # a name that there is none of leaves no figure
-    program, curve = some.program, Curve(some, some, False)
-    if connected:
-        curve = curve_of(some, lambda states: [states[x], states[y]], thin=True)
+    program = some.program
+    curve = curve_of(some, lambda states: [states[x], states[y]], connected, thin=True)
+    drawn = curve.states[x], curve.states[y]
     ax = axes(ax, (4.5, 4.5))
     ax.locator_params(axis="x", nbins=6)
-    ax.plot(curve.states[x], curve.states[y], **({"lw": 0.8} if curve.connected else DOTTED))
+    ax.plot(*drawn, **({"lw": 0.8} if curve.connected else dotted(len(some))))
     ax.set_title(f"{program.system}, {program.scheme}")
     for axis, name in (("x", x), ("y", y)):
         name_axis(ax, axis, name, program.units.get(spelled(name)))
@@ -223,50 +203,41 @@ def plot_section(crossings: Any, names: Any = None, *, ax: Any = None) -> Any:
 
 
 def free_names(crossings: Any) -> tuple[str, ...]:
-    """Return a coordinate and its momentum that differ from state to state, or what else does.
+    """Return the first coordinate of a section that it does not fix, and its momentum.
 
-    Changes are compared with how far the system moves meanwhile, which is in the same units.
+    Changes are compared with how far the system moves meanwhile, which has the same unit.
     """
-    q, p, v = (np.asarray(getattr(crossings, x), dtype=np.float64) for x in ("q", "p", "v"))
-    if len(q) < 2:
-        return crossings.program.coordinates[:1]
-    speed, duration = np.abs(v).max(axis=0), np.ptp(np.asarray(crossings.t, dtype=np.float64))
-    size = np.maximum(np.abs(q).max(axis=0), speed * duration)
-    free = np.ptp(q, axis=0) > SAME * size
-    moving = np.ptp(p, axis=0) * speed > SAME**2 * np.abs(p * v).sum(axis=1).max()
+    t, q, p, v = (np.asarray(getattr(crossings, x), dtype=np.float64) for x in "tqpv")
     names = crossings.program.coordinates
-    for name, *differ in zip(names, free, moving, strict=True):
-        if all(differ):
+    if len(t) > 1:
+        size = np.maximum(np.abs(q).max(axis=0), np.abs(v).max(axis=0) * np.ptp(t))
+        free = np.ptp(q, axis=0) > ROUNDING * size
+        free &= np.ptp(p, axis=0) > ROUNDING * np.abs(p).max(axis=0)
+        if free.any():
+            name = names[int(free.argmax())]
             return name, f"p_{name}"
-    left = [name for name, differs in zip(names, free, strict=True) if differs]
-    left += [f"p_{name}" for name, differs in zip(names, moving, strict=True) if differs]
-    return tuple(left[:2] or names[:1])
+    return (f"p_{names[0]}",) if len(names) == 1 else names[:1]
 
 
 def plot_energy(run: Any, *, shadow: bool = False, ax: Any = None) -> Any:
     """Draw the error of the energy over time; where forces do work, the energy less that work."""
     ax = axes(ax, (7, 3))
     constant, unit = run.program.header.conservative, run.program.units.get("energy")
-    change = run.energy_error if constant else run.energy_balance
-    shown = "H - H0" if constant else "H - H0 - work"
-    if not constant and unit is None:
-        change = change / run.energy_scale
+    absolute = not constant and unit is not None
+    scale = 1.0 if constant or absolute else run.energy_scale
+    change = run.energy_error if constant else run.energy_balance / scale
     draw_over_time(ax, run.t, change, True, lw=0.8, label="energy" if shadow else None)
     if shadow:
         kept = (run.shadow_energy - run.shadow_energy[0]) / run.energy_scale
         draw_over_time(ax, run.t, kept, True, lw=0.8, label="shadow energy")
         legend(ax)
-    if not constant and unit is not None:
-        pass
-    elif run.energy_scale == abs(run.E0):
-        shown, unit = f"({shown}) / |H0|", None
-    elif run.kinetic_energy.any():
-        shown, unit = f"({shown}) / kinetic energy", None
+    shown, relative = "H - H0" if constant else "H - H0 - work", ""
+    if not absolute and (run.E0 or run.kinetic_energy.any()):
+        relative = "|H0|" if run.energy_scale == abs(run.E0) else "kinetic energy"
     name_axis(ax, "x", "t", run.program.units.get("t"))
-    name_axis(ax, "y", shown, unit)
+    name_axis(ax, "y", f"({shown}) / {relative}" if relative else shown, None if relative else unit)
     what = "energy error" if constant else "energy balance"
-    name = f"{run.program.system}, {run.program.scheme}, h = {float(run.h):g}"
-    ax.set_title(f"{what}: {name}")
+    ax.set_title(f"{what}: {run.program.system}, {run.program.scheme}, h = {float(run.h):g}")
     ax.grid(lw=0.4, alpha=0.6)
     return ax
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,12 +61,14 @@ class Events(States):
     Events(pendulum, simpson: 5 states, 0.534783 <= t <= 4.81305)
     """
 
-    _connected: ClassVar[bool] = False
-
     direction: NDArray[np.int64]
     expression: str
     status: Status
     message: str
+
+    @property
+    def _connected(self) -> bool:
+        return False
 
     def plot(self, names: str | Sequence[str] | None = None, *more: str, ax: Any = None) -> Any:
         """Draw the section: one quantity over another, at the zeros.

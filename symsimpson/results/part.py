@@ -67,6 +67,11 @@ class Part(States):
             return {key: rows[self._places] for key, rows in values.items()}
         return values[self._places]
 
+    @property
+    def _connected(self) -> bool:
+        """Whether the states are a slice of the run: others have gaps."""
+        return np.unique(np.diff(self._places)).size <= 1
+
     def __dir__(self) -> list[str]:
         """Return public names, with rows of the run."""
         return sorted({*super().__dir__(), *ROWS, *WHOLE[:1]})

@@ -6,7 +6,7 @@ import operator
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,9 +86,6 @@ class States(Quantities):
     ((10,), array([5.]))
     """
 
-    #: Whether one state follows another, so that a line may connect them.
-    _connected: ClassVar[bool] = True
-
     t: NDArray[Any]
     q: NDArray[Any]
     p: NDArray[Any]
@@ -152,6 +149,15 @@ class States(Quantities):
         """Return other states of the same run."""
         program, values = self.program, self.parameter_values
         return States(t=t, q=q, p=p, program=program, parameter_values=values, driven=self.driven)
+
+    @property
+    def _connected(self) -> bool:
+        """Whether states follow one another, so that lines may connect them."""
+        return True
+
+    def with_states(self, t: Any, q: Any, p: Any) -> States:
+        """Return given states of the same system, with the same parameters."""
+        return self._others(np.asarray(t), np.asarray(q), np.asarray(p))
 
     def __getstate__(self) -> dict[str, Any]:
         return {f.name: getattr(self, f.name) for f in fields(self)}  # without what was computed
@@ -250,7 +256,7 @@ class States(Quantities):
         """
         from symsimpson.plotting.animate import plot_path
 
-        return plot_path(self, ax=ax)
+        return plot_path(self, connected=self._connected, ax=ax)
 
     def to_pandas(self) -> Any:
         """Return a ``pandas.DataFrame`` of all quantities by name, with the times as index.
