@@ -225,10 +225,13 @@ def test_events_and_problems_show_what_was_given():
     problem = ss.OptimalControl(cart, cost=u**2, start={x: 0}, end={x: 1}, duration=1)
     text = problem._repr_html_()
     assert tags_of(text) == {"div", "b", "table", "tbody", "tr", "th", "td"}
-    assert "Optimal control of cart" in text and ">x(t) = 1<" in text and "bounds" not in text
+    assert "Optimal control of cart" in text
+    assert ">x(t) = 1<" in text
+    assert "bounds" not in text
     event = ss.Event(x, name=HOSTILE, direction=1)._repr_html_()
     assert "img" not in tags_of(event)
-    assert "direction" in event and "terminal" not in event
+    assert "direction" in event
+    assert "terminal" not in event
     assert len(ss.Event(x, name=9999 * "n")._repr_html_()) < 1000
 
 
@@ -247,7 +250,8 @@ def test_solutions_of_optimal_control_are_shown():
     problem = ss.OptimalControl(cart, cost=u**2, start=still, end=still | {x: 1}, duration=1)
     text = problem.solve(steps=4)._repr_html_()
     assert tags_of(text) >= {"svg", "polyline", "span"}
-    assert ">12<" in text and "A local optimum was found." in text
+    assert ">12<" in text
+    assert "A local optimum was found." in text
 
 
 def test_results_complete_public_names():
@@ -285,7 +289,8 @@ def test_states_and_members_follow_one_another():
         assert len(states) == len(some)
         for k, state in enumerate(states):
             assert type(state) is type(some[k])
-            assert (state.t == some[k].t).all() and (state.q == some[k].q).all()
+            assert (state.t == some[k].t).all()
+            assert (state.q == some[k].q).all()
     first, *_, last = run
     assert (first.energy_error, last.t) == (0, 0.5)
     assert [float(state["theta"][0]) for state in run] == run["theta"].tolist()

@@ -41,7 +41,7 @@ def test_large_and_small_numbers_have_panels():
     assert panels_of({"a": small * np.nan, "z": 0 * small}, {}) == [["a", "z"]]
     eighteen = panels_of({f"q{k}": small for k in range(18)}, {})
     assert [len(panel) for panel in eighteen] == [9, 9]
-    assert sum(eighteen, []) == [f"q{k}" for k in range(18)]
+    assert [name for panel in eighteen for name in panel] == [f"q{k}" for k in range(18)]
 
 
 def test_powers_of_ten_stand_in_labels(run):
@@ -83,7 +83,7 @@ def test_sections_are_drawn(run):
     over_time = section.plot(["q1", "q2", "v_q2"]).figure.axes
     assert over_time[-1].get_xlabel() == "t"
     assert section.plot_path().lines[0].get_linestyle() == "None"
-    assert run.events("q1 - 50").plot().get_xlabel() == "q1"  # none is there
+    assert run.events("q1 - 50").plot().get_ylabel() == "q1"  # none is there
     with pytest.raises(ss.InputError, match="there is no 'q3'"):
         section.plot("q1", "q3")
 
