@@ -117,7 +117,8 @@ def animate(
             "Pass up to 600 seconds, and from 1 to 100 frames in each."
         )
     sizes = [dpi, *np.ravel((1, 1) if figsize is None else figsize)]
-    if len(sizes) != 3 or not all(isinstance(x, Real) and 0 < x < MOST_DOTS for x in sizes):
+    real = all(isinstance(x, (int, float, np.number)) for x in sizes)
+    if len(sizes) != 3 or not real or not all(0 < x < MOST_DOTS for x in sizes):
         raise InputError(
             f"figsize={figsize!r}, dpi={dpi!r} are no size of a figure.\n"
             "Pass a width and a height in inches, and dots per inch: figsize=(6, 4), dpi=100."
@@ -125,13 +126,11 @@ def animate(
     span = abs(float(run.t[-1] - run.t[0]))
     length = seconds or (span if 1 <= span <= LONGEST else LONGEST)
     frames = max(2, round(length * fps))
-    fine = COARSE
-    while True:
+    for fine in (COARSE, 2 * COARSE, FINEST):
         t = np.linspace(float(run.t[0]), float(run.t[-1]), (frames - 1) * fine + 1)
         miss = chords_miss(run.at(t), read_places, run)
-        if miss <= FINE or fine >= FINEST:
+        if miss <= FINE:
             break
-        fine *= 2
     between = np.flatnonzero(np.arange(len(t)) % fine)
     for record in getattr(run, "records", ()):  # trails pass through the places of events
         if min(t[0], t[-1]) < record.t < max(t[0], t[-1]):
@@ -140,9 +139,9 @@ def animate(
     inches, more = ((8.3, 9.2), 50) if scene.spatial else ((4.2, 4.2), 168)
     make = film_in_space if scene.spatial else film_in_plane
     title = f"{run.program.system}, {run.program.scheme}"
-    film = Film(scene, t[::fine], fps, title, tuple(figsize or inches), dpi)
-    width, height = (round(x * dpi) for x in film.size)
-    size = max(width + 50, 420), height + more
+    width, height = figsize or inches
+    film = Film(scene, t[::fine], fps, title, (width, height), dpi)
+    size = max(round(width * dpi) + 50, 420), round(height * dpi) + more
     return Animation(partial(make, film), partial(write_film, film), frames, size)
 
 

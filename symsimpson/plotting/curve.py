@@ -35,6 +35,8 @@ PART, CHECKED = 0.381966, 200
 STEPS, DIGITS = 300_000, 1000
 #: Ranges below this part of the values are rounding, as are intervals below this part of others.
 ROUNDING, NOTHING = 1e-6, 1e-9
+#: What is smaller than this part of others in a figure is noise, which no curve resolves.
+NOISE = 1e-12
 
 Read = Callable[[Any], list[Any]]
 
@@ -88,17 +90,19 @@ def chords_miss(curve: Any, read: Read, some: Any) -> float:
         q = a.q + PART * rise + PART * (1 - PART) * bend
         inner = a.with_states(t[first] + PART * span[:, 0], q, a.p + PART * (b.p - a.p))
     columns = zip(*map(read, (curve, a, b, inner)), strict=True)
-    return max((_part(y, u + PART * (v - u) - w) for y, u, v, w in columns), default=0.0)
+    parts = np.array([_missed(y, u + PART * (v - u) - w) for y, u, v, w in columns]).reshape(-1, 2)
+    miss, size = parts.T
+    size = np.maximum(size, NOISE * size.max(initial=0.0))
+    return float(np.max(miss[size > 0] / size[size > 0], initial=0.0))
 
 
-def _part(y: Any, miss: Any) -> float:
-    """Return the largest of what is missed, as a part of the range of y."""
+def _missed(y: Any, miss: Any) -> tuple[float, float]:
+    """Return the largest of what is missed, and the range of y."""
     y, miss = (np.asarray(x, dtype=np.float64).reshape(len(x), -1) for x in (y, miss))
     finite = np.isfinite(y)
     low, high = y.min(0, where=finite, initial=np.inf), y.max(0, where=finite, initial=-np.inf)
     size = max((high - low).max(), ROUNDING * np.abs(y).max(where=finite, initial=0.0))
-    largest = np.abs(miss).max(where=np.isfinite(miss), initial=0.0)
-    return float(largest / size) if size > 0 else 0.0
+    return np.abs(miss).max(where=np.isfinite(miss), initial=0.0), size
 
 
 def _between(some: Any, t: Floats) -> Any:

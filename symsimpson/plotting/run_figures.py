@@ -66,17 +66,18 @@ def plot(some: Any, names: Any = None, *, connected: bool = True, ax: Any = None
     values = {name: states[name] for name, states in drawn.items()}
     groups = panels_of(values, units) if ax is None else [list(values)]
     size = (7, 3.5 if len(groups) == 1 else 1.2 + 1.6 * len(groups))
-    panels = np.ravel(axes(ax, size, **({} if ax else {"nrows": len(groups), "sharex": True})))
+    panels = np.ravel(
+        axes(ax, size, **({"nrows": len(groups), "sharex": True} if ax is None else {}))
+    )
     hues = cycle(colours(len(values) if ax or len(values) <= LINES else FEW))
     for panel, group in zip(panels, groups, strict=True):
         for name in group:
             joined, how = connected and (curve.connected or name in steady), {"label": label(name)}
             draw_over_time(panel, drawn[name].t, values[name], joined, color=next(hues), **how)
         panel.grid(lw=0.4, alpha=0.6)
-        same = {units.get(name) for name in group}
-        name_axis(
-            panel, "y", group[0] if len(group) == 1 else "", min(same) if len(same) == 1 else None
-        )
+        shared = {units.get(name) for name in group}
+        unit = shared.pop() if len(shared) == 1 else None
+        name_axis(panel, "y", group[0] if len(group) == 1 else "", unit)
         if len(group) > 1:
             legend(panel)
     panels[0].set_title(title)
@@ -97,7 +98,7 @@ def panels_of(values: Mapping[str, Any], units: Mapping[str, str]) -> list[list[
 
     Lengths say nothing beside angles, and small numbers nothing beside large ones.
     """
-    groups = []
+    groups: list[list[str]] = []
     for unit in dict.fromkeys(map(units.get, values)):
         sizes = {}
         for name, column in values.items():

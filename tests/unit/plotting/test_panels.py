@@ -62,6 +62,7 @@ def test_powers_of_ten_stand_in_labels(run):
         assert ax.xaxis.offsetText.get_visible() == (scale <= 1)
 
 
+@pytest.mark.slow
 def test_paths_in_space_have_three_names():
     top = ss.systems.lagrange_top()
     ax = ss.compile(top).integrate(**top.reference_state, h=0.002, steps=20).plot_path()
@@ -88,6 +89,7 @@ def test_sections_are_drawn(run):
         section.plot("q1", "q3")
 
 
+@pytest.mark.slow
 def test_sections_of_one_coordinate():
     swing = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=80)
     assert free_names(swing.events("theta")) == ("p_theta",)
@@ -129,6 +131,7 @@ def test_members_that_failed_are_left_out_of_bands(many):
     assert ax.lines[0].get_ydata() == pytest.approx(np.nanmedian(q[:, :5, 0], axis=0))
 
 
+@pytest.mark.slow
 def test_films_have_names_and_sizes(run, tmp_path):
     image = pytest.importorskip("PIL.Image")
     film = run.animate(seconds=1, fps=2, figsize=(5, 4), dpi=150)
@@ -149,6 +152,7 @@ def test_films_have_names_and_sizes(run, tmp_path):
             run.animate(**wrong)
 
 
+@pytest.mark.slow
 def test_the_balance_of_energies_has_a_unit_or_a_scale():
     import sympy as sp
 
