@@ -18,6 +18,7 @@ from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.program.input_values import whole_number
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
+from symsimpson.support.markup import fields_given
 from symsimpson.support.names import shortened, spelled
 from symsimpson.support.progress import read_progress
 
@@ -220,3 +221,6 @@ class OptimalControl:
 
     def __repr__(self) -> str:
         return f"OptimalControl({self.system.name}: {', '.join(map(spelled, self.system.inputs))})"
+
+    def _repr_html_(self) -> str:
+        return fields_given(f"Optimal control of {self.system.name}", self)

@@ -20,6 +20,7 @@ from symsimpson.control.layout import Layout
 from symsimpson.control.point_functions import lagrange
 from symsimpson.control.solution_files import write_solution
 from symsimpson.errors import InputError
+from symsimpson.results.html import solution
 from symsimpson.stepping.driving import driven
 from symsimpson.support.array_types import Floats
 from symsimpson.support.names import counted
@@ -394,6 +395,8 @@ class ControlResult:
             If matplotlib is not installed.
         """
         return figures.sparsity(self)
+
+    _repr_html_ = solution
 
     def __repr__(self) -> str:
         layout = self.layout

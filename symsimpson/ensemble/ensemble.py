@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import chain, count
 from typing import Any, overload
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.evaluating import evaluate, evaluate_members
-from symsimpson.program.input_values import read_count
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.differentiated import Differentiated
@@ -31,16 +30,11 @@ from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
 from symsimpson.support.names import counted
 
-__all__ = ["Ensemble", "names_in_dataset", "spread"]
+__all__ = ["Ensemble", "names_in_dataset"]
 
 #: Names that a dataset has for itself.
 STATES = ("q", "p", "q0", "v0", "p0", "variations")
 RESERVED = (*STATES, "status", "steps", "newton_iterations", "member", "time", "coord")
-
-
-def spread(members: int, most: int) -> NDArray[np.int64]:
-    """Return so many members at most, spread over all."""
-    return np.unique(np.linspace(0, members - 1, min(members, most)).astype(np.int64))
 
 
 @explaining()
@@ -136,8 +130,9 @@ class Ensemble(Quantities, Differentiated):
             raise IndexError(f"there is no member {member}: there are {len(self)}, from 0 on")
         return member_of(self, member % len(self))
 
-    #: Iterating over quantities or over members: neither is what everybody expects.
-    __iter__ = None
+    def __iter__(self) -> Iterator[States]:
+        """Iterate over the members, each as ``ensemble[k]`` gives it."""
+        return (self[k] for k in range(len(self)))
 
     @property
     def stored(self) -> int:
@@ -319,17 +314,21 @@ class Ensemble(Quantities, Differentiated):
         arrays |= {f"parameter_{name}": x for name, x in self.parameters.items()}
         return arrays | {f"reduced_{name}": x for name, x in self.reduced.items()}
 
-    def plot(self, name: str | None = None, *, most: int = 100, ax: Any = None) -> Any:
-        """Draw a quantity of the members over time, or a histogram where last states are stored.
+    def plot(
+        self, name: str | None = None, *, members: Any = None, most: Any = None, ax: Any = None
+    ) -> Any:
+        """Draw the median and bands of 50 and 90 % of members, or a histogram of last states.
 
         Parameters
         ----------
         name : str, optional
             As in ``ensemble["q1"]``; the first coordinate unless given.
-        most : int
-            So many members at most, spread over all.
+        members : int or sequence of int, optional
+            Draw lines of these members, or of so many, in place of bands.
+        most : int, optional
+            The same as ``members`` with a number.
         ax : matplotlib axes, optional
-            Drawn into; made if there are none.
+            Axes to draw in; new ones unless given.
 
         Returns
         -------
@@ -338,7 +337,7 @@ class Ensemble(Quantities, Differentiated):
         Raises
         ------
         InputError
-            If matplotlib is not installed.
+            If matplotlib is not installed, or there are no such members.
 
         Examples
         --------
@@ -348,10 +347,9 @@ class Ensemble(Quantities, Differentiated):
         >>> many.plot("energy").get_ylabel()
         'energy'
         """
-        from symsimpson.plotting.run_figures import plot_members
+        from symsimpson.plotting.run_figures import members_drawn, plot_members
 
-        some = spread(len(self), read_count("most", most, 1))
-        return plot_members(self, name, some, ax=ax)
+        return plot_members(self, name, members_drawn(len(self), members, most), ax=ax)
 
     def _about(self) -> dict[str, Any]:
         """Where the numbers come from."""

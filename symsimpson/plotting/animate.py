@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from symsimpson.errors import InputError
-from symsimpson.plotting.axes import axes, colours
-from symsimpson.plotting.pictures import KINDS, film_in_plane, write_film
-from symsimpson.plotting.scene import scene_of
+from symsimpson.plotting.axes import axes, colours, dotted, label, legend
+from symsimpson.plotting.curve import FINE, ROUGH, at_once, chords_miss, curve_of
+from symsimpson.plotting.pictures import DOTS, KINDS, film_in_plane, frame_scene, write_film
+from symsimpson.plotting.scene import Film, places_of, scene_of
 from symsimpson.plotting.space import film_in_space
 from symsimpson.program.input_values import whole_number
 from symsimpson.support.files import read_path, write_text, written_beside
@@ -24,8 +25,12 @@ __all__ = ["Animation", "animate", "plot_path"]
 
 #: Runs of at most so many seconds are shown as fast as they are.
 LONGEST = 10.0
-#: A trail has so many points from one frame to the next.
-FINE = 8
+#: A trail has from COARSE to FINEST points from one frame to the next.
+COARSE, FINEST = 8, 32
+#: Paths that jump by more than this part of a figure, by an action of an event, are broken there.
+JUMP = 1e-6
+#: Inches, and dots an inch, of a figure are fewer.
+MOST_DOTS = 1000
 
 
 class Animation:
@@ -56,9 +61,9 @@ class Animation:
         ----------
         path : path
             In ``.html``, a page that plays anywhere; in ``.gif`` or ``.mp4`` (needs ffmpeg, or
-            ``pip install imageio-ffmpeg``); or in ``.png``, one frame.
+            ``pip install imageio-ffmpeg``); or in ``.png``, one frame, the first by default.
         frame : int
-            Which one; a negative number counts from the end.
+            Number of the frame in a ``.png`` file; a negative number counts from the end.
 
         Returns
         -------
@@ -96,7 +101,14 @@ class Animation:
         return f"Animation({self.frames} frames; save('film.html') keeps it)"
 
 
-def animate(run: Any, *, seconds: float | None = None, fps: int = 20) -> Animation:
+def animate(
+    run: Any,
+    *,
+    seconds: float | None = None,
+    fps: int = 20,
+    figsize: tuple[float, float] | None = None,
+    dpi: float = DOTS,
+) -> Animation:
     """Film the points and bodies of a system."""
     numbers = all(isinstance(x, Real) for x in (fps, 1 if seconds is None else seconds))
     if not numbers or not 1 <= fps <= 100 or not (seconds is None or 0 < seconds <= 600):
@@ -104,20 +116,46 @@ def animate(run: Any, *, seconds: float | None = None, fps: int = 20) -> Animati
             f"seconds={seconds!r}, fps={fps!r} make no film.\n"
             "Pass up to 600 seconds, and from 1 to 100 frames in each."
         )
+    sizes = [dpi, *np.ravel((1, 1) if figsize is None else figsize)]
+    real = all(isinstance(x, (int, float, np.number)) for x in sizes)
+    if len(sizes) != 3 or not real or not all(0 < x < MOST_DOTS for x in sizes):
+        raise InputError(
+            f"figsize={figsize!r}, dpi={dpi!r} are no size of a figure.\n"
+            "Pass a width and a height in inches, and dots per inch: figsize=(6, 4), dpi=100."
+        )
     span = abs(float(run.t[-1] - run.t[0]))
     length = seconds or (span if 1 <= span <= LONGEST else LONGEST)
     frames = max(2, round(length * fps))
-    t = np.linspace(float(run.t[0]), float(run.t[-1]), (frames - 1) * FINE + 1)
-    scene = scene_of(run.at(t), FINE)
+    for fine in (COARSE, 2 * COARSE, FINEST):
+        t = np.linspace(float(run.t[0]), float(run.t[-1]), (frames - 1) * fine + 1)
+        miss = chords_miss(run.at(t), read_places, run)
+        if miss <= FINE:
+            break
+    between = np.flatnonzero(np.arange(len(t)) % fine)
+    for record in getattr(run, "records", ()):  # trails pass through the places of events
+        if min(t[0], t[-1]) < record.t < max(t[0], t[-1]):
+            t[between[np.abs(t[between] - record.t).argmin()]] = record.t
+    scene = scene_of(run.at(t), fine, joined=miss <= ROUGH)
+    inches, more = ((8.3, 9.2), 50) if scene.spatial else ((4.2, 4.2), 168)
+    make = film_in_space if scene.spatial else film_in_plane
     title = f"{run.program.system}, {run.program.scheme}"
-    make, size = (film_in_space, (640, 720)) if scene.spatial else (film_in_plane, (420, 470))
-    shown = scene, t[::FINE], fps, title
-    return Animation(partial(make, *shown), partial(write_film, *shown), frames, size)
+    width, height = figsize or inches
+    film = Film(scene, t[::fine], fps, title, (width, height), dpi)
+    size = max(round(width * dpi) + 50, 420), round(height * dpi) + more
+    return Animation(partial(make, film), partial(write_film, film), frames, size)
 
 
-def plot_path(run: Any, *, ax: Any = None) -> Any:
+def read_places(some: Any) -> list[Any]:
+    """Return all positions at some states, as one array."""
+    places = places_of(some).values()
+    return [np.concatenate([x.reshape(len(some), -1) for x in places], axis=1)]
+
+
+def plot_path(run: Any, *, connected: bool = True, ax: Any = None) -> Any:
     """Draw the paths of the points of a system, and where all is in the end."""
-    scene = scene_of(run)
+    read_places(run[-1:])
+    curve = curve_of(run, read_places, connected, thin=True)
+    scene = scene_of(curve.states, joined=curve.connected)
     in_space = {"subplot_kw": {"projection": "3d"}} if scene.spatial else {}
     ax = axes(ax, (5, 5) if scene.spatial else (4.5, 4.5), **in_space)
     if scene.spatial and not hasattr(ax, "set_zlim"):
@@ -125,18 +163,21 @@ def plot_path(run: Any, *, ax: Any = None) -> Any:
             f"{run.program.system} moves in space, and these axes are plane.\n"
             "Make axes with plt.subplots(subplot_kw={'projection': '3d'}), or leave ax out."
         )
+    jumps = at_once(curve.states.t) & (
+        np.abs(np.diff(scene.fine, axis=0)).max(axis=(1, 2)) > JUMP * scene.reach
+    )
+    paths = np.insert(scene.fine, np.flatnonzero(jumps) + 1, np.nan, axis=0)
+    how = {"lw": 0.7, "alpha": 0.8} if scene.joined else dotted(len(scene.fine))
     for k, (name, colour) in enumerate(zip(scene.names, colours(len(scene.names)), strict=True)):
-        ax.plot(*scene.fine[:, k].T, lw=0.7, color=colour, alpha=0.8, label=name)
+        ax.plot(*paths[:, k].T, color=colour, label=label(name), **how)
     for link in scene.links:
         style = {"lw": 1.6, "ls": "-"} if link.rigid else {"lw": 0.8, "ls": ":"}
         ax.plot(*scene.ends(-1, link).T, color="0.25", **style)
     for body in scene.bodies:
         ax.plot(*body[-1].T, color="0.25", lw=1.6)
     ax.plot(*scene.points[-1].T, "o", color="C0", ms=6)
-    for axis, middle in zip("xyz", scene.middle, strict=False):
-        getattr(ax, f"set_{axis}lim")(middle - scene.reach, middle + scene.reach)
-    ax.set_aspect("equal")
-    ax.set(title=f"{run.program.system}, {run.program.scheme}", xlabel="x", ylabel="y")
+    frame_scene(ax, scene)
+    ax.set_title(f"{run.program.system}, {run.program.scheme}")
     if len(scene.names) > 1:
-        ax.legend(fontsize=8)
+        legend(ax)
     return ax

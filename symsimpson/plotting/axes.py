@@ -1,13 +1,19 @@
-"""Axes to draw into."""
+"""Axes to draw into, and their names."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from symsimpson.errors import InputError
 from symsimpson.support.extras import library
+from symsimpson.support.names import spelled
 
-__all__ = ["axes", "colours"]
+__all__ = ["axes", "colours", "dotted", "label", "legend", "name_axis"]
+
+#: An axis has its power of ten in its label if its range is at least this part of its values; else
+#: matplotlib writes what its numbers have in common beside it.
+WIDE = 0.01
 
 
 def axes(ax: Any, size: tuple[float, float], **how: Any) -> Any:
@@ -33,3 +39,48 @@ def colours(count: int) -> list[Any]:
         return [matplotlib.colors.to_hex(f"C{k}") for k in range(count)]
     turbo = matplotlib.colormaps["turbo"]
     return [turbo(k / (count - 1)) for k in range(count)]
+
+
+def label(name: Any) -> str:
+    """Return a name as matplotlib writes it as it is.
+
+    It would read what is between dollars as a formula, and hide what begins with a line.
+    """
+    text = spelled(name).replace("$", r"\$")
+    return f" {text}" if text.startswith("_") else text
+
+
+def dotted(count: int) -> dict[str, Any]:
+    """Return the style of so many states that no line connects."""
+    return {"ls": "none", "marker": ".", "ms": 2.5 if count > 300 else 5}
+
+
+def name_axis(ax: Any, axis: str, name: Any, unit: str | None = None) -> None:
+    """Label the axis "x", "y" or "z" with a name and a unit, after all is drawn.
+
+    The label has the power of ten of large and small numbers, which matplotlib puts in a corner.
+    """
+    ticker = library("matplotlib.ticker", "a figure", "plot")
+    scale = getattr(ax, f"{axis}axis")
+    limits = getattr(ax, f"get_{axis}lim")()
+    largest = max(map(abs, limits))
+    power = math.floor(math.log10(largest)) if 0 < largest < math.inf else 0
+    least, most = library("matplotlib", "a figure", "plot").rcParams["axes.formatter.limits"]
+    moved = not least < power < most and abs(limits[1] - limits[0]) > WIDE * largest
+    parts = [label(unit)] if unit else []
+    if isinstance(scale.get_major_formatter(), ticker.ScalarFormatter):
+        formatter = ticker.ScalarFormatter()
+        if moved:
+            parts.insert(0, f"$10^{{{power}}}$")
+            formatter.set_useOffset(False)
+            formatter.set_powerlimits((power, power))
+        scale.set_major_formatter(formatter)
+        scale.offsetText.set_visible(not moved)
+    shown = [label(name), f"[{' '.join(parts)}]"] if parts else [label(name)]
+    getattr(ax, f"set_{axis}label")(" ".join(filter(str.strip, shown)))
+
+
+def legend(ax: Any) -> None:
+    """Name the lines beside axes, where the names hide none of them."""
+    away = 1.1 if hasattr(ax, "get_zlim") else 1.01
+    ax.legend(fontsize=8, loc="upper left", bbox_to_anchor=(away, 1), frameon=False)

@@ -11,18 +11,19 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from symsimpson.plotting.scene import Scene
+from symsimpson.plotting.axes import dotted, name_axis
+from symsimpson.plotting.scene import Film, Scene
 from symsimpson.support.extras import library
 from symsimpson.support.progress import Progress
 
-__all__ = ["KINDS", "film_in_plane", "write_film"]
+__all__ = ["DOTS", "KINDS", "film_in_plane", "frame_scene", "write_film"]
 
 #: Kinds of files, and what writes them.
 KINDS = {".gif": "pillow", ".mp4": "ffmpeg", ".png": "one frame"}
 
 #: A frame has few colours; with so many it is a third as long, and looks the same.
 COLOURS = 48
-#: Dots an inch, whatever the style is.
+#: Dots an inch by default, whatever the style is.
 DOTS = 72
 #: matplotlib's player takes its icons from elsewhere; these are letters of any font.
 ICONS = {
@@ -38,13 +39,15 @@ ICONS = {
 }
 
 
-def film_in_plane(scene: Scene, t: Any, fps: int, title: str) -> str:
+def film_in_plane(shown: Film) -> str:
     """Return a page with matplotlib's own player, that needs no connection."""
     film = library("matplotlib.animation", "an animation", "plot")
-    with _moving(scene, t, fps, title) as animation, tempfile.TemporaryDirectory() as folder:
+    with _moving(shown) as animation, tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "film.html"
-        writer = film.HTMLWriter(fps=fps, embed_frames=True, default_mode="loop", embed_limit=500)
-        _save(animation, path, writer, len(t))
+        writer = film.HTMLWriter(
+            fps=shown.fps, embed_frames=True, default_mode="loop", embed_limit=500
+        )
+        _save(animation, path, writer, shown)
         page = path.read_text(encoding="utf-8")
     page = re.sub(r'(?<=image/png;base64,)[^"]+', _smaller, page)
     page = re.sub(r"<link[^>]*>\s*", "", page)
@@ -52,9 +55,7 @@ def film_in_plane(scene: Scene, t: Any, fps: int, title: str) -> str:
     return re.sub(r'<i class="fa fa-([^"]*)"></i>', lambda tag: ICONS[tag[1]], page)
 
 
-def write_film(
-    scene: Scene, t: Any, fps: int, title: str, path: Path, kind: str, frame: int
-) -> None:
+def write_film(shown: Film, path: Path, kind: str, frame: int) -> None:
     """Write a film, or one frame of it, as files of its kind are.
 
     Raises InputError if what writes this kind is not installed.
@@ -65,37 +66,46 @@ def write_film(
         library("matplotlib", "an animation", "plot").rcParams["animation.ffmpeg_path"] = (
             ffmpeg.get_ffmpeg_exe()
         )
-    with _moving(scene, t, fps, title) as animation:
+    with _moving(shown) as animation:
         if kind == ".png":
             animation._func(frame)
-            animation._fig.savefig(path, format="png", dpi=2 * DOTS)
+            animation._fig.savefig(path, format="png", dpi=max(2 * DOTS, shown.dpi))
         else:
-            _save(animation, path, film.writers[KINDS[kind]](fps=fps), len(t))
+            _save(animation, path, film.writers[KINDS[kind]](fps=shown.fps), shown)
 
 
-def _save(animation: Any, path: Path, writer: Any, frames: int) -> None:
-    with Progress(frames, None, "frame") as bar:
+def _save(animation: Any, path: Path, writer: Any, shown: Film) -> None:
+    with Progress(len(shown.t), None, "frame") as bar:
         animation.save(
-            path, writer=writer, dpi=DOTS, progress_callback=lambda frame, all_: bar.add(1)
+            path, writer=writer, dpi=shown.dpi, progress_callback=lambda frame, all_: bar.add(1)
         )
 
 
+def frame_scene(ax: Any, scene: Scene) -> None:
+    """Give axes the limits of a scene, equal scales, and names."""
+    for axis, middle in zip("xyz", scene.middle, strict=False):
+        ax.set(**{f"{axis}lim": (middle - scene.reach, middle + scene.reach)})
+        name_axis(ax, axis, axis, scene.unit)
+    ax.set_aspect("equal")
+
+
 @contextmanager
-def _moving(scene: Scene, t: Any, fps: int, title: str) -> Iterator[Any]:
+def _moving(shown: Film) -> Iterator[Any]:
     """Draw a scene frame by frame, in a style of its own."""
     matplotlib = library("matplotlib", "an animation", "plot")
     figures = library("matplotlib.figure", "an animation", "plot")
     film = library("matplotlib.animation", "an animation", "plot")
+    scene = shown.scene
     with matplotlib.rc_context({"figure.constrained_layout.use": False}):  # it has its own
-        figure = figures.Figure(figsize=(4.2, 4.2), dpi=DOTS)
+        figure = figures.Figure(figsize=shown.size, dpi=shown.dpi)
         space = {"projection": "3d"} if scene.spatial else {}
-        ax = figure.add_axes((0.13, 0.08, 0.84, 0.84), **space)
-        for axis, middle in zip("xyz", scene.middle, strict=False):
-            ax.set(**{f"{axis}lim": (middle - scene.reach, middle + scene.reach)})
-        ax.set_aspect("equal")
+        ax = figure.add_axes((0.16, 0.12, 0.8, 0.8), **space)
+        frame_scene(ax, scene)
         ax.grid(lw=0.4, alpha=0.6)
-        draw = _painter(ax, scene, t, title)
-        animation = film.FuncAnimation(figure, draw, frames=len(t), interval=1000 / fps, blit=False)
+        draw, every = _painter(ax, scene, shown.t, shown.title), 1000 / shown.fps
+        animation = film.FuncAnimation(
+            figure, draw, frames=len(shown.t), interval=every, blit=False
+        )
         animation._draw_was_started = True  # a single frame needs no film
         yield animation
 
@@ -104,7 +114,8 @@ def _painter(ax: Any, scene: Scene, t: Any, title: str) -> Callable[[int], list[
     """Return what draws a frame."""
     nothing: list[Any] = [[]] * len(scene.middle)
     caption = ax.set_title("", fontsize=10)
-    trails = [ax.plot(*nothing, lw=0.9, color="C1", alpha=0.6)[0] for _ in scene.names]
+    trail_style = {"lw": 0.9} if scene.joined else dotted(len(scene.fine))
+    trails = [ax.plot(*nothing, color="C1", alpha=0.6, **trail_style)[0] for _ in scene.names]
     lines = [
         ax.plot(*nothing, color="0.25", lw=2.2 if x.rigid else 0.8, ls="-" if x.rigid else ":")[0]
         for x in scene.links

@@ -2,34 +2,31 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import cycle
 from typing import Any
 
 import numpy as np
 
 from symsimpson.errors import InputError
-from symsimpson.plotting.axes import axes, colours
+from symsimpson.plotting.axes import axes, colours, dotted, label, legend, name_axis
+from symsimpson.plotting.curve import MOST, curve_of, envelope, sample
+from symsimpson.program.input_values import read_count
 from symsimpson.support.names import counted, shortened, spelled
 
-__all__ = ["plot", "plot_energy", "plot_exponents", "plot_members", "plot_phase"]
+__all__ = ["plot", "plot_energy", "plot_exponents", "plot_members", "plot_phase", "plot_section"]
 
-#: The dots of states that no line connects.
-DOTS = {"ls": "none", "marker": ".", "ms": 2.5}
-
-
-def label(name: Any) -> str:
-    """Return a name as matplotlib writes it as it is.
-
-    It would read what is between dollars as a formula, and hide what begins with a line.
-    """
-    text = spelled(name).replace("$", r"\$")
-    return f" {text}" if text.startswith("_") else text
-
-
-def with_unit(name: Any, units: Mapping[str, str]) -> str:
-    """Return a name as matplotlib writes it, and its unit if that is known."""
-    unit = units.get(spelled(name))
-    return label(name) + (f" [{unit}]" if unit else "")
+#: Quantities whose largest values differ by more than this factor have panels of their own.
+APART = 30
+#: Numbers below this part of others are rounding.
+ROUNDING = 1e-9
+#: Up to LINES share a panel; if there are more, FEW do, in colours that are easily told apart.
+LINES, FEW = 12, 10
+#: So many coordinates are drawn unless names are given.
+SHOWN = 60
+#: What bands show of an ensemble.
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
 def read_names(given: Any, default: Sequence[Any]) -> list[Any]:
@@ -56,52 +53,127 @@ def is_name(given: Any) -> bool:
 
 def plot(some: Any, names: Any = None, *, connected: bool = True, ax: Any = None) -> Any:
     """Draw quantities over time: all coordinates, unless some are named."""
-    wanted = read_names(names, some.program.coordinates)
-    values, units = {spelled(name): some[name] for name in wanted}, some.program.units
-    by_unit: dict[str | None, list[str]] = {}
-    for name in values:
-        by_unit.setdefault(units.get(name), []).append(name)
+    wanted = [spelled(name) for name in read_names(names, some.program.coordinates)]
+    units, steady = some.program.units, {"energy", *some.program.invariants}
     title = f"{some.program.system}, {some.program.scheme}"
-    if ax is None and len(by_unit) > 1:  # one above the other: lengths say nothing beside angles
-        size = (7, 1.2 + 1.6 * len(by_unit))
-        panels = list(axes(None, size, nrows=len(by_unit), sharex=True))
-    else:
-        panels, by_unit = [axes(ax, (7, 3.5))], {None: list(values)}
-    how, colour = ({"lw": 1.2} if connected else DOTS), iter(colours(len(values)))
-    for panel, (unit, together) in zip(panels, by_unit.items(), strict=True):
-        for name in together:
-            panel.plot(some.t, values[name], label=label(name), color=next(colour), **how)
+    if names is None and len(wanted) > SHOWN:
+        title += f": {SHOWN} of {len(wanted)} coordinates"
+        wanted = wanted[:SHOWN]
+    # the energy at a state between others says little of that at these
+    moving = [name for name in wanted if name not in steady]
+    curve = curve_of(some, lambda states: [states[name] for name in moving], connected)
+    drawn = {name: curve.states if name in moving else curve.knots for name in wanted}
+    values = {name: states[name] for name, states in drawn.items()}
+    groups = panels_of(values, units) if ax is None else [list(values)]
+    size = (7, 3.5 if len(groups) == 1 else 1.2 + 1.6 * len(groups))
+    panels = np.ravel(
+        axes(ax, size, **({"nrows": len(groups), "sharex": True} if ax is None else {}))
+    )
+    hues = cycle(colours(len(values) if ax or len(values) <= LINES else FEW))
+    for panel, group in zip(panels, groups, strict=True):
+        for name in group:
+            joined, how = connected and (curve.connected or name in steady), {"label": label(name)}
+            draw_over_time(panel, drawn[name].t, values[name], joined, color=next(hues), **how)
         panel.grid(lw=0.4, alpha=0.6)
-        if len(together) == 1:
-            panel.set_ylabel(with_unit(together[0], units))
-        else:
-            same = {units.get(name) for name in together}
-            shared = unit or (same.pop() if len(same) == 1 else None)
-            panel.set_ylabel(f"[{shared}]" if shared else "")
-            panel.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1))
+        shared = {units.get(name) for name in group}
+        unit = shared.pop() if len(shared) == 1 else None
+        name_axis(panel, "y", group[0] if len(group) == 1 else "", unit)
+        if len(group) > 1:
+            legend(panel)
     panels[0].set_title(title)
-    panels[-1].set_xlabel(with_unit("t", units))
+    name_axis(panels[-1], "x", "t", units.get("t"))
     return panels[0]
 
 
+def draw_over_time(ax: Any, t: Any, values: Any, joined: bool, **how: Any) -> None:
+    """Draw a line, or dots, of a quantity that has a number or several at each time."""
+    how = {"lw": 1.2, **how} if joined else {**dotted(len(t)), **how}
+    for column in np.reshape(values, (len(t), math.prod(np.shape(values)[1:]))).T:
+        few = sample(len(t), MOST)
+        ax.plot(*(envelope(t, column) if joined else (t[few], column[few])), **how)
+
+
+def panels_of(values: Mapping[str, Any], units: Mapping[str, str]) -> list[list[str]]:
+    """Return names for panels, one above the other.
+
+    Lengths say nothing beside angles, and small numbers nothing beside large ones.
+    """
+    groups: list[list[str]] = []
+    for unit in dict.fromkeys(map(units.get, values)):
+        sizes = {}
+        for name, column in values.items():
+            if units.get(name) == unit:
+                y = np.abs(np.asarray(column, dtype=np.float64))
+                sizes[name] = y.max(where=np.isfinite(y), initial=0.0)
+        largest = max(sizes.values())  # what is 0 up to rounding may stand anywhere
+        sizes = {name: x if x > ROUNDING * largest else largest for name, x in sizes.items()}
+        least = np.inf
+        for name in sorted(sizes, key=sizes.__getitem__):
+            if not groups or sizes[name] > APART * least or least == np.inf:
+                groups.append([])
+                least = sizes[name]
+            groups[-1].append(name)
+    order, most = list(values).index, LINES if len(values) <= LINES else FEW
+    groups = sorted((sorted(group, key=order) for group in groups), key=lambda x: order(x[0]))
+    parts = [np.array_split(group, -(-len(group) // most)) for group in groups]
+    return [part.tolist() for group in parts for part in group]
+
+
+def members_drawn(count: int, members: Any, most: Any) -> Any:
+    """Return numbers of members to draw, spread over all if they are counted; None for bands.
+
+    Raises InputError if there are no such members.
+    """
+    if np.ndim(members):
+        if np.size(members) and np.isin(members, np.arange(-count, count)).all():
+            return np.asarray(members, dtype=np.int64)
+        raise InputError(
+            f"members={shortened(members)} are none of {counted(count, 'member')}.\n"
+            "Pass how many to draw, or their numbers, from 0 on."
+        )
+    given = {"most": most, "members": members}
+    wanted = [read_count(name, x, 1) for name, x in given.items() if x is not None]
+    return np.linspace(0, count - 1, min(count, *wanted)).astype(np.int64) if wanted else None
+
+
 def plot_members(many: Any, name: Any, some: Any, *, ax: Any = None) -> Any:
-    """Draw a quantity of some members over time, or how its last values are spread."""
+    """Draw how a quantity of all members is spread, over time or at the end, or lines of some."""
     (name,) = read_names(None if name is None else [name], many.program.coordinates[:1])
-    values, units = many[name], many.program.units
-    ax, shown = axes(ax, (7, 3.5)), len(some)
-    if values.ndim == 2:
-        times = np.broadcast_to(many.t, values.shape)
-        ax.plot(times[some].T, values[some].T, lw=0.8, alpha=max(0.15, min(1.0, 8 / len(some))))
-        ax.set(xlabel=with_unit("t", units), ylabel=with_unit(name, units))
-    else:
-        last = values[np.isfinite(values)]  # of all, not of some
+    values, program = np.asarray(many[name], dtype=np.float64), many.program
+    ax, shown, unit = axes(ax, (7, 3.5)), len(many), program.units.get(spelled(name))
+    if some is None and np.ndim(many.t) == 2:  # each has times of its own
+        some = members_drawn(len(many), 100, None)
+    if values.ndim == 1:
+        last = values[np.isfinite(values)]
         shown = len(last)
         ax.hist(last, bins=min(60, max(5, int(len(last) ** 0.5))))
-        ax.set(xlabel=f"{with_unit(name, units)} at the end", ylabel="members")
-    program = many.program
+        ax.set_ylabel("members")
+        name_axis(ax, "x", f"{spelled(name)} at the end", unit)
+    else:
+        if some is None:
+            draw_bands(ax, many.t, values)
+        else:
+            shown, how = len(some), {"lw": 0.8, "alpha": max(0.15, min(1.0, 8 / len(some)))}
+            joined = curve_of(many[int(some[0])], lambda states: [states[name]]).connected
+            times = np.broadcast_to(many.t, values.shape)
+            for k in some:
+                draw_over_time(ax, times[k], values[k], joined, **how)
+        name_axis(ax, "x", "t", program.units.get("t"))
+        name_axis(ax, "y", name, unit)
     ax.set_title(f"{program.system}, {program.scheme}: {shown} of {counted(len(many), 'member')}")
     ax.grid(lw=0.4, alpha=0.6)
     return ax
+
+
+def draw_bands(ax: Any, t: Any, values: Any) -> None:
+    """Draw the median of members at each time, and bands that hold half and 90 % of them."""
+    some = np.isfinite(values).any(axis=0)  # until the last member failed
+    values, t = np.where(np.isfinite(values), values, np.nan)[:, some], t[some]
+    lowest, low, median, high, highest = np.nanquantile(values, QUANTILES, axis=0)
+    ax.fill_between(t, lowest, highest, color="C0", alpha=0.2, lw=0, label="5 to 95 %")
+    ax.fill_between(t, low, high, color="C0", alpha=0.35, lw=0, label="25 to 75 %")
+    ax.plot(t, median, color="C0", lw=1.2, label="median", marker="." if len(t) <= 50 else "")
+    legend(ax)
 
 
 def plot_phase(
@@ -110,37 +182,63 @@ def plot_phase(
     """Draw one quantity over another: a momentum over its coordinate, unless others are named."""
     (x,) = read_names(None if x is None else [x], some.program.coordinates[:1])
     (y,) = read_names(None if y is None else [y], [f"p_{spelled(x)}"])
-    curve = some[x], some[y]
+    program = some.program
+    curve = curve_of(some, lambda states: [states[x], states[y]], connected, thin=True)
+    drawn = curve.states[x], curve.states[y]
     ax = axes(ax, (4.5, 4.5))
-    ax.plot(*curve, **({"lw": 0.8} if connected else DOTS))
-    title = f"{some.program.system}, {some.program.scheme}"
-    units = some.program.units
-    ax.set(xlabel=with_unit(x, units), ylabel=with_unit(y, units), title=title)
+    ax.locator_params(axis="x", nbins=6)
+    ax.plot(*drawn, **({"lw": 0.8} if curve.connected else dotted(len(some))))
+    ax.set_title(f"{program.system}, {program.scheme}")
+    for axis, name in (("x", x), ("y", y)):
+        name_axis(ax, axis, name, program.units.get(spelled(name)))
     ax.grid(lw=0.4, alpha=0.6)
     return ax
+
+
+def plot_section(crossings: Any, names: Any = None, *, ax: Any = None) -> Any:
+    """Draw states of a section: two quantities that are named, or that it does not fix."""
+    wanted = read_names(names, free_names(crossings))
+    if len(wanted) == 2:
+        return plot_phase(crossings, *wanted, connected=False, ax=ax)
+    return plot(crossings, wanted, connected=False, ax=ax)
+
+
+def free_names(crossings: Any) -> tuple[str, ...]:
+    """Return the first coordinate of a section that it does not fix, and its momentum.
+
+    Changes are compared with how far the system moves meanwhile, which has the same unit.
+    """
+    t, q, p, v = (np.asarray(getattr(crossings, x), dtype=np.float64) for x in "tqpv")
+    names = crossings.program.coordinates
+    if len(t) > 1:
+        size = np.maximum(np.abs(q).max(axis=0), np.abs(v).max(axis=0) * np.ptp(t))
+        free = np.ptp(q, axis=0) > ROUNDING * size
+        free &= np.ptp(p, axis=0) > ROUNDING * np.abs(p).max(axis=0)
+        if free.any():
+            name = names[int(free.argmax())]
+            return name, f"p_{name}"
+    return (f"p_{names[0]}",) if len(names) == 1 else names[:1]
 
 
 def plot_energy(run: Any, *, shadow: bool = False, ax: Any = None) -> Any:
     """Draw the error of the energy over time; where forces do work, the energy less that work."""
     ax = axes(ax, (7, 3))
-    constant = run.program.header.conservative
-    change = run.energy_error if constant else run.energy_balance
-    ax.plot(run.t, change, lw=0.8, label="energy" if shadow else None)
+    constant, unit = run.program.header.conservative, run.program.units.get("energy")
+    absolute = not constant and unit is not None
+    scale = 1.0 if constant or absolute else run.energy_scale
+    change = run.energy_error if constant else run.energy_balance / scale
+    draw_over_time(ax, run.t, change, True, lw=0.8, label="energy" if shadow else None)
     if shadow:
-        kept = run.shadow_energy
-        ax.plot(run.t, (kept - kept[0]) / run.energy_scale, lw=0.8, label="shadow energy")
-        ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1), frameon=False)
-    name = f"{run.program.system}, {run.program.scheme}, h = {float(run.h):g}"
-    shown, unit = "H - H0" if constant else "H - H0 - work", run.program.units.get("energy")
-    if constant and run.energy_scale == abs(run.E0):
-        shown = "(H - H0) / |H0|"
-    elif constant and run.kinetic_energy.any():
-        shown = "(H - H0) / kinetic energy"
-    elif unit:
-        shown += f" [{unit}]"
+        kept = (run.shadow_energy - run.shadow_energy[0]) / run.energy_scale
+        draw_over_time(ax, run.t, kept, True, lw=0.8, label="shadow energy")
+        legend(ax)
+    shown, relative = "H - H0" if constant else "H - H0 - work", ""
+    if not absolute and (run.E0 or run.kinetic_energy.any()):
+        relative = "|H0|" if run.energy_scale == abs(run.E0) else "kinetic energy"
+    name_axis(ax, "x", "t", run.program.units.get("t"))
+    name_axis(ax, "y", f"({shown}) / {relative}" if relative else shown, None if relative else unit)
     what = "energy error" if constant else "energy balance"
-    time = with_unit("t", run.program.units)
-    ax.set(xlabel=time, ylabel=shown, title=f"{what}: {name}")
+    ax.set_title(f"{what}: {run.program.system}, {run.program.scheme}, h = {float(run.h):g}")
     ax.grid(lw=0.4, alpha=0.6)
     return ax
 
@@ -152,7 +250,10 @@ def plot_exponents(chaos: Any, *, ax: Any = None) -> Any:
     for k, history in enumerate(chaos.history.T):
         ax.plot(chaos.t, history, lw=0.8, label=f"exponent {k + 1}")
     program = chaos.trajectory.program
-    ax.set(xlabel="t", ylabel="exponent, 1 / time", title=f"{program.system}, {program.scheme}")
-    ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1), frameon=False)
+    unit = program.units.get("t")
+    name_axis(ax, "x", "t", unit)
+    name_axis(ax, "y", "exponent", f"1/{unit}" if unit else "1 / time")
+    ax.set_title(f"{program.system}, {program.scheme}")
+    legend(ax)
     ax.grid(lw=0.4, alpha=0.6)
     return ax

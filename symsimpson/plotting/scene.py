@@ -10,8 +10,9 @@ import numpy as np
 from symsimpson.errors import InputError
 from symsimpson.mechanics.points import points_of
 from symsimpson.support.array_types import Floats
+from symsimpson.support.names import spelled
 
-__all__ = ["Link", "Scene", "scene_of"]
+__all__ = ["Film", "Link", "Scene", "places_of", "scene_of"]
 
 #: Distances that change by less than this, of the size of the scene, do not change.
 RIGID = 1e-6
@@ -41,6 +42,8 @@ class Scene:
     middle: Floats  #: shape (2 or 3,)
     reach: float  #: Nothing is farther from the middle, along an axis.
     stride: int  #: Points in ``fine`` from one frame to the next.
+    unit: str  #: That of all positions.
+    joined: bool  #: Whether lines between ``fine`` follow the motion.
 
     @property
     def points(self) -> Floats:
@@ -62,8 +65,39 @@ class Scene:
         return np.array([first, self.points[frame, link.second]])
 
 
-def scene_of(some: Any, stride: int = 1) -> Scene:
+@dataclass(frozen=True)
+class Film:
+    """A scene, the times of its frames, and how they are shown."""
+
+    scene: Scene
+    t: Floats
+    fps: int
+    title: str
+    size: tuple[float, float]  #: In inches.
+    dpi: float
+
+
+def scene_of(some: Any, stride: int = 1, *, joined: bool = True) -> Scene:
     """Evaluate the positions that were declared with a system; each ``stride``-th state is a frame.
+
+    Raises InputError if there are none.
+    """
+    flat = places_of(some)
+    points = {name: x[:, None] for name, x in flat.items() if x.ndim == 2}
+    bodies = [np.concatenate([x, x[:, :1]], axis=1) for x in flat.values() if x.ndim == 3]
+    together = np.concatenate(list(points.values()) or [bodies[0][:, :0]], axis=1)
+    links = _links(together)
+    drawn = [together, *bodies, *([0 * together] if any(link.first < 0 for link in links) else [])]
+    low = np.min([x.min(axis=(0, 1)) for x in drawn if x.size], axis=0)
+    high = np.max([x.max(axis=(0, 1)) for x in drawn if x.size], axis=0)
+    reach = 0.55 * float((high - low).max()) or 1.0
+    thinned, middle = tuple(x[::stride] for x in bodies), (low + high) / 2
+    unit = unit_of(some.program)
+    return Scene(tuple(points), together, thinned, links, middle, reach, stride, unit, joined)
+
+
+def places_of(some: Any) -> dict[str, Floats]:
+    """Return points, shape (N, 2 or 3), and corners of bodies, (N, corners, 2 or 3), by name.
 
     Raises InputError if there are none.
     """
@@ -79,20 +113,25 @@ def scene_of(some: Any, stride: int = 1) -> Scene:
         raise InputError("there are no states to draw.\nTake a longer run, or another part of it.")
     places = points_of(declared, some.t, some.q, some.parameter_values)
     dimension = max(2, *(x.shape[-1] for x in places.values()))
-    flat = {
+    return {
         name: np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, dimension - x.shape[-1])])
         for name, x in places.items()
     }
-    points = {name: x[:, None] for name, x in flat.items() if x.ndim == 2}
-    bodies = [np.concatenate([x, x[:, :1]], axis=1) for x in flat.values() if x.ndim == 3]
-    joined = np.concatenate(list(points.values()) or [bodies[0][:, :0]], axis=1)
-    links = _links(joined)
-    drawn = [joined, *bodies, *([0 * joined] if any(link.first < 0 for link in links) else [])]
-    low = np.min([x.min(axis=(0, 1)) for x in drawn if x.size], axis=0)
-    high = np.max([x.max(axis=(0, 1)) for x in drawn if x.size], axis=0)
-    reach = 0.55 * float((high - low).max()) or 1.0
-    thinned, middle = tuple(x[::stride] for x in bodies), (low + high) / 2
-    return Scene(tuple(points), joined, thinned, links, middle, reach, stride)
+
+
+def unit_of(program: Any) -> str:
+    """Return the unit of all positions, "" if it is not known or they differ.
+
+    It is that of points by name, or of lengths in their terms: coordinates and factors.
+    """
+    known, units = program.units, set()
+    for name, place in program.declared.positions.items():
+        corners = place if isinstance(place[0], tuple) else [place]
+        terms = [x for corner in corners for axis in corner for x in axis.as_ordered_terms()]
+        factors = [[spelled(x) for x in term.as_ordered_factors()] for term in terms]
+        lengths = [[known[x] for x in row if x in known] for row in factors]
+        units |= {known[name]} if name in known else {" ".join(row) for row in lengths if row}
+    return units.pop() if len(units) == 1 else ""
 
 
 def _links(points: Floats) -> tuple[Link, ...]:

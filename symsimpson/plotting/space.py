@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from html import escape
 from typing import Any
 
 import numpy as np
 
-from symsimpson.plotting.scene import Scene
+from symsimpson.plotting.scene import Film
 from symsimpson.support.extras import library
 
 __all__ = ["film_in_space"]
@@ -14,14 +15,17 @@ __all__ = ["film_in_space"]
 BODY, PATH, LINE = "#3b7dd8", "#e07b39", "#444444"
 
 
-def film_in_space(scene: Scene, t: Any, fps: int, title: str) -> str:
+def film_in_space(shown: Film) -> str:
     """Return a page that carries plotly with it."""
+    scene, t = shown.scene, shown.t
+    trail = "lines" if scene.joined else "markers"
+    width, height = (round(x * shown.dpi) for x in shown.size)
     go = library("plotly.graph_objects", "an animation in space", "plot")
 
     def parts(frame: int) -> list[Any]:
         gap = np.full((1, 3), np.nan)  # one line with gaps for all links
         links = [x for link in scene.links for x in (scene.ends(frame, link), gap)]
-        trails = [_line(go, scene.trail(frame, k), PATH, 3) for k in range(len(scene.names))]
+        trails = [_line(go, scene.trail(frame, k), PATH, 3, trail) for k in range(len(scene.names))]
         bodies = []
         for body in scene.bodies:
             corners = len(body[frame]) - 1
@@ -41,11 +45,14 @@ def film_in_space(scene: Scene, t: Any, fps: int, title: str) -> str:
         return [_line(go, np.concatenate(links or [gap]), LINE, 6), *trails, *bodies, dots]
 
     ranges = {
-        f"{axis}axis": {"range": [float(m - scene.reach), float(m + scene.reach)]}
+        f"{axis}axis": {
+            "range": [float(m - scene.reach), float(m + scene.reach)],
+            "title": {"text": f"{axis} [{escape(scene.unit)}]" if scene.unit else axis},
+        }
         for axis, m in zip("xyz", scene.middle, strict=True)
     }
     at_once = {"mode": "immediate", "transition": {"duration": 0}}
-    frame = {"frame": {"duration": 1000 / fps, "redraw": True}}
+    frame = {"frame": {"duration": 1000 / shown.fps, "redraw": True}}
     buttons = [
         {
             "label": "&#9654;",
@@ -62,12 +69,12 @@ def film_in_space(scene: Scene, t: Any, fps: int, title: str) -> str:
         data=parts(0),
         frames=[go.Frame(data=parts(k), name=str(k)) for k in range(len(t))],
         layout={
-            "title": title,
+            "title": shown.title,
             "showlegend": False,
             "margin": {"l": 0, "r": 0, "t": 40, "b": 0},
             "scene": ranges | {"aspectmode": "cube"},
-            "width": 600,
-            "height": 660,
+            "width": width,
+            "height": height,
             "updatemenus": [
                 {
                     "type": "buttons",
@@ -93,10 +100,11 @@ def film_in_space(scene: Scene, t: Any, fps: int, title: str) -> str:
     return str(page)
 
 
-def _line(go: Any, points: Any, colour: str, width: float) -> Any:
-    return go.Scatter3d(
-        **_xyz(points), mode="lines", line={"color": colour, "width": width}, hoverinfo="skip"
-    )
+def _line(go: Any, points: Any, colour: str, width: float, mode: str = "lines") -> Any:
+    style = {
+        mode.removesuffix("s"): {"color": colour, "width" if mode == "lines" else "size": width}
+    }
+    return go.Scatter3d(**_xyz(points), mode=mode, hoverinfo="skip", **style)
 
 
 def _xyz(points: Any) -> dict[str, Any]:

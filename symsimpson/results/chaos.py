@@ -10,8 +10,6 @@ import numpy as np
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.support.array_types import Floats
 
-pass
-
 __all__ = ["Chaos", "chaos_of"]
 
 
@@ -75,6 +73,11 @@ class Chaos:
         from symsimpson.plotting.run_figures import plot_exponents
 
         return plot_exponents(self, ax=ax)
+
+    def _repr_html_(self) -> str:
+        from symsimpson.results.html import chaos
+
+        return chaos(self)
 
     def __repr__(self) -> str:
         exponents = ", ".join(f"{x:.4g}" for x in self.exponents)

@@ -187,7 +187,7 @@ class Energies(Stored):
         >>> import symsimpson as ss
         >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
         >>> run.plot_energy().get_ylabel()
-        '(H - H0) / |H0|'
+        '(H - H0) / |H0| [$10^{-5}$]'
         """
         from symsimpson.plotting.run_figures import plot_energy
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,12 +66,50 @@ class Events(States):
     Events(pendulum, simpson: 5 states, 0.534783 <= t <= 4.81305)
     """
 
-    _connected: ClassVar[bool] = False
-
     direction: NDArray[np.int64]
     expression: str
     status: Status
     message: str
+
+    @property
+    def _connected(self) -> bool:
+        return False
+
+    def plot(self, names: str | Sequence[str] | None = None, *more: str, ax: Any = None) -> Any:
+        """Draw the section: one quantity over another, at the zeros.
+
+        Parameters
+        ----------
+        names : str or sequence of str, optional
+            Two names, as in ``run["q1"]``: the second is drawn over the first. By default these
+            are the first coordinate that the section does not fix, and its momentum. One name, or
+            more than two, are drawn over time.
+        *more : str
+            Further names.
+        ax : matplotlib axes, optional
+            Axes to draw in; new ones unless given.
+
+        Returns
+        -------
+        matplotlib axes
+
+        Raises
+        ------
+        InputError
+            If matplotlib is not installed, or there is no such quantity.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.double_pendulum())
+        >>> run = stepper.integrate([0.8, 1.0], p0=[0, 0], h=0.01, t_end=10)
+        >>> ax = run.events("q1").plot()
+        >>> ax.get_xlabel(), ax.get_ylabel()
+        ('q2', 'p_q2')
+        """
+        from symsimpson.plotting.run_figures import plot_section
+
+        return plot_section(self, (names, *more) if more else names, ax=ax)
 
     def _repr_html_(self) -> str:
         from symsimpson.results.html import events

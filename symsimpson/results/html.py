@@ -12,7 +12,17 @@ from symsimpson.results.outcome import iterations_a_step
 from symsimpson.support.markup import Markup, box, curves, facts, scatter
 from symsimpson.support.names import counted
 
-__all__ = ["ensemble", "events", "states", "stepper", "trajectory", "verdict"]
+__all__ = [
+    "chaos",
+    "dense",
+    "ensemble",
+    "events",
+    "solution",
+    "states",
+    "stepper",
+    "trajectory",
+    "verdict",
+]
 
 #: More coordinates than this are no picture each.
 DRAWN = 6
@@ -117,6 +127,38 @@ def ensemble(members: Any, t_end: float) -> str:
     for name, values in members.reduced.items():
         rows.append((name, curves(np.arange(len(values)), [np.sort(values)])))
     return box(f"Ensemble of {members.program.system}", facts(rows))
+
+
+def solution(result: Any) -> str:
+    """Show a solution of optimal control, with pictures of coordinates and inputs."""
+    t, columns = result.t, dict(zip(result.layout.read.names, result.q.T, strict=True))
+    columns |= result.inputs(t)
+    rows: list[tuple[str, Any]] = [
+        ("cost", f"{result.cost:.9g}"),
+        ("duration", f"{result.duration:.9g}"),
+        ("status", verdict(result.message, result.success)),
+        *[(name, f"{value:.6g}") for name, value in result.unknowns.items()],
+        *[(name, curves(t, [column])) for name, column in [*columns.items()][: 2 * DRAWN]],
+    ]
+    return box(repr(result), facts(rows))
+
+
+def chaos(result: Any) -> str:
+    """Show Lyapunov exponents over time, and other indicators of chaos at the end."""
+    rows: list[tuple[str, Any]] = [
+        ("exponents", ", ".join(f"{x:.4g}" for x in result.exponents)),
+        ("over time", curves(result.t, list(result.history.T))),
+        ("megno", f"{result.megno[-1]:.4g}"),
+        ("sali", f"{result.sali[-1]:.3g}"),
+        ("to t", f"{result.t[-1]:g}"),
+    ]
+    return box(f"Lyapunov exponents of {result.trajectory.program.system}", facts(rows))
+
+
+def dense(output: Any) -> str:
+    """Show what the states between those of a run are."""
+    calls = "sol(t) gives positions and momenta, shape (2 n,) or (2 n, m)"
+    return box(repr(output), facts([("call", calls)]))
 
 
 def verdict(text: str, good: bool) -> Markup:

@@ -16,7 +16,7 @@ from symsimpson.results.stored import Stored
 from symsimpson.stepping.arrival import states_at
 from symsimpson.stepping.driving import at_places, places, since
 from symsimpson.stepping.parts import Parts, steps_from
-from symsimpson.support.array_types import Reals
+from symsimpson.support.array_types import Floats, Reals
 
 __all__ = ["DenseOutput"]
 
@@ -107,8 +107,7 @@ class DenseOutput:
                 f"t = {rough[~inside][0]:g} lies outside of the run, {low:g} <= t <= {high:g}.\n"
                 "Integrate further, or ask for times within."
             )
-        start = np.searchsorted(self._forward, self._sign * rough, side="right") - 1
-        start = np.clip(start, 0, self._forward.size - 1)
+        start = self._starts(rough)
         q, p, codes = self.after(start, asked - run.t[start])
         if codes.any():
             worst = int(np.argmax(codes != 0))
@@ -122,6 +121,26 @@ class DenseOutput:
                 status=Status(int(codes[worst])),
             )
         return (q, p) if times.ndim else (q[0], p[0])
+
+    def _starts(self, t: Floats) -> NDArray[np.int64]:
+        """Return the numbers of the stored states before times."""
+        start = np.searchsorted(self._forward, self._sign * t, side="right") - 1
+        return np.clip(start, 0, self._forward.size - 1)
+
+    def cost(self, t: Floats) -> int:
+        """Return how many steps :meth:`states` takes at most for times within the run."""
+        begun = np.unique(self._starts(t)).size
+        return len(t) + begun * ((self._run.every or 1) - 1)
+
+    def __repr__(self) -> str:
+        run, last = self._run, float(self._end)
+        times = f"{float(run.t[0]):g} to {last:g}"
+        return f"DenseOutput({run.program.system}, {run.program.scheme}: t from {times})"
+
+    def _repr_html_(self) -> str:
+        from symsimpson.results.html import dense
+
+        return dense(self)
 
     def after(
         self, start: NDArray[np.int64], later: Reals

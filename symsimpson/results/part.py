@@ -36,6 +36,8 @@ ROWS = (
 )
 #: What events have a row of for each time.
 ROWS_OF_EVENTS = ("t", "q", "p", "direction", "q_after", "p_after", "impulse", "simultaneous")
+#: What a part shares with its run.
+WHOLE = ("sol", "records")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -59,12 +61,23 @@ class Part(States):
     _places: Ints = field(repr=False)
 
     def __getattr__(self, name: str) -> Any:
+        if name in WHOLE:
+            return getattr(self._run, name)
         if name not in ROWS:
             return super().__getattr__(name)
         values = getattr(self._run, name)
         if isinstance(values, dict):
             return {key: rows[self._places] for key, rows in values.items()}
         return values[self._places]
+
+    @property
+    def _connected(self) -> bool:
+        """Whether the states are a slice of the run: others have gaps."""
+        return np.unique(np.diff(self._places)).size <= 1
+
+    def __dir__(self) -> list[str]:
+        """Return public names, with rows of the run."""
+        return sorted({*super().__dir__(), *ROWS, *WHOLE[:1]})
 
     def __getitem__(self, key: Any) -> Any:
         """Return a quantity by its name, shape (N,), or some of the states."""
@@ -86,11 +99,11 @@ class Part(States):
         rows = {x: values[x][here] for x in ROWS_OF_EVENTS if x in values}
         return type(found)(**{**values, **rows})
 
-    def animate(self, *, seconds: float | None = None, fps: int = 20) -> Animation:
-        """Film this part of the run, as :meth:`Trajectory.animate`."""
+    def animate(self, **options: Any) -> Animation:
+        """Animate this part of the run, with the arguments of :meth:`Trajectory.animate`."""
         from symsimpson.plotting.animate import animate
 
-        return animate(self, seconds=seconds, fps=fps)
+        return animate(self, **options)
 
 
 def part_of(run: Stored, places: Ints, key: Any) -> Part:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, cast
+from typing import Any, NoReturn, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import UnknownNameError
+from symsimpson.errors import InputError, UnknownNameError
 from symsimpson.module.matrices import slopes_of
 from symsimpson.module.quantity import QUANTITIES, SCALARS, VECTORS
 from symsimpson.program.program import Program
 from symsimpson.results.tables import apart
-from symsimpson.support.names import did_you_mean, shortened, spelled
+from symsimpson.support.names import did_you_mean, public_names, shortened, spelled
 
 __all__ = ["Quantities"]
 
@@ -171,11 +171,7 @@ class Quantities:
             return self.points[key]
         if key == "t" or key in QUANTITIES:
             return cast(NDArray[Any], getattr(self, key))
-        every = [
-            name for vector in QUANTITIES.values() if vector.axis for name in vector.shown(names)
-        ]
-        every += [*watched.shown, *self._own_names(), *self.points, "t"]
-        every += [quantity.name for quantity in SCALARS]
+        every = self._ipython_key_completions_()
         whole = [quantity.name for quantity in VECTORS]
         raise UnknownNameError(
             f"there is no {shortened(key)}.{did_you_mean(key, every)} "
@@ -183,6 +179,25 @@ class Quantities:
             + several
             * "\nAsk for one at a time; several are parts of arrays, as .q[3:5]."
         )
+
+    def _ipython_key_completions_(self) -> list[str]:
+        """Return the names of quantities that have one number each."""
+        names = self.program.names
+        every = [x for vector in QUANTITIES.values() if vector.axis for x in vector.shown(names)]
+        positions = getattr(self.program.declared, "positions", None) or ()
+        every += [*names.invariants.shown, *self._own_names(), *positions, "t"]
+        return every + [quantity.name for quantity in SCALARS]
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> NoReturn:
+        """Raise InputError: NumPy would look for an array in states of states."""
+        raise InputError(
+            f"a {type(self).__name__} is no array.\nPass one of its arrays: .q, .p, .t, or a "
+            "quantity by its name, as ['energy']."
+        )
+
+    def __dir__(self) -> list[str]:
+        """Return public names: without those that start with _, and fields that no repr shows."""
+        return public_names(self, super().__dir__())
 
     def _columns(self) -> dict[str, NDArray[Any]]:
         """Return numbers of stored quantities, invariants and points by name, as tables do."""

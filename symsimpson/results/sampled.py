@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from symsimpson.results.states import States, attribute_name, with_units
 from symsimpson.results.tables import apart, dataframe, write
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
-from symsimpson.support.names import counted, did_you_mean, spelled
+from symsimpson.support.names import counted, did_you_mean, public_names, spelled
 
 __all__ = ["Sampled", "Saved", "member_of"]
 
@@ -114,9 +114,9 @@ class Sampled(WithEvents, Outcome, States):
     steps: int
     status: Status
     message: str
-    records: tuple[Record, ...] = ()
+    records: tuple[Record, ...] = field(default=(), repr=False)
     event_names: tuple[str, ...] = ()
-    reduced_values: tuple[tuple[str, float], ...] = ()
+    reduced_values: tuple[tuple[str, float], ...] = field(default=(), repr=False)
     error_estimate: float | None = None
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
@@ -183,13 +183,20 @@ class Saved(WithEvents, Outcome):
     steps: int
     status: Status
     message: str
-    program: Program
-    parameter_values: Any = None
-    driven: Any = None
-    records: tuple[Record, ...] = ()
+    program: Program = field(repr=False)
+    parameter_values: Any = field(default=None, repr=False)
+    driven: Any = field(default=None, repr=False)
+    records: tuple[Record, ...] = field(default=(), repr=False)
     event_names: tuple[str, ...] = ()
-    reduced_values: tuple[tuple[str, float], ...] = ()
+    reduced_values: tuple[tuple[str, float], ...] = field(default=(), repr=False)
     error_estimate: float | None = None
+
+    def __dir__(self) -> list[str]:
+        """Return public names."""
+        return public_names(self, super().__dir__())
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return ["t", *self.values]
 
     def __getitem__(self, name: Any) -> NDArray[Any]:
         """Return a quantity by its name.

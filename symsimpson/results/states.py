@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,9 +90,6 @@ class States(Quantities):
     ((10,), array([5.]))
     """
 
-    #: Whether one state follows another, so that a line may connect them.
-    _connected: ClassVar[bool] = True
-
     t: NDArray[Any]
     q: NDArray[Any]
     p: NDArray[Any]
@@ -170,23 +167,37 @@ class States(Quantities):
         program, values = self.program, self.parameter_values
         return States(t=t, q=q, p=p, program=program, parameter_values=values, driven=self.driven)
 
+    @property
+    def _connected(self) -> bool:
+        """Whether states follow one another, so that lines may connect them."""
+        return True
+
+    def with_states(self, t: Any, q: Any, p: Any) -> States:
+        """Return given states of the same system, with the same parameters."""
+        return self._others(np.asarray(t), np.asarray(q), np.asarray(p))
+
     def __getstate__(self) -> dict[str, Any]:
         return {f.name: getattr(self, f.name) for f in fields(self)}  # without what was computed
 
-    #: There is no iteration: over quantities or over states would be as natural.
-    __iter__ = None
+    def __iter__(self) -> Iterator[States]:
+        """Iterate over the states, each as ``run[k]`` gives it."""
+        return (self[k] for k in range(len(self)))
 
     def plot(self, names: str | Sequence[str] | None = None, *more: str, ax: Any = None) -> Any:
         """Draw quantities over time.
 
+        A run takes steps again where lines between its stored states would miss the motion. Dots
+        are drawn where that takes too many steps, or where the states alone are known.
+
         Parameters
         ----------
         names : str or sequence of str, optional
-            As in ``run["q1"]``; all coordinates unless given.
+            As in ``run["q1"]``; all coordinates, up to 60, unless given.
         *more : str
             Further ones.
         ax : matplotlib axes, optional
-            Axes to draw in; new ones, one for each unit of the system, unless given.
+            Axes to draw in. Unless given, there are new ones: one for each unit, and one for
+            quantities whose ranges differ from those of others by more than 30 times.
 
         Returns
         -------
@@ -211,7 +222,10 @@ class States(Quantities):
         return plot(self, wanted, connected=self._connected, ax=ax)
 
     def plot_phase(self, x: str | None = None, y: str | None = None, *, ax: Any = None) -> Any:
-        """Draw one quantity over another.
+        """Draw one quantity over another, as a curve like that of :meth:`plot`.
+
+        Both axes have scales of their own, as units differ. Call ``ax.set_aspect("equal")`` for
+        two quantities of the same unit.
 
         Parameters
         ----------
@@ -243,6 +257,8 @@ class States(Quantities):
     def plot_path(self, *, ax: Any = None) -> Any:
         """Draw the paths of the system's ``positions``, into ``ax`` if given; returns the axes.
 
+        Paths are curves like those of :meth:`plot`, on axes of equal scales.
+
         Raises
         ------
         InputError
@@ -257,7 +273,7 @@ class States(Quantities):
         """
         from symsimpson.plotting.animate import plot_path
 
-        return plot_path(self, ax=ax)
+        return plot_path(self, connected=self._connected, ax=ax)
 
     def to_pandas(self) -> Any:
         """Return a ``pandas.DataFrame`` of all quantities by name, with the times as index.

@@ -85,7 +85,7 @@ class Trajectory(Energies, Differentiated):
     reduced_values: tuple[tuple[str, float], ...] = field(default=(), repr=False)
     #: What events did, in the order of time, their names, and the one that ended the run.
     records: tuple[Record, ...] = field(default=(), repr=False)
-    event_names: tuple[str, ...] = field(default=(), repr=False)
+    event_names: tuple[str, ...] = ()
     ended_by: str | None = None
     error_estimate: float | None = None
 
@@ -232,11 +232,19 @@ class Trajectory(Energies, Differentiated):
                 f"{', '.join(self.event_names)}. If it is meant as an expression: {error}"
             ) from None
 
-    def animate(self, *, seconds: float | None = None, fps: int = 20) -> Animation:
+    def animate(
+        self,
+        *,
+        seconds: float | None = None,
+        fps: int = 20,
+        figsize: tuple[float, float] | None = None,
+        dpi: float = 72,
+    ) -> Animation:
         """Film the system's ``positions``: points, and lines where their distance is constant.
 
         Linkages in the plane are drawn by matplotlib, motion in space by plotly. The film plays
         in a notebook, and on a page that ``.save("film.html")`` writes, without any connection.
+        ``.save("film.png")`` writes the first frame.
 
         Parameters
         ----------
@@ -244,6 +252,10 @@ class Trajectory(Energies, Differentiated):
             Length of the film; that of the run if this is from 1 to 10, else 10.
         fps : int
             Frames a second.
+        figsize : (float, float), optional
+            Width and height of a frame in inches; (4.2, 4.2) in the plane, (8.3, 9.2) in space.
+        dpi : float
+            Dots per inch.
 
         Returns
         -------
@@ -252,7 +264,8 @@ class Trajectory(Energies, Differentiated):
         Raises
         ------
         InputError
-            If the system declares no positions, or a library is not installed.
+            If the system declares no positions, a library is not installed, or these numbers
+            make no film.
 
         Examples
         --------
@@ -263,7 +276,7 @@ class Trajectory(Energies, Differentiated):
         """
         from symsimpson.plotting.animate import animate
 
-        return animate(self, seconds=seconds, fps=fps)
+        return animate(self, seconds=seconds, fps=fps, figsize=figsize, dpi=dpi)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Save the run to a file, in the format of its extension.

@@ -12,6 +12,7 @@ import numpy as np
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import whole_number
 from symsimpson.support.calling import explaining
+from symsimpson.support.markup import fields_given
 from symsimpson.support.names import spelled
 
 __all__ = ["CHANGED", "Change", "Event", "Impact", "Switch"]
@@ -207,3 +208,6 @@ class Event:
     def sign(self) -> int:
         """The direction in which it acts."""
         return -1 if isinstance(self.action, Impact) else self.direction
+
+    def _repr_html_(self) -> str:
+        return fields_given("Event", self)

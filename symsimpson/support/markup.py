@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import html
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from symsimpson.support.array_types import Reals
 
-__all__ = ["box", "curves", "facts", "scatter", "table"]
+__all__ = ["box", "curves", "facts", "fields_given", "scatter", "table"]
 
 #: Points of a picture; more would not be seen.
 POINTS = 240
+#: A value that a user gave is shown up to so many characters.
+LONGEST = 400
 WIDTH, HEIGHT, MARGIN = 240.0, 48.0, 2.0
 #: Colours that are told apart on a light page and on a dark one.
 COLOURS = ("#3b7dd8", "#e07b39", "#3a9e6b", "#b455a0", "#8a7f2f", "#d1495b")
@@ -32,6 +36,19 @@ def facts(pairs: Sequence[tuple[str, object]]) -> str:
         for name, value in pairs
     )
     return f"<table><tbody>{rows}</tbody></table>"
+
+
+def fields_given(title: str, value: Any) -> str:
+    """Put the fields of a dataclass that differ from their defaults under a title."""
+    pairs = []
+    for field in dataclasses.fields(value):
+        given, factory = getattr(value, field.name), field.default_factory
+        if given is not field.default and (not isinstance(factory, type) or given != factory()):
+            if isinstance(given, Mapping):
+                given = ", ".join(f"{key} = {x}" for key, x in given.items())
+            text = str(getattr(given, "name", given))
+            pairs.append((field.name, text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."))
+    return box(title, facts(pairs))
 
 
 def table(rows: Sequence[Sequence[object]]) -> str:

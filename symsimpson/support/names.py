@@ -20,6 +20,7 @@ __all__ = [
     "did_you_mean",
     "in_a_row",
     "is_masked",
+    "public_names",
     "read_mapping",
     "shortened",
     "speed_of_approach",
@@ -52,6 +53,12 @@ def shortened(value: object) -> str:
     """Return how a value is written, in some sixty characters."""
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+def public_names(value: Any, names: Iterable[str]) -> list[str]:
+    """Return names of attributes for users: no fields of a dataclass that its repr leaves out."""
+    internal = {x.name for x in getattr(value, "__dataclass_fields__", {}).values() if not x.repr}
+    return sorted(name for name in names if not name.startswith("_") and name not in internal)
 
 
 def counted(count: int, what: str) -> str:

@@ -63,6 +63,9 @@ def shown():
         "ensemble": ensemble,
         "structure": system.structure,
         "certificate": ss.compile(ss.systems.pendulum()).certify(),
+        "chaos": stepper.lyapunov([0.8, 1.0], p0=[0, 0], h=0.02, steps=40),
+        "between": run.sol,
+        "event": ss.Event("q1", name=HOSTILE, action=ss.Impact(0.8)),
     }
 
 
@@ -76,6 +79,9 @@ def test_html_is_whole_and_holds_what_matters(shown):
         "ensemble": "20 SUCCESS",
         "certificate": "passed",
         "structure": "mass matrix",
+        "chaos": "exponents",
+        "between": "gauss6: t from 0 to 5",
+        "event": "Impact(restitution=0.8)",
     }
     for name, value in shown.items():
         text = value._repr_html_()
@@ -100,6 +106,7 @@ def test_html_is_whole_and_holds_what_matters(shown):
 
 @pytest.mark.slow
 def test_hostile_names_stay_text(shown):
+    assert "img" not in tags_of(shown["event"]._repr_html_())
     assert HOSTILE not in shown["ensemble"]._repr_html_()
     assert "&lt;img" in shown["ensemble"]._repr_html_()
     (x,) = ss.coordinates("x")
@@ -203,3 +210,90 @@ def test_one_of_a_kind_is_told_in_the_singular():
     assert "with 1 node," in repr(ss.galerkin("gauss", 1, 1))
     with pytest.raises(ss.InputError, match="given 1 argument without"):
         ss.Switch("x")
+
+
+def test_events_and_problems_show_what_was_given():
+    (x,), u = ss.coordinates("x"), sp.Symbol(HOSTILE, real=True)
+    cart = ss.MechanicalSystem(
+        "cart",
+        coordinates=(x,),
+        kinetic=x.diff() ** 2 / 2,
+        potential=0 * x,
+        forces={x: u},
+        inputs=(u,),
+    )
+    problem = ss.OptimalControl(cart, cost=u**2, start={x: 0}, end={x: 1}, duration=1)
+    text = problem._repr_html_()
+    assert tags_of(text) == {"div", "b", "table", "tbody", "tr", "th", "td"}
+    assert "Optimal control of cart" in text
+    assert ">x(t) = 1<" in text
+    assert "bounds" not in text
+    event = ss.Event(x, name=HOSTILE, direction=1)._repr_html_()
+    assert "img" not in tags_of(event)
+    assert "direction" in event
+    assert "terminal" not in event
+    assert len(ss.Event(x, name=9999 * "n")._repr_html_()) < 1000
+
+
+def test_solutions_of_optimal_control_are_shown():
+    pytest.importorskip("casadi")
+    (x,), u = ss.coordinates("x"), sp.Symbol("u", real=True)
+    cart = ss.MechanicalSystem(
+        "cart",
+        coordinates=(x,),
+        kinetic=x.diff() ** 2 / 2,
+        potential=0 * x,
+        forces={x: u},
+        inputs=(u,),
+    )
+    still = {x: 0, x.diff(): 0}
+    problem = ss.OptimalControl(cart, cost=u**2, start=still, end=still | {x: 1}, duration=1)
+    text = problem.solve(steps=4)._repr_html_()
+    assert tags_of(text) >= {"svg", "polyline", "span"}
+    assert ">12<" in text
+    assert "A local optimum was found." in text
+
+
+def test_results_complete_public_names():
+    stepper = ss.compile(ss.systems.pendulum())
+    floor = ss.Event("theta", name="down")
+    given = {"v0": [0.0], "h": 0.1, "steps": 20}
+    run = stepper.integrate([1.0], **given, events=[floor])
+    many = stepper.ensemble([[1.0], [2.0]], **given, every=5, reduce={"top": ("max", "theta")})
+    saved = stepper.integrate([1.0], **given, save=["energy"])
+    results = [run, run[2:4], many, many[0], run.events("theta"), run.events("down"), saved]
+    results.append(stepper.integrate([1.0], v0=[0.0], h=0.1, t_eval=[0, 1]))
+    hidden = {"begun", "driven", "program", "recorded_values", "tau_values", "varied_by"}
+    for result in results:
+        names = dir(result)
+        assert not hidden & set(names)
+        assert not [name for name in names if name.startswith("_")]
+        assert {"t", "plot", "to_pandas"} <= set(names)
+        for key in result._ipython_key_completions_():
+            assert len(result[key]) == len(result[key])
+    assert {"energy_error", "sol", "events", "h", "tau"} <= set(dir(run))
+    assert {"energy_error", "tau", "at"} <= set(dir(run[2:4]))
+    assert {"theta", "v_theta", "bob", "energy"} <= set(run._ipython_key_completions_())
+    assert {"top", "l"} <= set(many._ipython_key_completions_())
+    assert saved._ipython_key_completions_() == ["t", "energy"]
+    assert "0x" not in repr(run.sol)
+    assert repr(run.sol) == "DenseOutput(pendulum, simpson: t from 0 to 2)"
+
+
+def test_states_and_members_follow_one_another():
+    stepper = ss.compile(ss.systems.pendulum())
+    run = stepper.integrate([1.0], v0=[0.0], h=0.1, steps=5)
+    many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=6, every=2)
+    for some in (run, run[1:4], run.at([0.05, 0.1]), many, many[1], run.events("theta")):
+        states = list(some)
+        assert len(states) == len(some)
+        for k, state in enumerate(states):
+            assert type(state) is type(some[k])
+            assert (state.t == some[k].t).all()
+            assert (state.q == some[k].q).all()
+    first, *_, last = run
+    assert (first.energy_error, last.t) == (0, 0.5)
+    assert [float(state["theta"][0]) for state in run] == run["theta"].tolist()
+    for wrong in (run, [run, run], many):
+        with pytest.raises(ss.InputError, match=r"is no array.\nPass one of its arrays: .q"):
+            np.asarray(wrong)
