@@ -57,6 +57,8 @@ def test_logarithms_of_exponentials_do_not_overflow(expression):
     """Values and three derivatives, where the exponentials are numbers and where they are none."""
     one_sided = sp.log(sp.sinh(x))
     graph, (value,), places = read(expression)
+    shown = written(graph, value, {n: s for s, n in places.items()})
+    assert same(graph, value, Reader(graph, {s: (1, n) for s, n in places.items()})(shown))
     derivatives = Derivatives(graph)
     for order in range(4):
         right = sp.lambdify(
