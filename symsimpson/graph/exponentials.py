@@ -14,7 +14,7 @@ GROWING = frozenset(["exp", "cosh", "sinh"])
 
 
 def without_overflow(exp: Any, log: Any, atanh: Any) -> dict[str, Callable[[Any], Any]]:
-    """Return log(1 + exp(x)) and log(cosh(x)), made of the functions of an arithmetic."""
+    """Return log(1 + exp(x)) and log(cosh(x)) by the functions of an arithmetic."""
 
     def softplus(x: Any) -> Any:
         small = exp(-abs(x))
