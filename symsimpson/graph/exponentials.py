@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Container
 from typing import Any
 
-from symsimpson.graph.nodes import Graph, Value, scaled
+from symsimpson.graph.nodes import Exact, Graph, Value, scaled
 
 __all__ = ["logarithm", "without_overflow"]
 
@@ -14,7 +14,7 @@ GROWING = frozenset(["exp", "cosh", "sinh"])
 
 
 def without_overflow(exp: Any, log: Any, atanh: Any) -> dict[str, Callable[[Any], Any]]:
-    """Return log(1 + exp(x)) and log(cosh(x)), made of the functions of an arithmetic."""
+    """Return log(1 + exp(x)) and log(cosh(x)) by the functions of an arithmetic."""
 
     def softplus(x: Any) -> Any:
         small = exp(-abs(x))
@@ -23,44 +23,50 @@ def without_overflow(exp: Any, log: Any, atanh: Any) -> dict[str, Callable[[Any]
     return {"softplus": softplus, "logcosh": lambda x: abs(x) + log((1 + exp(-2 * abs(x))) / 2)}
 
 
-def logarithm(graph: Graph, value: Value, positive: Container[int]) -> Value | None:
-    """Return log(value) by softplus(x) = log(1 + exp(x)) and logcosh(x) = log(cosh(x)).
-
-    None if no exponential is in it, or a term is not known to be positive; the nodes of symbols
-    that are so are ``positive``.
-    """
-    parts = [graph.nodes[m].parts for m in graph.reached([value[1]])]
-    return _log(graph, value, positive) if any(p[:1] and p[0] in GROWING for p in parts) else None
-
-
-def _log(
+def logarithm(
     graph: Graph, value: Value, positive: Container[int], *, term: bool = False
 ) -> Value | None:
+    """Return log(value) by softplus(x) = log(1 + exp(x)) and logcosh(x) = log(cosh(x)).
+
+    None if no exponential is a factor, or in one; of a ``term`` of a sum if it is not known to be
+    positive. The nodes of symbols that are so are ``positive``.
+    """
     coefficient, n = value
-    kind, parts, _ = graph.nodes[n]
-    logs: list[Value | None] = []
     if coefficient <= 0:
         return None
-    if kind == "product":
-        for m, e in parts:
-            log = _log(graph, (1, m), positive, term=term)
-            logs.append(log and scaled(e, log))
-    elif kind == "sum":
-        first, *others = (_log(graph, part, positive, term=True) for part in parts)
-        for other in others:
-            if first is None or other is None:
-                return None
-            first = graph.add(
-                [first, graph.function("softplus", graph.add([other, scaled(-1, first)]))]
-            )
-        logs = [first]
-    elif kind == "function" and parts[0] in GROWING:
-        name, x = parts
-        logs = [x if name == "exp" else graph.function("logcosh", x)]
-        if name == "sinh":  # which is positive on one side, where a sum with it may be on both
-            logs.append(None if term else graph.function("log", graph.function("tanh", x)))
-    elif n:
-        logs = [graph.function("log", (1, n)) if n in positive or kind == "constant" else None]
-    if None in logs:
+    logs = [graph.function("log", (coefficient, 0))]
+    rest: list[tuple[Exact, int, Exact]] = []
+    for m, e in graph.factors(n) if n else ():
+        kind, (name, *parts), _ = graph.nodes[m]
+        log = _of_sum(graph, m, positive, term) if kind == "sum" else None
+        if name == "exp":
+            log = parts[0]
+        elif name in GROWING:
+            log = graph.function("logcosh", parts[0])
+        if name == "sinh":
+            m = graph.function("tanh", parts[0])[1]
+        if log is not None:
+            logs.append(scaled(e, log))
+        if log is None or name == "sinh":
+            rest.append((1, m, e))
+    if term and not all(m in positive or graph.nodes[m].kind == "constant" for _, m, _ in rest):
         return None
-    return graph.add([graph.function("log", (coefficient, 0)), *(x for x in logs if x is not None)])
+    if rest:
+        logs.append(graph.function("log", graph.multiply(rest)))
+    return graph.add(logs) if term or len(logs) > 1 + bool(rest) else None
+
+
+def _of_sum(graph: Graph, n: int, positive: Container[int], term: bool) -> Value | None:
+    """Return the logarithm of a sum of positive terms."""
+    nodes = map(graph.nodes.__getitem__, graph.reached([n]))
+    if not term and not any(
+        GROWING.intersection(x.parts[:1]) for x in nodes if x.kind == "function"
+    ):
+        return None
+    total, *others = (logarithm(graph, x, positive, term=True) for x in graph.nodes[n].parts)
+    for other in others:
+        if total is None or other is None:
+            return None
+        apart = graph.add([other, scaled(-1, total)])
+        total = graph.add([total, graph.function("softplus", apart)])
+    return total

@@ -46,6 +46,11 @@ HIGHEST_ROOT = 24
 FLOAT = 2**10
 
 _BY_NAME = {name: function for function, name in FUNCTIONS.items()}
+#: Those of trees, which people read, and which may be read again.
+_IN_TREES = _BY_NAME | {
+    "softplus": lambda x: sp.log(1 + sp.exp(x)),
+    "logcosh": lambda x: sp.log(sp.cosh(x)),
+}
 _BY_NAME |= without_overflow(sp.exp, sp.log, sp.atanh)
 _CONSTANT_OF = {name: constant for constant, name in CONSTANTS.items()} | {"Tiny": sp.Float(TINY)}
 
@@ -185,7 +190,7 @@ def written(graph: Graph, value: Value, names: Mapping[int, sp.Expr]) -> sp.Expr
     for n in graph.reached([value[1]]):
         if n not in done:
             kind, parts, _ = graph.nodes[n]
-            done[n] = line_written(kind, parts, done)
+            done[n] = line_written(kind, parts, done, _IN_TREES)
     return number(value[0]) * done[value[1]]
 
 
@@ -197,7 +202,12 @@ def tree_size(graph: Graph, value: Value) -> int:
     return size[value[1]]
 
 
-def line_written(kind: str, parts: Sequence[Any], done: Mapping[int, sp.Expr]) -> sp.Expr:
+def line_written(
+    kind: str,
+    parts: Sequence[Any],
+    done: Mapping[int, sp.Expr],
+    functions: Mapping[str, Any] = _BY_NAME,
+) -> sp.Expr:
     """Write one node or line, made of others that are written."""
     match kind:
         case "sum":
@@ -207,7 +217,7 @@ def line_written(kind: str, parts: Sequence[Any], done: Mapping[int, sp.Expr]) -
         case "function":
             name, *values = parts
             arguments = [number(c) * done[m] for c, m in values]
-            return sp.Pow(*arguments) if name == "pow" else _BY_NAME[name](*arguments)
+            return sp.Pow(*arguments) if name == "pow" else functions[name](*arguments)
         case "constant":
             return _CONSTANT_OF[parts[0]]
     raise AssertionError(kind)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import islice
+from math import isqrt
 from typing import Any
 
 import numpy as np
@@ -102,7 +104,7 @@ def read_forces(
 
 
 def _smooth_at_rest(symbols: Symbols, values: Sequence[Value]) -> list[Value]:
-    """Write roots of squared speeds, which drag is made of, with slopes where the speed is 0.
+    """Write roots of squared speeds, as in drag, with slopes where the speed is 0.
 
     sqrt(s) becomes sqrt(s + Tiny), whose slope is 0/sqrt(Tiny) there and not 0/0; elsewhere the sum
     is s, rounded. What is divided by s or its root has no value at rest, and keeps none.
@@ -121,25 +123,31 @@ def _smooth_at_rest(symbols: Symbols, values: Sequence[Value]) -> list[Value]:
                 others = (graph.nodes[k].symbols for k, _ in parts if k != m)
                 if 2 * e >= 1 or not v.isdisjoint(set().union(*others)):
                     roots.add(m)
-    smooth = [m for m in sorted(roots - divided) if _touches_zero(symbols, m)]
+    smooth = _touching_zero(symbols, sorted(roots - divided))
     return rebuilt(graph, values, {m: graph.add([(1, m), graph.constant("Tiny")]) for m in smooth})
 
 
-def _touches_zero(symbols: Symbols, n: int) -> bool:
-    """Return whether a node is a quadratic form in velocities whose least value is 0."""
-    graph, v = symbols.graph, symbols.numbers(symbols.v)
-    if graph.nodes[n].symbols.isdisjoint(v):
-        return False
-    slopes = gradient(graph, (1, n), v)
-    curves = [x for slope in slopes for x in gradient(graph, slope, v)]
-    for value, *rest in samples(symbols, [(1, n), *slopes, *curves]):
-        slope, curve = np.array(rest[: len(v)]), np.reshape(rest[len(v) :], (-1, len(v)))
-        if not np.isfinite([value, *rest]).all() or np.linalg.eigvalsh(curve)[0] < -NOTHING:
-            return False
-        lowest = value - slope @ np.linalg.pinv(curve, rcond=NOTHING) @ slope / 2
-        if abs(lowest) > NOTHING * abs(value):
-            return False
-    return True
+def _touching_zero(symbols: Symbols, nodes: Iterable[int]) -> list[int]:
+    """Return the nodes that are quadratic forms in velocities whose least value is 0."""
+    graph, speeds = symbols.graph, symbols.numbers(symbols.v)
+    slopes: dict[int, list[Value]] = {}
+    for n in nodes:
+        present = [x for x in speeds if x in graph.nodes[n].symbols]
+        if present:
+            slopes[n] = gradient(graph, (1, n), present)
+            slopes[n] += [x for y in [*slopes[n]] for x in gradient(graph, y, present)]
+    touching = [*slopes]
+    for found in samples(symbols, [x for n, row in slopes.items() for x in ((1, n), *row)]):
+        numbers, least = iter(found), {}
+        for n, row in slopes.items():
+            value, *rest = islice(numbers, len(row) + 1)
+            size = isqrt(len(row))
+            slope, curve = np.array(rest[:size]), np.reshape(rest[size:], (size, size))
+            if np.isfinite([value, *rest]).all() and np.linalg.eigvalsh(curve)[0] >= -NOTHING:
+                lowest = slope @ np.linalg.pinv(curve, rcond=NOTHING) @ slope / 2
+                least[n] = abs(value - lowest) <= NOTHING * abs(value)
+        touching = [n for n in touching if least.get(n)]
+    return touching
 
 
 def read_inputs(

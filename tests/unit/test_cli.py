@@ -93,12 +93,14 @@ def test_a_file_runs_as_python_runs_it(tmp_path):
         find(project(tmp_path / "failing", code=3))
 
 
+@pytest.mark.slow
 def test_a_file_that_exits_is_run(tmp_path, capsys):
     command = ["run", project(tmp_path / "own"), "--q0", "1", "--v0", "0", "--steps", "3"]
     assert main(command) == 0
     assert "3 steps to t" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_step_that_does_not_divide_the_time(capsys):
     assert main(["run", "pendulum", "--h", "0.3", "--t-end", "1"]) == 0
     assert "The step is h=0.25, not 0.3: t_end is 4 steps from t0." in capsys.readouterr().out

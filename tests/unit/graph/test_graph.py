@@ -46,22 +46,28 @@ LOGARITHMS = [
     sp.log(1 + sp.cosh(x)) / a,
     sp.log(sp.exp(x) * sp.cosh(x)),
     sp.log(sp.sinh(x)),
+    sp.log(sp.sinh(x) ** 2 * a),
+    sp.log(x**2 * sp.cosh(x)),
+    sp.log((1 + a) * sp.exp(x) + 1) / 2 + sp.log(1 / sp.cosh(x)),
 ]
 
 
 @pytest.mark.parametrize("expression", LOGARITHMS, ids=str)
 def test_logarithms_of_exponentials_do_not_overflow(expression):
     """Values and three derivatives, where the exponentials are numbers and where they are none."""
+    one_sided = sp.log(sp.sinh(x))
     graph, (value,), places = read(expression)
+    shown = written(graph, value, {n: s for s, n in places.items()})
+    assert same(graph, value, Reader(graph, {s: (1, n) for s, n in places.items()})(shown))
     derivatives = Derivatives(graph)
     for order in range(4):
         right = sp.lambdify(
             (x, a), sp.diff(expression, x, order) if order else expression, "mpmath"
         )
-        for at in (-900.0, -30.0, -0.4, 0.4, 30.0, 900.0)[3 * (expression.has(sp.sinh)) :]:
+        for at in (-900.0, -30.0, -0.4, 0.4, 30.0, 900.0)[3 * (expression == one_sided) :]:
             doubles = evaluated(graph, [value[1]], {places[x]: at, places[a]: 1.25}, mp.fp)
             found = float(value[0]) * doubles[value[1]]
-            with mp.workdps(2000):
+            with mp.workdps(820):
                 exact = right(mp.mpf(at), mp.mpf(1.25))
             assert abs(found - exact) <= 1e-14 * (1 + abs(exact)) + 2e-16 * abs(at), (order, at)
         value = derivatives(value, places[x])
@@ -77,7 +83,7 @@ def test_what_is_left_of_an_exponential_is_not_lost(at):
 
 
 @pytest.mark.parametrize(
-    "expression", [sp.log(x + sp.exp(y)), sp.log(1 - sp.exp(x)), sp.log(a * x)]
+    "expression", [sp.log(x + sp.exp(y)), sp.log(1 - sp.exp(x)), sp.log(a * x * (1 + y))]
 )
 def test_other_logarithms_stay(expression):
     graph, (value,), _ = read(expression)

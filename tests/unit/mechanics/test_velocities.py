@@ -206,8 +206,7 @@ def test_names_that_are_told_apart():
         skate({"b": BLADE}, coordinates=(x, y, th, other), kinetic=_free(other))
 
 
-@pytest.mark.parametrize("scheme", ["gauss4", "simpson"])
-def test_a_mechanism_that_is_driven_fully(scheme):
+def test_a_mechanism_that_is_driven_fully():
     """A bead on a circle, whose angle a motor turns by t + sin(t)/2: nothing is left to be free."""
     rate = 1 + sp.cos(ss.time) / 2
     bead = ss.MechanicalSystem(
@@ -218,7 +217,7 @@ def test_a_mechanism_that_is_driven_fully(scheme):
         constraints={"rod": x**2 + y**2 - 1},
         velocity_constraints={"motor": x * y.diff() - y * x.diff() - rate},
     )
-    run = ss.compile(bead, scheme).integrate([1, 0], v0=[0, 1.5], h=0.05, steps=20)
+    run = ss.compile(bead).integrate([1, 0], v0=[0, 1.5], h=0.05, steps=8)
     angle, speed = run.t + np.sin(run.t) / 2, 1 + np.cos(run.t) / 2
     assert np.abs(run.q.T - [np.cos(angle), np.sin(angle)]).max() < 1e-7
     force = (speed**2 - 9.81 * np.sin(angle)) / 2

@@ -111,9 +111,9 @@ def test_others_can_read_it(tmp_path):
 @pytest.mark.parametrize("name", ["run", "run.txt", "run.nc.gz"])
 def test_other_endings_are_refused(tmp_path, name):
     run = run_of("double_pendulum", "simpson")
-    with pytest.raises(ss.InputError, match=r"End it in .nc"):
+    with pytest.raises(ss.InputError, match=r"Use .nc"):
         run.save(tmp_path / name)
-    with pytest.raises(ss.InputError, match=r"End it in .nc"):
+    with pytest.raises(ss.InputError, match=r"Use .nc"):
         ss.open_trajectory(tmp_path / name)
 
 

@@ -147,7 +147,7 @@ def test_files(stepper, tmp_path):
         assert (table["energy"] == result["energy"]).all()
         with xarray.open_dataset(tmp_path / "run.nc") as data:
             assert data.attrs["status"] == "SUCCESS"
-        with pytest.raises(ss.InputError, match="no kind of file"):
+        with pytest.raises(ss.InputError, match="unsupported file extension"):
             result.save(tmp_path / "run.txt")
     assert {"q1", "q2", "bob_x", "bob_y"} < set(kept.to_pandas().columns)
 

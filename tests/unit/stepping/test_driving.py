@@ -81,11 +81,17 @@ def test_functions_of_time_are_evaluated_at_the_nodes():
     for _ in range(4):
         loop.step(np.sin)
     assert abs(loop.q - right) < 1e-15
-    both = ss.compile(cart("u", "w"), "gauss4")
+
+
+@pytest.mark.slow
+def test_functions_beside_numbers_and_their_slopes():
+    both, k = ss.compile(cart("u", "w"), "gauss4"), {"v0": [0.0], "h": 0.1, "t0": 2.0}
     mixed = both.integrate([0.0], **k, steps=4, inputs={"u": lambda t: 1 if t < 2.2 else 0, "w": 0})
     assert mixed["v_x"][-1] == pytest.approx(0.2, abs=1e-15)
-    slopes = made.gradient([0.0], **k, steps=4, inputs={"u": np.sin}, cost="x", wrt="u")
-    assert slopes.parts["u"].shape == values.shape
+    given = {"u": np.sin, "w": 1.0}
+    slopes = both.gradient([0.0], **k, steps=4, inputs=given, cost="x", wrt=("u", "w"))
+    assert slopes.parts["u"].shape == (4, 2)
+    assert slopes.parts["u"].sum() == pytest.approx(slopes.parts["w"], rel=1e-12)
 
 
 def test_functions_that_give_no_numbers():
