@@ -195,16 +195,18 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
         """Return signs at one end of all intervals, places near it, and values there."""
         found, sizes, places = (first, last)[end].copy(), small[start + end], end * span
         signs, which = np.sign(found), np.flatnonzero(np.abs(found) <= np.fmax(sizes, rounding))
-        if which.size:
-            place, ahead, seen = places[which], way * span[which], found[which]
-            least = np.fmax(sizes[which], 8 * np.abs(seen))
-            beside = signs_beside(lambda part: at(which, place + part * ahead), least)
-            clear = np.where(np.abs(seen) > sizes[which], signs[which], 0)
+        if which.size:  # only against what is beside it is it known to be zero
+            near = at(which, places[which] + way * BESIDE[1] * span[which])[0]
+            least = np.fmax(sizes[which], ZERO / BESIDE[1] * np.abs(near))
+            which = which[np.abs(found[which]) <= least]
+            place, ahead = places[which], way * span[which]
+            beside = signs_beside(lambda part: at(which, place + part * ahead), sizes[which])
+            clear = np.where(np.abs(found[which]) > sizes[which], signs[which], 0)
             signs[which] = np.where(beside == 0, clear, beside)
             places[which] += BESIDE[1] * ahead
             found[which] = at(which, places[which])[0]
             lost = which[np.sign(found[which]) != signs[which]]
-            places[lost], found[lost] = end * span[lost], TINY * signs[lost]
+            found[lost] = TINY * signs[lost]
         return signs, places, found
 
     (left, low, first), (right, high, last) = looked_at(0, 1), looked_at(1, -1)
@@ -215,7 +217,7 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
     left[:count], plain = flat[::2], np.delete(begin, passing)
     right[plain] = flat[2 * plain + 1]
     behind = np.append(flat[2::2], 0.0)
-    if count and abs(values[-1]) <= max(small[-1], rounding):  # it goes on as it came, if unknown
+    if count and high[count - 1] != span[count - 1]:  # zero at the end: if unknown, it goes on
         end = np.array([min(len(times), len(run.t)) - 1])
 
         def beyond(part: float) -> Floats:
@@ -223,8 +225,8 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
             q[codes != 0] = np.nan
             return value(times[-1:] + part * span[count - 1], q, p, turns[-1:])
 
-        (sign,) = signs_beside(beyond, np.fmax(small[-1:], 8 * np.abs(values[-1:])))
-        behind[-1] = sign or (-flat[-1] if abs(values[-1]) <= small[-1] else np.sign(values[-1]))
+        (sign,) = signs_beside(beyond, small[-1:])
+        behind[-1] = sign or -flat[-1]
     within = np.where(left * right < 0, right, 0)
     at_states = np.where(flat[1::2] * behind < 0, behind, 0)
     here, states = (
