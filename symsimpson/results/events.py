@@ -172,7 +172,7 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
     begin = np.arange(len(times) - 1)
     passing = np.flatnonzero((turns[1:] != turns[:-1]).any(axis=1))
     start, turn = np.append(begin, passing), np.concatenate([turns[:-1], turns[passing + 1]])
-    values = value(times, positions, momenta, turns)[0]  # each state in its own turn
+    values, sizes_at = value(times, positions, momenta, turns)  # each state in its own turn
     first = np.append(values[:-1], values[passing])
     last = np.append(values[1:], values[passing + 1])
     if passing.size:  # an interval has one turn for both of its ends
@@ -180,9 +180,9 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
         first[new] = value(times[passing], positions[passing], momenta[passing], turn[new])[0]
         last[passing] = value(times[end], positions[end], momenta[end], turn[passing])[0]
     count, span = len(begin), times[start + 1] - times[start]
-    small = ZERO * watched(times, positions, momenta)[:, 1]
-    finite = [x[np.isfinite(x)] for x in (first, last)]
-    rounding = ZERO * max(np.abs(np.append(*finite)), default=0.0)
+    small = ZERO * (watched(times, positions, momenta)[:, 1] if wrapped else sizes_at)
+    finite = np.abs(np.append(first, last))
+    rounding = ZERO * np.max(finite, initial=0.0, where=np.isfinite(finite))
     state: list[Floats] = [np.zeros((start.size, run.program.n)) for _ in "qp"]
 
     def at(which: NDArray[np.int64], later: Floats) -> Floats:

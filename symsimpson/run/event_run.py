@@ -328,7 +328,7 @@ class EventRun(Run):
                 return self._fail(Status.NOT_FINITE, why)
         if self._look_for_end():
             return None
-        if state is not given:
+        if state is not given and self._actions.beyond is None:
             share = (t - float(self.t0 + self.h * step)) / float(self.h)
             self.sides.renew(allowed, t, given, state, (step, share))
         return None if self._accumulates(times) else state
@@ -381,6 +381,7 @@ class EventRun(Run):
         """Let events act on the state where the run is, which is one of the grid."""
         if self._saltation is not None:
             self._saltation.begin(self._variations)
+        self._actions.beyond = None
         new_state = self._act(t, step, state, events, {})
         if new_state is None and self.end_within is not None:
             new_state = self.end_within[1:]

@@ -20,7 +20,7 @@ __all__ = ["Sides"]
 
 #: In these parts of a step, or of its rest, expressions are looked at that are zero at both ends.
 #: Forces are taken on their own side of a kink up to these parts of a step from it.
-LITTLE = [2.0**k for k in range(-52, -15)]
+LITTLE = [2.0**k for k in range(-50, -15, 2)]
 PLACES = (0.8625, 0.6125, 0.3625, 0.1125)
 
 #: How long a part of a step is up to events, the state there, and the events.
