@@ -87,6 +87,12 @@ class Sides:
         self.side[:] = np.where(zeros & ~acting, others, self.side)
         return np.flatnonzero(acting).tolist()
 
+    def ending(self, t: float, state: State, step: int) -> NDArray[np.bool_]:
+        """Return which events act at the last state, where expressions pass through zero."""
+        here = np.abs(self._actions.values(t, state)) <= self.small_at(t, state)
+        ahead = self.ahead(t, state, (step, 0.0)) if here.any() else 0 * self.side
+        return here & self.acts(np.where(ahead == 0, -np.trunc(self.side), ahead))
+
     def stays(self, crossing: Crossing, t: float, state: State, place: tuple[int, float]) -> bool:
         """Return whether events are no impacts, and stay zero, but for rounding, up to there."""
         part, _, events = crossing
