@@ -179,8 +179,8 @@ class Trajectory(Energies, Differentiated):
         """Find the zeros of an expression along the run, to rounding error.
 
         A change of sign between two stored states brackets a zero, which is located on the dense
-        output. Two zeros between neighbouring stored states are missed. A zero at the first state
-        is not counted.
+        output. Two zeros between neighbouring stored states are missed. A zero at a stored state
+        is found once; one at the first state is not counted.
 
         Parameters
         ----------
