@@ -77,7 +77,9 @@ def _size(node: ast.expr) -> str:
                 return f"({a}) * abs({last}) + abs({first}) * ({b})"
         case ast.BinOp(left=ast.BinOp() | ast.Call() as left, op=ast.Div(), right=right):
             return f"({_size(left)}) / abs({ast.unparse(right)})"
-        case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=n)) if n > 1:
+        case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int() | float() as n)) if (
+            n > 1
+        ):
             return f"{value} + {n} * abs({ast.unparse(left)}) ** {n - 1} * ({_size(left)})"
         case ast.BinOp(left=left, op=ast.Mod()):
             return f"{value} + {_size(left)}"

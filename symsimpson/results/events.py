@@ -210,7 +210,7 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
     begin = np.arange(len(times) - 1)
     passing = np.flatnonzero((turns[1:] != turns[:-1]).any(axis=1))
     start, turn = np.append(begin, passing), np.concatenate([turns[:-1], turns[passing + 1]])
-    values = value(times, positions, momenta, turns)[0]  # each state in its own turn
+    values, sizes_at = value(times, positions, momenta, turns)  # each state in its own turn
     first = np.append(values[:-1], values[passing])
     last = np.append(values[1:], values[passing + 1])
     if passing.size:  # an interval has one turn for both of its ends
@@ -218,9 +218,9 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
         first[new] = value(times[passing], positions[passing], momenta[passing], turn[new])[0]
         last[passing] = value(times[end], positions[end], momenta[end], turn[passing])[0]
     count, span = len(begin), times[start + 1] - times[start]
-    small = ZERO * watched(times, positions, momenta)[:, 1]
-    finite = [x[np.isfinite(x)] for x in (first, last)]
-    rounding = ZERO * max(np.abs(np.append(*finite)), default=0.0)
+    small = ZERO * (watched(times, positions, momenta)[:, 1] if wrapped else sizes_at)
+    finite = np.abs(np.append(first, last))
+    rounding = ZERO * np.max(finite, initial=0.0, where=np.isfinite(finite))
     state: list[Floats] = [np.zeros((start.size, run.program.n)) for _ in "qp"]
 
     def at(which: NDArray[np.int64], later: Floats) -> Floats:
@@ -233,16 +233,18 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
         """Return signs at one end of all intervals, places near it, and values there."""
         found, sizes, places = (first, last)[end].copy(), small[start + end], end * span
         signs, which = np.sign(found), np.flatnonzero(np.abs(found) <= np.fmax(sizes, rounding))
-        if which.size:
-            place, ahead, seen = places[which], way * span[which], found[which]
-            least = np.fmax(sizes[which], 8 * np.abs(seen))
-            beside = signs_beside(lambda part: at(which, place + part * ahead), least)
-            clear = np.where(np.abs(seen) > sizes[which], signs[which], 0)
+        if which.size:  # only against what is beside it is it known to be zero
+            near = at(which, places[which] + way * BESIDE[1] * span[which])[0]
+            least = np.fmax(sizes[which], ZERO / BESIDE[1] * np.abs(near))
+            which = which[np.abs(found[which]) <= least]
+            place, ahead = places[which], way * span[which]
+            beside = signs_beside(lambda part: at(which, place + part * ahead), sizes[which])
+            clear = np.where(np.abs(found[which]) > sizes[which], signs[which], 0)
             signs[which] = np.where(beside == 0, clear, beside)
             places[which] += BESIDE[1] * ahead
             found[which] = at(which, places[which])[0]
             lost = which[np.sign(found[which]) != signs[which]]
-            places[lost], found[lost] = end * span[lost], TINY * signs[lost]
+            found[lost] = TINY * signs[lost]
         return signs, places, found
 
     (left, low, first), (right, high, last) = looked_at(0, 1), looked_at(1, -1)
@@ -253,7 +255,7 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
     left[:count], plain = flat[::2], np.delete(begin, passing)
     right[plain] = flat[2 * plain + 1]
     behind = np.append(flat[2::2], 0.0)
-    if count and abs(values[-1]) <= max(small[-1], rounding):  # it goes on as it came, if unknown
+    if count and high[count - 1] != span[count - 1]:  # zero at the end: if unknown, it goes on
         end = np.array([min(len(times), len(run.t)) - 1])
 
         def beyond(part: float) -> Floats:
@@ -261,8 +263,8 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
             q[codes != 0] = np.nan
             return value(times[-1:] + part * span[count - 1], q, p, turns[-1:])
 
-        (sign,) = signs_beside(beyond, np.fmax(small[-1:], 8 * np.abs(values[-1:])))
-        behind[-1] = sign or (-flat[-1] if abs(values[-1]) <= small[-1] else np.sign(values[-1]))
+        (sign,) = signs_beside(beyond, small[-1:])
+        behind[-1] = sign or -flat[-1]
     within = np.where(left * right < 0, right, 0)
     at_states = np.where(flat[1::2] * behind < 0, behind, 0)
     here, states = (

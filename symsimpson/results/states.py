@@ -25,6 +25,10 @@ from symsimpson.support.names import counted
 __all__ = ["States"]
 
 
+#: Names of all that runs have; runs themselves put them here.
+OF_RUNS = set[str]()
+
+
 class PartialRunError(InputError, AttributeError):
     """Some states of a run lack what the whole run has."""
 
@@ -102,12 +106,8 @@ class States(Quantities):
         self.__dict__.update(fields)  # a quarter of the time that setting each takes
 
     def __getattr__(self, name: str) -> Any:
-        from symsimpson.results.trajectory import Trajectory
-
         kind = type(self).__name__
-        if name.startswith("_") or not (
-            hasattr(Trajectory, name) or name in Trajectory.__dataclass_fields__
-        ):
+        if name not in OF_RUNS:
             raise AttributeError(f"{kind!r} object has no attribute {name!r}")
         raise PartialRunError(
             f"{kind} has no {name!r}: these are some states of a run.\nAsk the run itself, "

@@ -16,7 +16,7 @@ from symsimpson.program.input_values import read_array
 from symsimpson.program.status import Status
 from symsimpson.results.differentiated import Differentiated
 from symsimpson.results.energies import Energies
-from symsimpson.results.states import States
+from symsimpson.results.states import OF_RUNS, States
 from symsimpson.support.calling import explaining
 from symsimpson.support.names import counted, did_you_mean
 
@@ -182,8 +182,8 @@ class Trajectory(Energies, Differentiated):
         """Find the zeros of an expression along the run, to rounding error.
 
         A change of sign between two stored states brackets a zero, which is located on the dense
-        output. Two zeros between neighbouring stored states are missed. A zero at the first state
-        is not counted.
+        output. Two zeros between neighbouring stored states are missed. A zero at a stored state
+        is found once; one at the first state is not counted.
 
         Parameters
         ----------
@@ -326,3 +326,6 @@ class Trajectory(Energies, Differentiated):
             f"Trajectory({program.system}, {program.scheme}: {counted(self.steps, 'step')} of "
             f"h={float(self.h):g}, {counted(self.t.size, 'state')} stored, {self.status.name})"
         )
+
+
+OF_RUNS |= {x for x in (*dir(Trajectory), *Trajectory.__dataclass_fields__) if x[0] != "_"}

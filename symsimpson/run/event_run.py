@@ -20,7 +20,7 @@ from symsimpson.run.event_actions import EventActions
 from symsimpson.run.event_sides import Sides
 from symsimpson.run.plain_impacts import PlainImpacts, plain_restitution
 from symsimpson.stepping.event import Impact
-from symsimpson.stepping.parts import Parts
+from symsimpson.stepping.parts import LEAST, Parts
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.run_events import RunEvents
 from symsimpson.support.array_types import Floats, Reals
@@ -116,9 +116,11 @@ class EventRun(Run):
         """Take steps with the same kernels, in parts where there is an event."""
         while True:
             super().take(stop)
-            if self._column[self._status] != MET:
+            kink = self._column[self._status] == Status.NOT_FINITE and self._events.split_alone()
+            kink = kink and self._set + 1 == len(self._fallbacks)
+            if not (kink or self._column[self._status] == MET) or self.reason:
                 break
-            self._split_step()
+            self._split_step(taken=not kink)
         if self.step == self._steps and self.alive:
             self._finish()
 
@@ -150,11 +152,12 @@ class EventRun(Run):
         self.sides.size[:] = np.fmax(self.sides.size, np.abs(self._value))
         self._earlier[:] = self._value - self.h * self._actions.rates(row)
 
-    def _split_step(self) -> None:
-        """Take the last step back, and take it anew with the events that are in it."""
-        self._progress[0] -= 1
+    def _split_step(self, *, taken: bool) -> None:
+        """Take a step anew, with the events that are in it; one that was taken is taken back."""
+        self._progress[0] -= taken
         behind, rows = self.W.copy(), 4 * self.header.n
-        self.rows("POSITION", rows)[:] = self.rows("PREVIOUS", rows)
+        if taken:  # else it ends on a kink
+            self.rows("POSITION", rows)[:] = self.rows("PREVIOUS", rows)
         self._column[self._status] = 0
         step, acted = self.step, len(self.records)
         start, side = self._state(), self.sides.side.copy()
@@ -172,8 +175,8 @@ class EventRun(Run):
             if self._code == ARRIVED and self._saltation is not None:
                 self._saltation.put(self._variations)
             return
-        same = len(self.records) == acted and (np.sign(self.sides.side) == np.sign(side)).all()
-        if same:  # nothing was there
+        same = (np.sign(self.sides.side) == np.sign(side)).all()
+        if same and taken and len(self.records) == acted:  # nothing was there
             side, size = self.sides.side.copy(), self.sides.size.copy()
             self.W[:] = behind
             self.sides.side[:], self.sides.size[:] = side, size
@@ -188,8 +191,7 @@ class EventRun(Run):
         self._remember()
         self._call(self._time(), of_states=True)
         if self.every and self._progress.item(0) % self.every == 0:
-            place = self._progress.item(0) // self.every
-            self.store(place)
+            self.store(place := self._progress.item(0) // self.every)
             self.iterations[place, 0] = self.last_iterations
             self.rows("ITERATIONS", 1)[:] = 0
 
@@ -225,7 +227,7 @@ class EventRun(Run):
                 if self._saltation is not None:
                     self._saltation.settle(t0 + done, state, step)
                 return state
-            end, status = self._parts(state, t0 + done, rest, step, done / h)
+            end, status = self._parts.beside(state, t0 + done, rest, step, done / h, LEAST)
             if status is not Status.SUCCESS:
                 return self._fail(status)
             crossing = self._located(step, t0, done, rest, state, end)
@@ -240,8 +242,11 @@ class EventRun(Run):
                 return end
             part, behind, events = crossing
             given = t0 + done, state, (step, done / h)
+            why = (
+                f"{self._events.names[events[0]]!r} is touched at rest at t={t0 + done + part!r}. "
+            )
             if {*events} <= latest and self.sides.stays(crossing, *given):
-                return self._rests(t0 + done, events[0])
+                return self._fail(Status.EVENTS_ACCUMULATE, why)
             part, behind, there, self._actions.beyond = self.sides.astride(crossing, *given)
             self._flow(state, t0 + done, part, step, events[0])
             done, latest = done + there, {*events}
@@ -251,7 +256,7 @@ class EventRun(Run):
                 return None
             still = pressed or (not part and state is behind)
             if still and self._actions.may_all_hit(t0 + done, state, events):
-                return self._rests(t0 + done, events[0])
+                return self._fail(Status.EVENTS_ACCUMULATE, why)
         why = f"More than {MOST_ACTIONS} events act within one step, or one acts for ever. "
         return self._fail(Status.EVENTS_ACCUMULATE, why + "Take a smaller h if they do not. ")
 
@@ -328,7 +333,7 @@ class EventRun(Run):
                 return self._fail(Status.NOT_FINITE, why)
         if self._look_for_end():
             return None
-        if state is not given:
+        if state is not given and self._actions.beyond is None:
             share = (t - float(self.t0 + self.h * step)) / float(self.h)
             self.sides.renew(allowed, t, given, state, (step, share))
         return None if self._accumulates(times) else state
@@ -342,10 +347,6 @@ class EventRun(Run):
     def _variations(self) -> Floats:
         """Rows in which variations of the state stand, one after the other."""
         return self.rows("TANGENT", 2 * self.header.n * int(self.value("TANGENTS")))
-
-    def _rests(self, t: float, event: int) -> None:
-        why = f"{self._events.names[event]!r} is touched at rest at t={t!r}. "
-        self._fail(Status.EVENTS_ACCUMULATE, why)
 
     def _accumulates(self, times: Times) -> bool:
         """Return whether impacts follow each other ever faster: the run ends."""
@@ -368,19 +369,17 @@ class EventRun(Run):
     def _finish(self) -> None:
         """Let events act whose zero is the last state, unless they have just done so."""
         t, state = float(self._time()), self._state()
-        here = np.abs(self._actions.values(t, state)) <= self.sides.small_at(t, state)
+        here = self.sides.ending(t, state, self.step)
         near = TOGETHER * max(abs(t), abs(float(self.h)))
         here[[record.event for record in self.records if abs(record.t - t) <= near]] = False
-        ahead = self.sides.ahead(t, state, (self.step, 0.0)) if here.any() else 0
-        ahead = np.where(ahead == 0, -np.trunc(self.sides.side), ahead)  # a half of it rests there
-        events = np.flatnonzero(here & self.sides.acts(ahead)).tolist()
-        if events:
+        if events := np.flatnonzero(here).tolist():
             self._act_here(t, self.step, state, events)
 
     def _act_here(self, t: float, step: int, state: Any, events: list[int]) -> None:
         """Let events act on the state where the run is, which is one of the grid."""
         if self._saltation is not None:
             self._saltation.begin(self._variations)
+        self._actions.beyond = None
         new_state = self._act(t, step, state, events, {})
         if new_state is None and self.end_within is not None:
             new_state = self.end_within[1:]

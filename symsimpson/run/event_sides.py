@@ -20,7 +20,7 @@ __all__ = ["Sides"]
 
 #: In these parts of a step, or of its rest, expressions are looked at that are zero at both ends.
 #: Forces are taken on their own side of a kink up to these parts of a step from it.
-LITTLE = [2.0**k for k in range(-52, -15)]
+LITTLE = [2.0**k for k in range(-50, -15, 2)]
 PLACES = (0.8625, 0.6125, 0.3625, 0.1125)
 
 #: How long a part of a step is up to events, the state there, and the events.
@@ -43,13 +43,14 @@ class Sides:
         h: float,
     ) -> None:
         self.side, self.size = rows
+        self._seen_of_late = self._arriving = 0 * self.size
         self._actions, self._events, self._parts, self._h = actions, events, parts, h
         self._signs = np.array([event.sign for event in events.events])
 
     def ahead(self, t: float, state: State, place: tuple[int, float]) -> Floats:
         """Return signs of expressions a little after a state; a place is a step and where in it.
 
-        Their sizes are then at least those that are seen there.
+        Their sizes are at least what is seen there, up to the end of the step.
         """
 
         def values(part: float) -> Floats:
@@ -57,7 +58,7 @@ class Sides:
             soon, status = self._parts(state, t, size, *place)
             there = soon if status is Status.SUCCESS else (np.nan * state[0], np.nan * state[1])
             values = self._seen(self._actions.row(t + size, there))
-            self.size[:] = np.fmax(self.size, np.abs(values[0]))
+            self._seen_of_late = np.fmax(self._seen_of_late, np.abs(values[0]))
             return values
 
         return signs_beside(values, self.small_at(t, state))
@@ -76,7 +77,7 @@ class Sides:
 
     def due(self, t: float, state: State, step: int) -> list[int]:
         """Return events other than impacts whose zero is the state where a step begins."""
-        values = self._actions.values(t, state)
+        values, self._seen_of_late = self._actions.values(t, state), 0 * self.size
         zeros = ~self._actions.impacts & (np.abs(values) <= self.small_at(t, state))
         if not zeros.any():
             return []
@@ -85,6 +86,12 @@ class Sides:
         others = np.where(ahead == 0, np.sign(self.side) / 2, ahead)
         self.side[:] = np.where(zeros & ~acting, others, self.side)
         return np.flatnonzero(acting).tolist()
+
+    def ending(self, t: float, state: State, step: int) -> NDArray[np.bool_]:
+        """Return which events act at the last state, where expressions pass through zero."""
+        here = np.abs(self._actions.values(t, state)) <= self.small_at(t, state)
+        ahead = self.ahead(t, state, (step, 0.0)) if here.any() else 0 * self.side
+        return here & self.acts(np.where(ahead == 0, -np.trunc(self.side), ahead))
 
     def stays(self, crossing: Crossing, t: float, state: State, place: tuple[int, float]) -> bool:
         """Return whether events are no impacts, and stay zero, but for rounding, up to there."""
@@ -126,7 +133,8 @@ class Sides:
         With it comes what is asked for there; ``row`` gives it, ``first`` and ``last`` are that at
         both ends.
         """
-        count, small = len(self.size), ZERO * np.fmax(self.size, np.abs(last[: len(self.size)]))
+        count, sizes = len(self.size), np.fmax(self.size, self._seen_of_late)
+        small = ZERO * np.fmax(sizes, np.abs(last[: len(sizes)]))
         zeros = ~self._actions.impacts & (np.abs(last[:count]) <= small)
         self._arriving, met = np.zeros(count), dict[int, tuple[float, Floats]]()
         if zeros.any():
@@ -154,17 +162,14 @@ class Sides:
 
     def settle(self, row: Floats, q: Floats) -> None:
         """Take the sides and sizes behind a step."""
-        self.size[:] = self.faded(row, q)
+        seen = np.where(np.abs(row[: len(self.size)]) <= self.small, self._seen_of_late, 0.0)
+        self.size[:] = np.fmax(self.faded(row, q), seen)
         before = np.where(self._arriving, self._arriving, self.side)
         self.side[:] = self.of(row[: len(self.size)], self.small, before)
 
     def faded(self, row: Floats, q: Floats) -> Floats:
-        """Return sizes behind a step: those of terms, or what is left of those before.
-
-        All is left of sizes of gaps, and of what is zero there.
-        """
-        zeros = np.abs(row[: len(self.size)]) <= self.small
-        left = np.where(self._actions.impacts | zeros, 1.0, FADED) * self.size
+        """Return sizes behind a step: those of terms, or what is left of those before."""
+        left = np.where(self._actions.impacts, 1.0, FADED) * self.size
         return np.fmax(left, self._actions.sizes(row, q))
 
     def of(self, values: Floats, small: Floats, before: Floats | None = None) -> Floats:

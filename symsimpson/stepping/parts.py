@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ __all__ = ["Parts", "steps_from"]
 
 #: Parts of steps that end beside a place are shorter, or longer, by so much of a step.
 NUDGES = [sign * 2.0**k for k in range(-50, -16, 4) for sign in (-1, 1)]
+#: Those of whole steps: their ends are those of the grid, but for rounding.
+LEAST = NUDGES[:8]
 
 
 class Parts:
@@ -67,14 +70,20 @@ class Parts:
         return steps_from(self._program, self.parameters, t, state, size, 1, rests)
 
     def beside(
-        self, state: Any, t: float, size: float, step: int, share: float
+        self,
+        state: Any,
+        t: float,
+        size: float,
+        step: int,
+        share: float,
+        nudges: Sequence[float] = NUDGES,
     ) -> tuple[Any, Status]:
         """Take a part of a step, or one that ends beside it where the equations have no value.
 
         They have none on a kink that is written as sqrt(x**2), and events are looked for there.
         """
         end, status = self(state, t, size, step, share)
-        for nudge in NUDGES:
+        for nudge in nudges:
             if status is Status.SUCCESS:
                 break
             end, status = self(state, t, size + nudge * self._h, step, share)

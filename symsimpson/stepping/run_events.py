@@ -43,10 +43,10 @@ class RunEvents:
         """Names of the records."""
         return tuple(event.key for event in self.events)
 
-    def split_alone(self, events: Sequence[int]) -> bool:
-        """Return whether some events split a step and do nothing else."""
-        some = [self.events[k] for k in events]
-        return not any(isinstance(x.action, (Impact, Change)) or x.terminal for x in some)
+    def split_alone(self, events: Sequence[int] | None = None) -> bool:
+        """Return whether these events split a step and do nothing else, or any event does."""
+        alone = [not (isinstance(x.action, (Impact, Change)) or x.terminal) for x in self.events]
+        return any(alone) if events is None else all(alone[k] for k in events)
 
     def last_of(self, records: Sequence[Any]) -> Any:
         """Return the record with which an event ends a run, if there is one."""

