@@ -7,13 +7,15 @@ from typing import Any
 import numpy as np
 
 from symsimpson.control.constraint_rows import onto, resolved
-from symsimpson.control.functions_of_time import read_function, values_at
+from symsimpson.control.functions_of_time import functions_of, read_function
 from symsimpson.control.layout import Layout
 from symsimpson.control.point_functions import PointFunctions
-from symsimpson.control.problem_parts import read_mapping, read_reals
+from symsimpson.control.problem_parts import read_mapping
 from symsimpson.control.result import ControlResult
 from symsimpson.control.scaling import sizes_at
 from symsimpson.errors import InputError
+from symsimpson.program.input_values import read_reals, values_at
+from symsimpson.results.trajectory import Trajectory
 from symsimpson.support.array_types import Floats
 from symsimpson.support.names import did_you_mean
 
@@ -40,6 +42,8 @@ def initial_point(layout: Layout, guess: Any) -> Floats:
     values = [
         x if np.isfinite(x) else read.values[i] for x, i in zip(values, read.found, strict=True)
     ]
+    if isinstance(guess, Trajectory):
+        guess = functions_of(guess)
     if isinstance(guess, ControlResult):
         functions = guess.functions
         strange = [name for name in functions if name not in (*read.names, *read.inputs)]
@@ -54,8 +58,8 @@ def initial_point(layout: Layout, guess: Any) -> Floats:
         values = [unknowns.get(name, x) for name, x in zip(read.found_names, values, strict=True)]
     elif guess is not None:
         how = (
-            "another result, or a mapping from names to functions of the time, numbers, or arrays "
-            "over equal times"
+            "another result, a run, or a mapping from names to functions of the time, numbers, or "
+            "arrays over equal times"
         )
         given = {name: value for name, _, value in read_mapping("guess", guess, how)}
         allowed = {*read.names, *read.inputs, "duration", *read.found_names}
@@ -163,7 +167,7 @@ def bent(layout: Layout, x: Floats) -> list[Floats]:
             side = side - side @ other * other
         if np.linalg.norm(side) > PARALLEL:
             across.append(side / np.linalg.norm(side))
-    guesses = []
+    guesses: list[tuple[float, int, float, Floats]] = []
     for side in across[bool(reach) :][:MOST_SIDES]:
         for shape in shapes:
             for sign in (1.0, -1.0):

@@ -11,7 +11,7 @@ from scipy import sparse
 
 from symsimpson.control.constraint_rows import held_blocks, held_values, pressed
 from symsimpson.control.ends import Following, following
-from symsimpson.control.functions_of_time import read_function, values_at
+from symsimpson.control.functions_of_time import read_function
 from symsimpson.control.grid import Grid
 from symsimpson.control.point_functions import PointFunctions
 from symsimpson.control.programme_rows import Rows
@@ -19,6 +19,7 @@ from symsimpson.control.reading import Limits
 from symsimpson.control.transcription import Block, Programme
 from symsimpson.graph.nodes import Value, scaled
 from symsimpson.graph.rebuild import rebuilt
+from symsimpson.program.input_values import values_at
 from symsimpson.support.array_types import Floats, Ints
 
 if TYPE_CHECKING:

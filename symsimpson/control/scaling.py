@@ -112,7 +112,7 @@ def scaled(programme: Solvable, layout: Layout, x: Floats) -> Scaled:
 
 
 def cost_size(layout: Layout, x: Floats) -> float:
-    """Return the size of costs at a guess: the cost there, or at least what is more than nothing."""
+    """Return the size of costs at a guess: the cost there, or at least more than nothing."""
     programme, *_ = layout.programme
     cost, unit = abs(programme.values(x)[0]), scaled(programme, layout, x).of_cost / COST
     return max(cost if cost < np.inf else 0.0, NOTHING * unit)

@@ -51,7 +51,8 @@ def read_task(
     columns = _parameters(program, request.parameters, (request.events, request.reduce))
     sizes = {name: len(rows) for name, rows in zip(names, states, strict=True) if rows.ndim == 2}
     sizes |= {f"parameter {name}": x.size for name, x in columns.items() if x.ndim == 1}
-    driving = read_driving(program, request.inputs, h, count, max(sizes.values(), default=1))
+    many = max(sizes.values(), default=1)
+    driving = read_driving(program, request.inputs, h, count, many, t0)
     sizes |= {"inputs": len(driving)} if len(driving) > 1 else {}
     members = max(sizes.values(), default=1)
     for name, size in sizes.items():

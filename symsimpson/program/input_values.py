@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from symsimpson.errors import InputError
-from symsimpson.support.array_types import Reals
+from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.names import Named, read_mapping, shortened
 
 if TYPE_CHECKING:
@@ -21,8 +21,10 @@ __all__ = [
     "read_count",
     "read_number",
     "read_parameters",
+    "read_reals",
     "read_vector",
     "shortened",
+    "values_at",
     "whole_number",
 ]
 
@@ -127,3 +129,47 @@ def read_parameters(
             )
         values[slot] = number
     return values
+
+
+def read_reals(what: str, given: Any, how: str) -> Floats:
+    """Read real numbers in an array of any shape.
+
+    Raises InputError if they are none: text, nothing, rows of unequal lengths, complex numbers, of
+    which NumPy would drop a part; ``how`` says what to do.
+    """
+    try:
+        array = np.asarray(given)
+        # NumPy makes numbers of texts, and NaN of None
+        real = array.dtype.kind in "biuf" or (
+            array.dtype.kind == "O" and not any(isinstance(x, str) or x is None for x in array.flat)
+        )
+        if real:
+            return array.astype(np.float64)
+    except (TypeError, ValueError, OverflowError):  # of rows, and of objects that are no numbers
+        array = None
+    kind = "complex" if array is not None and array.dtype.kind == "c" else "not real"
+    raise InputError(f"{what} is {shortened(given)}: {kind}, where real numbers belong.\n{how}")
+
+
+def values_at(what: str, function: Any, times: Floats) -> Floats:
+    """Evaluate a function at an array of times of any shape; it gets them in one row.
+
+    Raises InputError if it cannot be, or gives another shape.
+    """
+    row = times.ravel()
+    try:
+        given = function(row)
+    except Exception as error:  # it is a function of the user's
+        raise InputError(
+            f"{what} cannot be evaluated at an array of times: {type(error).__name__}: {error}.\n"
+            "Write it with functions of numpy."
+        ) from None
+    values = read_reals(f"what {what} gives", given, "Return real numbers, as of numpy.real.")
+    if values.shape not in (row.shape, ()):
+        raise InputError(
+            f"{what} gives shape {values.shape} for times of shape {row.shape}.\n"
+            "It takes an array of times, and gives one of values."
+        )
+    if not np.isfinite(values).all():
+        raise InputError(f"{what} is not finite at all times.\nGive it a value at each.")
+    return np.broadcast_to(values, row.shape).reshape(times.shape)

@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.program.input_values import MOST_STEPS, read_array, read_count, read_number
+from symsimpson.program.input_values import (
+    MOST_STEPS,
+    read_array,
+    read_count,
+    read_number,
+    values_at,
+)
 from symsimpson.program.workspace import NO_INPUTS
 from symsimpson.stepping.inputs import read_step
 from symsimpson.support.array_types import Reals
@@ -78,11 +84,12 @@ def samples(values: ArrayLike, *, period: float) -> Samples:
 
 
 def read_driving(
-    program: Program, given: Any, h: Any, steps: int, members: int | None = None
+    program: Program, given: Any, h: Any, steps: int, members: int | None = None, t0: Any = None
 ) -> Reals:
     """Read the values of all inputs of a run, or of the ``members`` of an ensemble.
 
-    They are given by symbol or by name; or all of them along the last axis. ``members`` is 1 where
+    They are given by symbol or by name; or all of them along the last axis. Functions of the time
+    are evaluated at nodes, where ``t0`` says when the run begins. ``members`` is 1 where
     nothing but the inputs tells how many there are. The values are of shape (K, N, s, m), by
     member, step, node and input; where an axis has one entry it stands for all. Raises InputError
     if one is missing, unknown or not finite, or has the wrong shape.
@@ -96,6 +103,10 @@ def read_driving(
             " inputs=(u,))."
         )
     values = given_inputs(program, given)
+    for name, value in values.items():
+        if t0 is not None and callable(value) and not hasattr(value, "free_symbols"):
+            at_nodes = values_at(f"input {name}", value, node_times(program, h, steps, t0))
+            values[name] = at_nodes if members is None else at_nodes[None]
     missing = [name for name in names if name not in values]
     if missing:
         raise InputError(
@@ -119,6 +130,9 @@ def read_driving(
 def given_inputs(program: Program, given: Any) -> dict[str, Any]:
     """Return what is given for each input, by its name."""
     names, given = program.inputs, program.default_inputs if given is None else given
+    functions = getattr(given, "functions", None)  # as a result of optimal control has them
+    if isinstance(functions, Mapping) and functions.keys() >= {*names}:
+        given = {name: functions[name] for name in names}
     if given is None:
         return {}
     if isinstance(given, Mapping):

@@ -85,7 +85,7 @@ def read_run(program: Program, request: Request) -> RunSpec:
         q, second = (
             x[0] for x in project_start(program, q[None], second[None], given, values[None], t0)
         )
-        inputs, carried = read_driving(program, request.inputs, h, steps), request.carried
+        inputs, carried = read_driving(program, request.inputs, h, steps, t0=t0), request.carried
         tangents = None if carried is None else read_tangents(program, carried)
         run_events = read_run_events(program, request)
         return RunSpec(

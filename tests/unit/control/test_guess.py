@@ -38,8 +38,8 @@ def past(*obstacles, system=PLANE, unit=1, scheme="lobatto6", guess=None, **more
         path.append(away >= (unit * radius) ** 2)
     given = {
         "cost": sum(u**2 for u in system.inputs),
-        "start": {s: 0 for s in q} | rest,
-        "end": {s: 0 for s in q} | {x: 2 * unit} | rest,
+        "start": dict.fromkeys(q, 0) | rest,
+        "end": dict.fromkeys(q, 0) | {x: 2 * unit} | rest,
         "duration": 2,
         "path": path,
     }
