@@ -6,7 +6,7 @@ import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.stepping.driving import at_places
+from symsimpson.stepping.driving import at_places, read_driving
 
 H, STEPS = 0.02, 60
 START = {"q0": [0.0, 0.1], "v0": [0.0, 0.0]}
@@ -54,6 +54,24 @@ def test_node_times():
     assert abs(precise[0, 0] - (sp.Rational(1, 2) - sp.sqrt(15) / 10).n(45) / 10) < 1e-40
     with pytest.raises(ss.InputError, match="has no inputs"):
         ss.compile(ss.systems.pendulum()).node_times(0.1, 3)
+
+
+def test_inputs_may_be_functions_of_the_time():
+    program, h, t0 = stepper("gauss6").program, 0.1, 2.0
+    times = stepper("gauss6").node_times(h, 3, t0=t0)
+    found = read_driving(program, {"u": lambda t: np.sin(3 * t)}, h, 3, t0=t0)
+    assert (found[0, :, :, 0] == np.sin(3 * times)).all()
+    assert (read_driving(program, {"u": lambda t: 2.0}, h, 3, 4, t0) == 2).all()
+    for function, told in (
+        (lambda t: t[:2], r"input u gives shape \(2,\) for times of shape \(9,\)"),
+        (lambda t: np.nan * t, "input u is not finite at all times"),
+        (lambda t: {}[0], "input u cannot be evaluated at an array of times: KeyError"),
+        (lambda t: 1j * t, "complex"),
+    ):
+        with pytest.raises(ss.InputError, match=told):
+            read_driving(program, {"u": function}, h, 3, t0=t0)
+    with pytest.raises(ss.InputError, match="not real numbers"):  # of a step no time is known
+        read_driving(program, {"u": np.sin}, h, 1)
 
 
 @pytest.mark.parametrize("scheme", sweep(["simpson", "gauss8", "radau3", "midpoint"]))
