@@ -188,8 +188,8 @@ def _solved(
             for trial in bent(layout, x0):
                 if not heard:
                     found.append(search(scaled_form.inside(trial), min(most, BENT), mu_init=0.1))
-            result = min(found, key=lambda one: one.cost if one.success else np.inf)
-            if first < most and not result.success:
+            result = min(found, key=lambda trial: trial.cost if trial.success else np.inf)
+            if first < most and result.status is ControlStatus.ITERATION_LIMIT:
                 result = search(end, most - first)
     return replace(
         result,
