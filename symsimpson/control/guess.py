@@ -119,7 +119,7 @@ def _with_momenta(layout: Layout, x: Floats) -> Floats:
     at_start, at_end = (np.array(row, dtype=np.float64) for row in layout.end_slopes)
     v = np.concatenate([at_start @ q / h[:, None], (at_end @ q[-1])[None] / h[-1]])
     at = np.concatenate([q[:, 0], q[-1:, -1]])
-    momenta = PointFunctions(read.graph, read.q, read.momenta)
+    momenta = PointFunctions(read.graph, [], read.momenta)
     state: dict[int, Any] = dict(zip([*read.q, *read.v], [*at.T, *v.T], strict=True))
     state |= {**known, read.t: layout.grid.times(sizes)}
     x[layout.momenta] = momenta.values(state, layout.steps + 1).T
