@@ -167,7 +167,8 @@ class Stepper(Examining):
         inputs : mapping, optional
             Values of the system's inputs, by symbol or by name: a number; an array of shape
             (steps,), held over each step; (steps, s), at its nodes (:meth:`node_times`); a function
-            of time, which is evaluated at the nodes; or :func:`symsimpson.samples`.
+            of time, which is evaluated at the nodes; or :func:`symsimpson.samples`. A result of
+            optimal control gives its own inputs.
         every : int or None
             Number of steps between stored states, of which the start is the first; the end is one
             of them if this divides the number of steps. None stores only the last state.

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from symsimpson.control.point_functions import PointFunctions, lagrange
-from symsimpson.control.problem_parts import read_reals
 from symsimpson.errors import InputError
-from symsimpson.program.input_values import read_count, shortened
+from symsimpson.program.input_values import read_count, read_reals, shortened
 from symsimpson.support.array_types import Floats
 
 if TYPE_CHECKING:

@@ -9,14 +9,13 @@ import sympy as sp
 from numpy.typing import ArrayLike
 from sympy.core.function import AppliedUndef
 
-from symsimpson.control.problem_parts import read_reals
 from symsimpson.errors import InputError
 from symsimpson.mechanics.coordinates import time
-from symsimpson.program.input_values import shortened
+from symsimpson.program.input_values import read_reals, shortened, values_at
 from symsimpson.support.array_types import Floats
 from symsimpson.support.names import spelled
 
-__all__ = ["read_function", "times_within", "values_at"]
+__all__ = ["finite_values_at", "functions_of", "read_function", "times_within"]
 
 #: So far outside of a motion, relatively, times are taken for its ends: it is the rounding of sums.
 SLACK = 1e-12
@@ -40,6 +39,33 @@ def read_function(what: str, given: Any, whole: float) -> Any:
     if array.ndim == 0:
         return lambda t: np.full(np.shape(t), float(array))
     return lambda t: np.interp(t, np.linspace(0, whole, array.size), array)
+
+
+def finite_values_at(what: str, function: Any, times: Floats) -> Floats:
+    """Evaluate a function at times; raises InputError if it gives no finite real numbers."""
+    given = values_at(what, function, times)
+    values = read_reals(f"what {what} gives", given, "Return real numbers, as of numpy.real.")
+    if not np.isfinite(values).all():
+        raise InputError(f"{what} is not finite at all times.\nGive it a value at each.")
+    return values
+
+
+def functions_of(run: Any) -> dict[str, Any]:
+    """Return coordinates and inputs of a run as functions of the time since it began, and how long.
+
+    The keys are names, and "duration". After the end of the run they stay what they are there.
+    """
+    program, begin, end = run.program, float(run.t[0]), float(run.t[-1])
+
+    def times(t: Floats) -> Floats:
+        return np.clip(begin + np.asarray(t), min(begin, end), max(begin, end))
+
+    functions: dict[str, Any] = {
+        name: lambda t, a=a: run.at(times(t)).q[:, a] for a, name in enumerate(program.coordinates)
+    }
+    for j, name in enumerate(program.inputs if run.driven else ()):
+        functions[name] = lambda t, j=j: run.driven.at(program, times(t))[0, :, 0, j]
+    return functions | {"duration": end - begin}
 
 
 def _of_expression(what: str, given: sp.Expr) -> Any:
@@ -68,27 +94,3 @@ def times_within(t: ArrayLike, whole: float) -> Floats:
             "Ask for times within."
         )
     return times
-
-
-def values_at(what: str, function: Any, times: Floats) -> Floats:
-    """Evaluate a function at an array of times of any shape; it gets them in one row.
-
-    Raises InputError if it cannot be, or gives another shape.
-    """
-    row = times.ravel()
-    try:
-        given = function(row)
-    except Exception as error:  # it is a function of the user's
-        raise InputError(
-            f"{what} cannot be evaluated at an array of times: {type(error).__name__}: {error}.\n"
-            "Write it with functions of numpy."
-        ) from None
-    values = read_reals(f"what {what} gives", given, "Return real numbers, as of numpy.real.")
-    if values.shape not in (row.shape, ()):
-        raise InputError(
-            f"{what} gives shape {values.shape} for times of shape {row.shape}.\n"
-            "It takes an array of times, and gives one of values."
-        )
-    if not np.isfinite(values).all():
-        raise InputError(f"{what} is not finite at all times.\nGive it a value at each.")
-    return np.broadcast_to(values, row.shape).reshape(times.shape)

@@ -7,13 +7,15 @@ from typing import Any
 import numpy as np
 
 from symsimpson.control.constraint_rows import onto, resolved
-from symsimpson.control.functions_of_time import read_function, values_at
+from symsimpson.control.functions_of_time import finite_values_at, functions_of, read_function
 from symsimpson.control.layout import Layout
 from symsimpson.control.point_functions import PointFunctions
-from symsimpson.control.problem_parts import read_mapping, read_reals
+from symsimpson.control.problem_parts import read_mapping
 from symsimpson.control.result import ControlResult
 from symsimpson.control.scaling import sizes_at
 from symsimpson.errors import InputError
+from symsimpson.program.input_values import read_reals
+from symsimpson.results.trajectory import Trajectory
 from symsimpson.support.array_types import Floats
 from symsimpson.support.names import did_you_mean
 
@@ -40,6 +42,8 @@ def initial_point(layout: Layout, guess: Any) -> Floats:
     values = [
         x if np.isfinite(x) else read.values[i] for x, i in zip(values, read.found, strict=True)
     ]
+    if isinstance(guess, Trajectory):
+        guess = functions_of(guess)
     if isinstance(guess, ControlResult):
         functions = guess.functions
         strange = [name for name in functions if name not in (*read.names, *read.inputs)]
@@ -54,8 +58,8 @@ def initial_point(layout: Layout, guess: Any) -> Floats:
         values = [unknowns.get(name, x) for name, x in zip(read.found_names, values, strict=True)]
     elif guess is not None:
         how = (
-            "another result, or a mapping from names to functions of the time, numbers, or arrays "
-            "over equal times"
+            "another result, a run, or a mapping from names to functions of the time, numbers, or "
+            "arrays over equal times"
         )
         given = {name: value for name, _, value in read_mapping("guess", guess, how)}
         allowed = {*read.names, *read.inputs, "duration", *read.found_names}
@@ -90,11 +94,11 @@ def initial_point(layout: Layout, guess: Any) -> Floats:
         line = functions.get(
             name, lambda t, first=first, last=last: first + (last - first) * t / whole
         )
-        x[layout.points[:, :, a]] = values_at(f"guess[{name!r}]", line, times)
+        x[layout.points[:, :, a]] = finite_values_at(f"guess[{name!r}]", line, times)
     nodes = starts[:, None] + h[:, None] * layout.c
     for k, name in enumerate(read.inputs):
         if name in functions:
-            x[layout.inputs[..., k]] = values_at(f"guess[{name!r}]", functions[name], nodes)
+            x[layout.inputs[..., k]] = finite_values_at(f"guess[{name!r}]", functions[name], nodes)
     x[layout.parameters] = values
     x[layout.h] = sizes[: len(layout.h)]
     x = _with_momenta(layout, x)
@@ -115,7 +119,7 @@ def _with_momenta(layout: Layout, x: Floats) -> Floats:
     at_start, at_end = (np.array(row, dtype=np.float64) for row in layout.end_slopes)
     v = np.concatenate([at_start @ q / h[:, None], (at_end @ q[-1])[None] / h[-1]])
     at = np.concatenate([q[:, 0], q[-1:, -1]])
-    momenta = PointFunctions(read.graph, read.q, read.momenta)
+    momenta = PointFunctions(read.graph, [], read.momenta)
     state: dict[int, Any] = dict(zip([*read.q, *read.v], [*at.T, *v.T], strict=True))
     state |= {**known, read.t: layout.grid.times(sizes)}
     x[layout.momenta] = momenta.values(state, layout.steps + 1).T
@@ -163,7 +167,7 @@ def bent(layout: Layout, x: Floats) -> list[Floats]:
             side = side - side @ other * other
         if np.linalg.norm(side) > PARALLEL:
             across.append(side / np.linalg.norm(side))
-    guesses = []
+    guesses: list[tuple[float, int, float, Floats]] = []
     for side in across[bool(reach) :][:MOST_SIDES]:
         for shape in shapes:
             for sign in (1.0, -1.0):

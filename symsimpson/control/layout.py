@@ -11,7 +11,7 @@ from scipy import sparse
 
 from symsimpson.control.constraint_rows import held_blocks, held_values, pressed
 from symsimpson.control.ends import Following, following
-from symsimpson.control.functions_of_time import read_function, values_at
+from symsimpson.control.functions_of_time import finite_values_at, read_function
 from symsimpson.control.grid import Grid
 from symsimpson.control.point_functions import PointFunctions
 from symsimpson.control.programme_rows import Rows
@@ -268,7 +268,7 @@ class Layout:
         for node, (symbol, given) in read.signals.items():
             what, whole = f"signals[{symbol}]", read.duration[0]
             function = read_function(what, given, whole)
-            block[2][node] = values_at(what, function, (k + self.c[i]) * whole / N)
+            block[2][node] = finite_values_at(what, function, (k + self.c[i]) * whole / N)
         scales = np.repeat(np.tile([self.scale] * d + [self.end_scale], N), n)
         steps = rows.add(N * (d + 1) * n, 0.0, 0.0, "step", scales).reshape(N, d + 1, n)
         self.step_rows = steps

@@ -11,10 +11,9 @@ import sympy as sp
 
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import shortened
-from symsimpson.support.array_types import Floats
 from symsimpson.support.names import spelled
 
-__all__ = ["read_duration", "read_mapping", "read_pair", "read_reals", "read_signals"]
+__all__ = ["read_duration", "read_mapping", "read_pair", "read_signals"]
 
 
 def read_mapping(what: str, given: Any, how: str) -> list[tuple[str, Any, Any]]:
@@ -101,23 +100,3 @@ def read_signals(system: Any, given: Any) -> dict[sp.Symbol, Any]:
             )
         signals[key] = value
     return signals
-
-
-def read_reals(what: str, given: Any, how: str) -> Floats:
-    """Read real numbers in an array of any shape.
-
-    Raises InputError if they are none: text, nothing, rows of unequal lengths, complex numbers, of
-    which NumPy would drop a part; ``how`` says what to do.
-    """
-    try:
-        array = np.asarray(given)
-        # NumPy makes numbers of texts, and NaN of None
-        real = array.dtype.kind in "biuf" or (
-            array.dtype.kind == "O" and not any(isinstance(x, str) or x is None for x in array.flat)
-        )
-        if real:
-            return array.astype(np.float64)
-    except (TypeError, ValueError, OverflowError):  # of rows, and of objects that are no numbers
-        array = None
-    kind = "complex" if array is not None and array.dtype.kind == "c" else "not real"
-    raise InputError(f"{what} is {shortened(given)}: {kind}, where real numbers belong.\n{how}")

@@ -110,8 +110,8 @@ class Reading:
                     if node in nodes:
                         finite = [abs(x) for x in (limit.low, limit.high) if np.isfinite(x)]
                         place = row + shift, nodes.index(node)
-                        found = size * max(finite, default=0.0) / abs(float(factor))
-                        extents[place] = max(extents[place], found)
+                        largest = size * max(finite, default=0.0) / abs(float(factor))
+                        extents[place] = max(extents[place], largest)
         return extents
 
     @property

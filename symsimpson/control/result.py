@@ -328,8 +328,7 @@ class ControlResult:
         R : array_like, shape (m, m)
             The weights of the inputs.
         of : ("q", "p") or ("q", "v"), optional
-            What z consists of: coordinates and momenta (the default), or coordinates and
-            velocities. ``Q`` and the gains refer to it.
+            What z, ``Q`` and the gains refer to: momenta (the default), or velocities.
 
         Returns
         -------
@@ -338,8 +337,7 @@ class ControlResult:
         Raises
         ------
         InputError
-            If Q or R has another shape, or no finite numbers, or R is not positive definite; or
-            ``of`` names something else.
+            If Q or R has another shape, or no finite numbers; if R is not positive definite.
         """
         return gains(self, Q, R, of)
 
@@ -363,9 +361,7 @@ class ControlResult:
         write_solution(path, text | {"status": self.status.name}, self.x, self.multipliers)
 
     def plot(self) -> Any:
-        """Draw coordinates and inputs over the time, inputs with their bounds.
-
-        Axes have the units that were declared with the system, one panel for each.
+        """Draw coordinates and inputs over the time, a panel for each unit; inputs with bounds.
 
         Returns
         -------

@@ -112,7 +112,7 @@ def scaled(programme: Solvable, layout: Layout, x: Floats) -> Scaled:
 
 
 def cost_size(layout: Layout, x: Floats) -> float:
-    """Return the size of costs at a guess: the cost there, or at least what is more than nothing."""
+    """Return the size of costs at a guess: the cost there, or at least more than nothing."""
     programme, *_ = layout.programme
     cost, unit = abs(programme.values(x)[0]), scaled(programme, layout, x).of_cost / COST
     return max(cost if cost < np.inf else 0.0, NOTHING * unit)
@@ -126,6 +126,7 @@ def sizes_at(layout: Layout, x: Floats) -> tuple[Floats, Floats]:
     return of_unknowns, scales * of_rows
 
 
+@np.errstate(all="ignore")  # a search may end far away
 def _sizes(programme: Solvable, layout: Layout, x: Floats) -> tuple[Floats, Floats]:
     """Return the sizes of unknowns and of rows."""
     entries = programme.slopes(x)[1]
@@ -173,7 +174,9 @@ def _unknowns(layout: Layout, matrix: Any, x: Floats) -> Floats:
     sizes[layout.points], sizes[layout.velocities] = lengths, lengths / time
     moved = masses * lengths
     sizes[layout.momenta] = MOMENTUM * moved / time
-    sizes[layout.parameters] = _rounded(np.abs(x[layout.parameters]))
+    widest = [np.abs(pair).max() for pair in layout.read.found_bounds]
+    values = np.abs(x[layout.parameters])
+    sizes[layout.parameters] = _rounded(np.where(values > 0, values, widest))
     sizes[layout.h] = time
     for places, effect, bound in zip(inputs, done, most, strict=True):
         enough = (moved[effect > 0] / effect[effect > 0]).min(initial=np.inf)

@@ -184,12 +184,12 @@ def _solved(
         first = 0 if off == np.inf else min(most, SHORT) if off > NEAR else most
         result = search(begun, first)
         if not condensed and (not result.success or (straight and off > NEAR)):
-            end, found = outcomes[-1].x, [result]
+            end, results = outcomes[-1].x, [result]
             for trial in bent(layout, x0):
                 if not heard:
-                    found.append(search(scaled_form.inside(trial), min(most, BENT), mu_init=0.1))
-            result = min(found, key=lambda one: one.cost if one.success else np.inf)
-            if first < most and not result.success:
+                    results.append(search(scaled_form.inside(trial), min(most, BENT), mu_init=0.1))
+            result = min(results, key=lambda trial: trial.cost if trial.success else np.inf)
+            if first < most and result.status is ControlStatus.ITERATION_LIMIT:
                 result = search(end, most - first)
     return replace(
         result,

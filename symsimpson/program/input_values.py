@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import operator
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from symsimpson.errors import InputError
-from symsimpson.support.array_types import Reals
+from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.names import Named, is_masked, read_mapping, shortened
 
 if TYPE_CHECKING:
@@ -21,8 +22,10 @@ __all__ = [
     "read_count",
     "read_number",
     "read_parameters",
+    "read_reals",
     "read_vector",
     "shortened",
+    "values_at",
     "whole_number",
 ]
 
@@ -127,3 +130,44 @@ def read_parameters(
             )
         values[slot] = number
     return values
+
+
+def read_reals(what: str, given: Any, how: str) -> Floats:
+    """Read real numbers in an array of any shape.
+
+    Raises InputError if they are none: text, nothing, rows of unequal lengths, complex numbers, of
+    which NumPy would drop a part; ``how`` says what to do.
+    """
+    try:
+        array = np.asarray(given)
+        # NumPy makes numbers of texts, and NaN of None
+        real = array.dtype.kind in "biuf" or (
+            array.dtype.kind == "O" and not any(isinstance(x, str) or x is None for x in array.flat)
+        )
+        if real:
+            return array.astype(np.float64)
+    except (TypeError, ValueError, OverflowError):  # of rows, and of objects that are no numbers
+        array = None
+    kind = "complex" if array is not None and array.dtype.kind == "c" else "not real"
+    raise InputError(f"{what} is {shortened(given)}: {kind}, where real numbers belong.\n{how}")
+
+
+def values_at(what: str, function: Callable[[Any], Any], times: Reals) -> Reals:
+    """Evaluate a function at times: in one call, or at each if it takes single numbers alone."""
+    with contextlib.suppress(Exception):
+        values = np.asarray(function(times))
+        if values.shape == times.shape:
+            return values
+    each = []
+    for t in times.ravel():
+        try:
+            each.append(function(t))
+        except Exception as error:
+            error.add_note(f"The function that is passed as {what} raised this at t={t}.")
+            raise
+        if np.shape(each[-1]) != ():
+            raise InputError(
+                f"{what}: its function gives shape {np.shape(each[-1])} at a time.\nReturn "
+                "a number for a time, or an array in the shape of the times."
+            )
+    return np.array(each).reshape(times.shape)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from typing import TYPE_CHECKING, Any
@@ -12,7 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.program.input_values import MOST_STEPS, read_array, read_count, read_number
+from symsimpson.program.input_values import (
+    MOST_STEPS,
+    read_array,
+    read_count,
+    read_number,
+    values_at,
+)
 from symsimpson.program.workspace import NO_INPUTS
 from symsimpson.stepping.inputs import read_step
 from symsimpson.support.array_types import Reals
@@ -107,7 +112,9 @@ def read_driving(
         )
     for name, value in values.items():
         if callable(value):
-            values[name] = _at_nodes(program, name, value, node_times(program, h, steps, t0))[None]
+            _check_times(program, name)
+            times = node_times(program, h, steps, t0)
+            values[name] = values_at(f"input {name}", value, times)[None]
     read = [_one(program, name, values[name], h, steps, members) for name in names]
     try:
         shape = np.broadcast_shapes(*(array.shape for array in read))
@@ -124,6 +131,9 @@ def read_driving(
 def given_inputs(program: Program, given: Any) -> dict[str, Any]:
     """Return what is given for each input, by its name."""
     names, given = program.inputs, program.default_inputs if given is None else given
+    functions = getattr(given, "functions", None)  # as a result of optimal control has them
+    if isinstance(functions, Mapping) and functions.keys() >= {*names}:
+        given = {name: functions[name] for name in names}
     if given is None:
         return {}
     if isinstance(given, Mapping):
@@ -147,31 +157,14 @@ def given_inputs(program: Program, given: Any) -> dict[str, Any]:
     return {name: array[..., k] for k, name in enumerate(names)}
 
 
-def _at_nodes(program: Program, name: str, function: Callable[[Any], Any], times: Reals) -> Reals:
-    """Evaluate an input at the nodes of all steps: at all times in one call, or at each of them."""
+def _check_times(program: Program, name: str) -> None:
+    """Raise InputError for a function of time where derivatives move the times."""
     moved = {"h", "t"}.intersection(program.header.varied_by or ())
     if moved:
         raise InputError(
             f"input {name} is a function of time, and a derivative by {min(moved)!r} moves the "
             "times.\nPass its values: f(stepper.node_times(h, steps, t0))."
         )
-    with contextlib.suppress(Exception):  # it may take single numbers alone
-        values = np.asarray(function(times))
-        if values.shape == times.shape:
-            return values
-    each = []
-    for t in times.ravel():
-        try:
-            each.append(function(t))
-        except Exception as error:
-            error.add_note(f"The function that is passed as input {name} raised this at t={t}.")
-            raise
-        if np.shape(each[-1]) != ():
-            raise InputError(
-                f"input {name}: its function gives shape {np.shape(each[-1])} at a time.\nReturn "
-                "a number for a time, or an array in the shape of the times."
-            )
-    return np.array(each).reshape(times.shape)
 
 
 def _one(program: Program, name: str, given: Any, h: Any, steps: int, members: int | None) -> Reals:

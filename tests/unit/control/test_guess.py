@@ -38,8 +38,8 @@ def past(*obstacles, system=PLANE, unit=1, scheme="lobatto6", guess=None, **more
         path.append(away >= (unit * radius) ** 2)
     given = {
         "cost": sum(u**2 for u in system.inputs),
-        "start": {s: 0 for s in q} | rest,
-        "end": {s: 0 for s in q} | {x: 2 * unit} | rest,
+        "start": dict.fromkeys(q, 0) | rest,
+        "end": dict.fromkeys(q, 0) | {x: 2 * unit} | rest,
         "duration": 2,
         "path": path,
     }
@@ -126,3 +126,46 @@ def test_conditions_without_slope_at_the_guess_are_met(end, cost):
     found = problem.solve("lobatto6", steps=6)
     assert found.success, found.message
     assert found.cost == pytest.approx(cost, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_runs_and_results_are_guesses_and_give_inputs():
+    """A run of the inputs that were found is the motion that was found."""
+    start, end = {x: 0, x.diff(): 0}, {x: 1, x.diff(): 0}
+    problem = ss.OptimalControl(LINE, cost=a**2 + x**4, start=start, end=end, duration=1)
+    found, stepper = problem.solve("simpson", steps=10), ss.compile(LINE)
+    how = {"p0": found.p[0], "h": 0.1, "steps": 10}
+    run = stepper.integrate(found.q[0], inputs=found, **how)
+    assert np.abs(run.q - found.q).max() < 1e-12
+    by_function = {"a": lambda t: found.inputs(t)["a"]}
+    assert (stepper.integrate(found.q[0], inputs=by_function, **how).q == run.q).all()
+    for guess in (found, run, found.trajectory, found.functions):
+        again = problem.solve("simpson", steps=10, guess=guess)
+        assert again.iterations < found.iterations
+        assert again.cost == pytest.approx(found.cost, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_figures_have_the_units_of_the_system():
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    th = sp.Function("th")(ss.time)
+    system = ss.MechanicalSystem(
+        "both",
+        coordinates=(x, y, th),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2 + th.diff() ** 2) / 2,
+        potential=0 * x,
+        forces={x: a, y: b, th: c},
+        inputs=(a, b, c),
+        units={"x": "m", "y": "m", "th": "rad", "a": "N", "b": "N", "c": "N m", "t": "s"},
+    )
+    found = ss.OptimalControl(
+        system, cost=a**2 + b**2 + c**2, start={x: 0, y: 0, th: 0}, end={x: 1}, duration=1
+    ).solve("simpson", steps=3)
+    panels = found.plot().axes
+    labels = ["[m]", "th [rad]", "[N]", "c [N m]"]
+    assert [panel.get_ylabel() for panel in panels] == labels
+    assert panels[-1].get_xlabel() == "t [s]"
+    (searched,) = found.plot_iterations().axes
+    names = [text.get_text() for text in searched.get_legend().get_texts()]
+    assert names == ["constraint violation", "optimality"]
+    pyplot.close("all")

@@ -124,3 +124,37 @@ def test_the_error_of_a_cost_is_relative_to_it_where_the_guess_costs_nothing():
     finer = problem.solve("midpoint", steps=8, error=1e-3)
     assert finer.error < 1e-3
     assert abs(finer.cost / 12e-12 - 1) < 2e-3 < abs(found.cost / 12e-12 - 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["lobatto6", "gauss4"])
+@pytest.mark.parametrize(
+    ("kg", "metre", "second"),
+    [(1, 1, 1), (1e-27, 1e-10, 1e-15), (1e24, 1e11, 3e7), (1e3, 1e-3, 60), (1, 1, 1e-9)],
+)
+def test_a_swing_up_is_found_in_the_same_way_in_all_units(kg, metre, second, scheme):
+    """Kelly's cart-pole: 58.80766746, SIAM Review 59 (2017) 849."""
+    th, newton = sp.Function("th")(ss.time), kg * metre / second**2
+    m, l, g = 0.3 * kg, 0.5 * metre, 9.81 * metre / second**2
+    system = ss.MechanicalSystem(
+        "cart_pole",
+        coordinates=(x, th),
+        kinetic=(kg + m) * x.diff() ** 2 / 2
+        + m * l * x.diff() * th.diff() * sp.cos(th)
+        + m * l**2 * th.diff() ** 2 / 2,
+        potential=-m * g * l * sp.cos(th),
+        forces={x: u},
+        inputs=(u,),
+    )
+    rest = {x.diff(): 0, th.diff(): 0}
+    found = ss.OptimalControl(
+        system,
+        cost=u**2,
+        start={x: 0, th: 0, **rest},
+        end={x: metre, th: sp.pi, **rest},
+        duration=2 * second,
+        bounds={u: (-20 * newton, 20 * newton), x: (-2 * metre, 2 * metre)},
+    ).solve(scheme, steps=40)
+    assert found.status is ss.ControlStatus.SOLVED
+    assert found.iterations <= 14
+    assert found.cost / (newton**2 * second) == pytest.approx(58.80766746, rel=1e-4)
