@@ -134,6 +134,8 @@ def _guarded(measure: Callable[[Subject], Iterator[Check]], subject: Subject) ->
     """Turn what goes wrong during a measurement into a row that has not passed."""
     try:
         yield from measure(subject)
+    except KeyboardInterrupt:  # Interrupted is a SymsimpsonError, too
+        raise
     except (SymsimpsonError, ArithmeticError, np.linalg.LinAlgError) as error:
         name = (measure.__doc__ or "").split(":")[0]
         first = str(error).partition("\n")[0]  # mpmath divides by zero without a word

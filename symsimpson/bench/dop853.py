@@ -11,9 +11,16 @@ import numpy as np
 __all__ = ["make_dop853"]
 
 
+#: So many steps are taken at a time, before Ctrl-C is heard.
+PIECE = 8192
+
+
 @cache
 def make_dop853(f: Callable[..., None]) -> Callable[..., Any]:
     """Compile the method of Dormand and Prince of order eight for f(y, parameters, out).
+
+    The function takes some steps, and returns the number of evaluations at the end, 0 before. Its
+    last argument holds t, h, whether a step was rejected, and the evaluations, all 0 at first.
 
     Coefficients are SciPy's; the control of the step is that of Hairer, Norsett and Wanner,
     Solving Ordinary Differential Equations I, sections II.4 and II.10.
@@ -27,20 +34,23 @@ def make_dop853(f: Callable[..., None]) -> Callable[..., Any]:
     stages = DOP853.n_stages
 
     @njit
-    def dop853(y, parameters, t_end, tolerance):  # type: ignore[no-untyped-def]
+    def dop853(y, parameters, t_end, tolerance, progress):  # type: ignore[no-untyped-def]
         m = y.size
         K = np.empty((stages + 1, m))
         x, new = np.empty(m), np.empty(m)
         f(y, parameters, K[0])
-        evaluations = 1
+        t, h, rejected, evaluations = progress[0], progress[1], progress[2] > 0, int(progress[3])
         size, slope = 0.0, 0.0
         for i in range(m):
             scale = tolerance + tolerance * abs(y[i])
             size += (y[i] / scale) ** 2
             slope += (K[0, i] / scale) ** 2
-        h = 0.01 * np.sqrt(size / slope) if slope > 0.0 and size > 0.0 else 1e-6
-        t, rejected = 0.0, False
-        while t < t_end:
+        if evaluations == 0:
+            h = 0.01 * np.sqrt(size / slope) if slope > 0.0 and size > 0.0 else 1e-6
+            evaluations = 1
+        for _ in range(PIECE):
+            if t >= t_end:
+                return evaluations
             h = min(h, t_end - t)
             if t + h == t:
                 return -1
@@ -80,6 +90,7 @@ def make_dop853(f: Callable[..., None]) -> Callable[..., Any]:
             else:
                 h *= max(0.2, 0.9 * error ** (-0.125))
                 rejected = True
-        return evaluations
+        progress[0], progress[1], progress[2], progress[3] = t, h, rejected, evaluations
+        return 0
 
     return dop853

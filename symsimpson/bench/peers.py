@@ -13,6 +13,7 @@ from symsimpson.bench.contender import Contender, Outcome, Runnable, numbers_of_
 from symsimpson.bench.programs import PROGRAMS
 from symsimpson.errors import InputError
 from symsimpson.mechanics.retimed import RetimedSystem
+from symsimpson.run.ended import uninterrupted
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.names import in_a_row
 
@@ -34,9 +35,8 @@ def ours(
         length = {"steps": count} if retimed is None else {"t_end": problem.t_end}
 
         def run() -> Any:
-            return stepper.integrate(
-                problem.q0, p0=problem.p0, h=h, **length, every=None, on_failure="return"
-            )
+            start: dict[str, Any] = {"q0": problem.q0, "p0": problem.p0, "h": h, **length}
+            return uninterrupted(stepper.integrate(**start, every=None, on_failure="return"))
 
         def read(trajectory: Any) -> Outcome:
             failed = np.full(stepper.n, np.nan)

@@ -33,6 +33,8 @@ __all__ = ["PROGRAMS", "in_heyoka"]
 
 #: A run of heyoka takes no more steps than this.
 MOST_STEPS = 200_000
+#: Compiled loops take so many steps before Ctrl-C is heard.
+PIECE = 8192
 
 
 def _runge_kutta(problem: Problem) -> Iterator[Contender[Runnable]]:
@@ -56,11 +58,16 @@ def _runge_kutta(problem: Problem) -> Iterator[Contender[Runnable]]:
 
     def fixed(y: Floats, steps: float) -> int:
         count = int(steps)
-        rk4(y, parameters, problem.t_end / count, count, count, kept)
+        for first in range(0, count, PIECE):
+            some = min(PIECE, count - first)
+            rk4(y, parameters, problem.t_end / count, some, some, kept)
         return 4 * count
 
     def adaptive(y: Floats, tolerance: float) -> int:
-        return int(dop853(y, parameters, problem.t_end, tolerance))
+        progress = np.zeros(4)
+        while not (done := dop853(y, parameters, problem.t_end, tolerance, progress)):
+            pass
+        return int(done)
 
     yield Contender("rk4", "steps", numbers_of_steps(problem), making(fixed))
     yield Contender("dop853", "tolerance", TOLERANCES, making(adaptive))
@@ -140,7 +147,15 @@ def _heyoka(problem: Problem) -> Iterator[Contender[Runnable]]:
                 def run() -> Any:
                     integrator.time = 0.0
                     integrator.state[:] = start
-                    return integrator.propagate_until(problem.t_end, max_steps=MOST_STEPS)[3]
+                    steps, limit = 0, hy.taylor_outcome.step_limit
+                    while steps < MOST_STEPS:
+                        outcome, *_, taken = integrator.propagate_until(
+                            problem.t_end, max_steps=PIECE
+                        )[:4]
+                        steps += taken
+                        if outcome != limit:
+                            break
+                    return steps
 
                 def read(steps: Any) -> Outcome:
                     q, second = np.split((integrator.state * scale)[: 2 * n], 2)

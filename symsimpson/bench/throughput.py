@@ -173,7 +173,9 @@ def _batches(hy: Any, angles: Floats, lanes: int, threads: int) -> list[Contende
                 end_angles[k] = ta.state[:2].T
 
         def run() -> Floats:
-            workers = [threading.Thread(target=work, args=(k,)) for k in range(threads)]
+            workers = [
+                threading.Thread(target=work, args=(k,), daemon=True) for k in range(threads)
+            ]
             for worker in workers:
                 worker.start()
             for worker in workers:

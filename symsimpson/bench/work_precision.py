@@ -197,6 +197,8 @@ def _once(
                 begin = time.perf_counter()
                 result = run()
                 spent = time.perf_counter() - begin
+    except KeyboardInterrupt:
+        raise
     except (SymsimpsonError, ArithmeticError, ValueError):
         return None
     outcome = read(result)

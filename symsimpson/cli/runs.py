@@ -13,6 +13,7 @@ import numpy as np
 
 from symsimpson.cli.find import check_figure, find, state_of
 from symsimpson.errors import InputError, ResolutionWarning
+from symsimpson.run.ended import uninterrupted
 from symsimpson.support.files import check_folder, written_beside
 from symsimpson.support.names import counted
 
@@ -46,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
         if "inputs" in given:
             brief["inputs"] = {name: x[:steps] for name, x in given["inputs"].items()}
         for _ in range(2):
-            stepper.integrate(**given | brief, h=options.h, on_failure="return")
+            uninterrupted(stepper.integrate(**given | brief, h=options.h, on_failure="return"))
     ready = time.perf_counter()
     trajectory = _integrated(options, stepper, given)
     done = time.perf_counter()

@@ -21,6 +21,7 @@ from symsimpson.control.ipopt import Outcome, Solvable
 from symsimpson.control.layout import Layout
 from symsimpson.control.point_functions import PointFunctions
 from symsimpson.errors import InputError, SymsimpsonError
+from symsimpson.run.ended import uninterrupted
 from symsimpson.support.array_types import Floats, Ints
 
 __all__ = ["Condensed", "at_start", "moved"]
@@ -205,7 +206,8 @@ def moved(layout: Layout, x: Floats) -> Floats:
     start = x[layout.points[0, 0]], x[layout.momenta[0]]
     with warnings.catch_warnings():  # this is the way to a solution, which is judged
         warnings.simplefilter("ignore")
-        runs = [*motions(layout, x, start, x[layout.inputs], on_failure="return")]
+        given = layout, x, start, x[layout.inputs]
+        runs = [*map(uninterrupted, motions(*given, on_failure="return"))]
     for phase, run in zip(layout.grid.slices, runs, strict=True):
         if not run.success:
             raise InputError(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from symsimpson.errors import ConvergenceError, Interrupted
 from symsimpson.program.status import Status
+from symsimpson.results.outcome import Outcome
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.stepping.arrival import last_part, reduced_at_ends, with_end
 from symsimpson.stepping.driving import driven
@@ -21,7 +22,9 @@ if TYPE_CHECKING:
     from symsimpson.results.events import Events
     from symsimpson.results.sampled import Sampled, Saved
 
-__all__ = ["out_of_domain", "raise_failure", "trajectory_of"]
+Result = TypeVar("Result", bound=Outcome)
+
+__all__ = ["out_of_domain", "raise_failure", "trajectory_of", "uninterrupted"]
 
 
 def trajectory_of(
@@ -122,6 +125,13 @@ def out_of_domain(program: Program, run: Run, t: Any, step: int) -> dict[str, An
         "singular point: check the state before and the sign of the potential, or try a smaller h."
     )
     return {"status": Status.NOT_FINITE, "message": message}
+
+
+def uninterrupted(result: Result) -> Result:
+    """Return the result of an internal run that may fail; raise Interrupted after Ctrl-C."""
+    if result.status is Status.INTERRUPTED:
+        raise Interrupted(result.message, trajectory=result)
+    return result
 
 
 def raise_failure(

@@ -12,11 +12,15 @@ from types import FrameType
 __all__ = ["listening", "undisturbed"]
 
 
+#: What Ctrl-C is put into, the innermost last; in the main thread alone.
+_listening: list[list[int]] = []
+
+
 @contextmanager
 def listening() -> Iterator[list[int]]:
     """Let Ctrl-C put its number into a list, for what looks at that and stops by itself.
 
-    A second one stops it at once.
+    A second one stops it at once. What listens around this hears it, too.
     """
     heard: list[int] = []
     if not _disturbed():
@@ -29,9 +33,13 @@ def listening() -> Iterator[list[int]]:
         heard.append(number)
 
     before = signal.signal(signal.SIGINT, hear)
+    _listening.append(heard)
     try:
         yield heard
     finally:
+        _listening.pop()
+        for outer in _listening[-1:]:
+            outer.extend(heard)
         signal.signal(signal.SIGINT, before)
 
 

@@ -23,6 +23,7 @@ from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.program.program import Program
 from symsimpson.reference.first_order import Lines
 from symsimpson.results.trajectory import Trajectory
+from symsimpson.run.ended import uninterrupted
 from symsimpson.run.requested import run as run_again
 from symsimpson.stepping.request import Request
 from symsimpson.support.array_types import Floats
@@ -215,7 +216,9 @@ def _apart(program: Program, system: MechanicalSystem, run: Trajectory, place: i
                 parameters=free,
                 inputs=inputs,
             )
-            finer = run_again(program, asked, None, False, "return")
+            finer = uninterrupted(run_again(program, asked, None, False, "return"))
+        except KeyboardInterrupt:
+            raise
         except SymsimpsonError:
             return np.inf
     if not finer.success:

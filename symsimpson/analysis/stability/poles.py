@@ -21,6 +21,7 @@ from symsimpson.api.stepper import Stepper
 from symsimpson.errors import ResolutionWarning
 from symsimpson.program.status import Status
 from symsimpson.reference import FirstOrder, rk4
+from symsimpson.run.ended import uninterrupted
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.array_types import Floats
 from symsimpson.systems import lagrange_top, spherical_pendulum
@@ -138,7 +139,7 @@ def _run_past_pole(case: _Case, distance: float, phase: float) -> PolePass:
     q0, v0 = _angles(start[:3], start[3:], case)
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always", ResolutionWarning)
-        run = stepper.integrate(q0, v0=v0, h=h, steps=steps, on_failure="return")
+        run = uninterrupted(stepper.integrate(q0, v0=v0, h=h, steps=steps, on_failure="return"))
     axes = _axis(run.q, case)
     done = len(axes) - 1
     return PolePass(

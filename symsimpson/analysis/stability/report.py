@@ -16,6 +16,7 @@ from symsimpson.analysis.stability.poles import pole_sweep
 from symsimpson.analysis.variants import in_tau
 from symsimpson.api.stepper import Stepper
 from symsimpson.errors import ConvergenceError
+from symsimpson.run.ended import uninterrupted
 
 __all__ = ["stress", "stress_standard"]
 
@@ -58,7 +59,9 @@ def stress(stepper: Stepper, *, h: float | None = None, steps: int = 1_000_000) 
     yield "larger and larger steps, to the same time: energy error, iterations, outcome"
     for factor in (0.25, 0.5, 1, 2, 4, 8, 16):
         count = max(1, round(4000 / factor))
-        run = stepper.integrate(q, p0=p, h=step * factor, steps=count, on_failure="return")
+        run = uninterrupted(
+            stepper.integrate(q, p0=p, h=step * factor, steps=count, on_failure="return")
+        )
         error = float(np.abs(run.energy_error).max())
         mean = run.newton_iterations.sum() / max(1, run.steps)
         yield f"  h = {step * factor:<10.4g} {error:9.1e} {mean:6.2f}  {run.status.name}"
