@@ -2,88 +2,214 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from symsimpson.analysis.stability.frequency import largest_stable
+from symsimpson.analysis.path_error import PathError, path_error
 from symsimpson.api.stepper import Stepper
-from symsimpson.program.status import Status
+from symsimpson.errors import InputError, StabilityWarning
+from symsimpson.program.program import Program
+from symsimpson.results.trajectory import Trajectory
+from symsimpson.run.ended import uninterrupted
+from symsimpson.stepping.driving import Samples, given_inputs
 from symsimpson.support.array_types import Floats
 
-__all__ = ["Found", "Wanted"]
+__all__ = ["REFINEMENTS", "ROUNDS", "SAFETY", "Candidate", "Motion", "name_of", "verify"]
 
+#: Schemes that would take so many times as long as another are not tried further.
+HOPELESS = 8.0
+#: A run that takes this long is timed twice.
+LONG = 0.05
 #: What is measured may be wrong by so much: steps are chosen for the error divided by this.
 SAFETY = 2.0
-#: An error that grew like a higher power of time grew exponentially.
-POWER = 3.0
-#: More steps than this are not tried on a pilot run.
+#: More steps than this are not tried on a pilot run, nor for the whole motion unless it needs
+#: nearly as many at first.
 MOST_STEPS = 2_000_000
+#: A run stores at most so many numbers for a comparison.
+MOST_NUMBERS = 2**21
+#: A whole motion of few steps is also compared with a run of so many steps, divided by the number
+#: of coordinates. It shows forces that act for a short time, between the nodes of both others.
+SCOUT = 2**15
 #: Errors closer to rounding than this cannot be told from it.
 FLOOR = 3e-14
 ROUNDS, REPEATS = 8, 3
+#: A motion whose error does not fall in so many rounds is not resolved by any step.
+STAGNANT = 3
 #: A smaller gain in steps is not worth another run.
 FEWER = 0.85
 #: Fewer steps that take this many times as long fell back on another solver. Smaller differences
 #: are those of a busy machine: iterations are counted instead.
 SLOWER = 2.0
+#: The whole motion has at least so many steps, and its step is refined so many times at most.
+LEAST, REFINEMENTS = 20, 6
 
 
 @dataclass(frozen=True)
-class Found:
+class Candidate:
     """How one scheme reaches the error on the pilot run."""
 
     stepper: Stepper
     steps: int
     error: float
-    growth: float
     work: int  # steps and iterations
     taken: int  # steps
     seconds: float
 
 
 @dataclass(frozen=True)
-class Seen:
-    """States of a run at the start, in the middle and at the end."""
+class Motion:
+    """A motion from a state to a time, and the error that is allowed."""
 
-    q: Floats
-    p: Floats
-    steps: int
-    iterations: int
-    energy_error: float
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """The error that is asked for, and the pilot run against which it is measured."""
-
-    q: Floats
-    p: Floats
     parameters: Mapping[str, float]
-    pilot: float
-    t_end: float
+    t0: float
+    duration: float
     error: float
     on: str
-    frequency: float
-    compared: bool
-    failures: list[str]
+    events: Any
+    #: By name: a number, a function of t, or samples.
+    inputs: Mapping[str, Any] = field(default_factory=dict)
+    parts: int = 1  #: Each of these parts of the duration has a whole number of steps.
+    #: The initial state, each of shape (n,).
+    q: Floats = field(default_factory=partial(np.zeros, 0))
+    p: Floats = field(default_factory=partial(np.zeros, 0))
+    v: Floats = field(default_factory=partial(np.zeros, 0))
+    #: Why the last run failed, if it did.
+    failures: list[str] = field(default_factory=list)
+    #: What a progress bar shows of it.
+    shown: list[str] = field(default_factory=list)
+    most_trials: int = 0
 
-    def solve(self, stepper: Stepper, h0: float) -> Found | None:
-        """Find the number of steps that reaches the error; None if there is none.
+    def driven(self, program: Program, given: Any) -> Motion:
+        """Return the motion with inputs as a user gives them.
 
-        In another time it is that of steps as long as the first.
+        Raises InputError if one is no number, function of t, or array of values for equal parts.
         """
-        limit = largest_stable(stepper.scheme)
-        least = math.ceil(max(4.0, self.pilot * self.frequency / limit))
-        steps = max(least, math.ceil(self.pilot / (h0 * math.sqrt(stepper.order))))
-        best: Found | None = None
+        inputs, parts, length = {}, 1, abs(self.duration)
+        if given is not None or program.inputs:
+            inputs = given_inputs(program, given)
+        for name in program.inputs:
+            value = inputs.get(name)
+            if callable(value):
+                continue
+            array = np.asarray(getattr(value, "values", value))
+            if value is None or array.ndim > 1 or not array.size:
+                raise InputError(
+                    f"{program.system}: input {name} has no values, or an array of shape "
+                    f"{array.shape}.\nThe step size is chosen: pass a number, a function of t, or "
+                    "an array of K values, each for the K-th part of the time from t0 to t_end."
+                )
+            if array.ndim:
+                held = value if isinstance(value, Samples) else Samples(value, length / array.size)
+                exact = length / float(held.period)
+                inputs[name], parts = held, math.lcm(parts, max(1, round(exact)))
+                if abs(exact - round(exact)) > 1e-9 * exact:
+                    raise InputError(
+                        f"input {name}: {length:g} from t0 to t_end is no whole number of periods "
+                        f"of {held.period!r}.\nEnd the run with the last of them."
+                    )
+        return replace(self, inputs=inputs, parts=parts)
+
+    @property
+    def inputs_at_start(self) -> dict[str, float]:
+        """The value of each input at the start."""
+        values = ((k, x(self.t0) if callable(x) else x) for k, x in self.inputs.items())
+        return {k: float(np.ravel(getattr(x, "values", x))[0]) for k, x in values}
+
+    def until(self, duration: float) -> Motion:
+        """Return the first part of a motion."""
+        share = min(1.0, duration / self.duration)
+        parts = math.ceil(share * self.parts)
+        share = parts / self.parts if self.parts > 1 else share
+        return replace(self, duration=share * self.duration, parts=parts)
+
+    def whole(self, steps: float) -> int:
+        """Return a number of steps, not less than this one, that the motion may have."""
+        unit = self.parts * (64 if steps > MOST_NUMBERS / len(self.q) / 2 else 2)
+        return math.ceil(steps / unit) * unit
+
+    def arguments(self, stepper: Stepper, steps: int) -> dict[str, Any]:
+        """Return what a run is given beside the initial state."""
+        retimed, h = stepper.program.header.retimed, self.duration / steps
+        length = {"t_end": self.t0 + self.duration} if retimed else {"steps": steps}
+        inputs = {
+            name: at_times(x, stepper.node_times(h, steps, self.t0)) if callable(x) else x
+            for name, x in self.inputs.items()
+        }
+        given = {"parameters": self.parameters, "inputs": inputs or None, "events": self.events}
+        return {"h": h, "t0": self.t0, **length, **given}
+
+    def run(self, stepper: Stepper, steps: int, *, every: int | None = 1) -> Trajectory:
+        """Run, storing as many states as a comparison needs; with ``every=None``, the last."""
+        stride = 1
+        while every and steps % (2 * stride) == 0 and steps * len(self.q) > MOST_NUMBERS * stride:
+            stride *= 2
+        given = self.arguments(stepper, steps) | {"every": every and stride}
+        run = stepper.integrate(self.q, p0=self.p, **given, on_failure="return")
+        self.failures[:] = [] if run.success else [run.message]
+        return uninterrupted(run)
+
+    def measure(
+        self, stepper: Stepper, steps: int, coarse: Trajectory | None = None, *, scout: bool = True
+    ) -> tuple[PathError, Trajectory, Trajectory | None]:
+        """Return the error of so many steps, their run, and that with half the step."""
+        coarse = coarse or self.run(stepper, steps)
+        if not coarse.success:
+            return PathError(math.inf, float(coarse.t[-1])), coarse, None
+        if self.on == "energy":
+            off = np.abs(coarse.energy_error)
+            return PathError.of(coarse.t, off, self.error), coarse, None
+        fine = self.run(stepper, 2 * steps)
+        worst = path_error(coarse, fine, self.duration, self.error)
+        few = SCOUT // len(self.q) // steps
+        if scout and worst.since is None and few > 2:
+            finest = self.run(stepper, 2 ** few.bit_length() * steps)
+            other = path_error(coarse, finest, self.duration, self.error)
+            worst = max(worst, other, key=lambda error: error.largest)
+        return worst, coarse, fine
+
+    def least(self, stepper: Stepper) -> int:
+        """Return the fewest steps, of which none is warned of at the start."""
+        program, steps = stepper.program, self.whole(4)
+        state = self.q, self.v, [*self.parameters.values(), *self.inputs_at_start.values()]
+        while steps < MOST_STEPS and program.tools and not program.header.retimed:
+            with warnings.catch_warnings(record=True) as warned:
+                warnings.simplefilter("always", StabilityWarning)
+                h = self.duration / steps
+                program.tools.check_step(program, program.declared, *state, h, self.t0)
+            if not warned:
+                break
+            steps = self.whole(1.25 * steps)
+        return steps
+
+    def show(self) -> None:
+        """Count a trial for the progress bar."""
+        count = f"trial {len(self.shown)} of at most {self.most_trials}"
+        self.shown.append(f"choosing a scheme and a step, {count}")
+
+    def solve(
+        self, stepper: Stepper, h0: float, allowed: float, quickest: float
+    ) -> Candidate | None:
+        """Find the number of steps that reaches an error; None if there is none.
+
+        The search ends where it would take much longer than ``quickest``. In another time the
+        number is that of steps as long as the first.
+        """
+        least = self.least(stepper)
+        steps = max(least, math.ceil(abs(self.duration / h0) / math.sqrt(stepper.order)))
+        best: Candidate | None = None
+        before, stagnant = math.inf, 0
         for _ in range(ROUNDS):
-            steps += steps % 2  # the middle of the run is looked at, too
-            measured = self._measure(stepper, steps) if steps <= MOST_STEPS else None
+            self.show()
+            steps = self.whole(steps)
+            measured = self._timed(stepper, steps) if steps <= MOST_STEPS else None
             if measured is None:
                 if steps > MOST_STEPS:
                     return best
@@ -91,128 +217,66 @@ class Wanted:
                 if best and steps > FEWER * best.steps:
                     return best
                 continue
-            error, growth, work, taken, seconds = measured
-            wanted = self._wanted(growth)
-            change = (max(error, FLOOR) / wanted) ** (1 / stepper.order)
-            if error <= wanted:
-                if best and (work > best.work or seconds > SLOWER * best.seconds):
+            error, work = measured.error, measured.work
+            change = (max(error, FLOOR) / allowed) ** (1 / stepper.order)
+            if error <= allowed:
+                if best and (work > best.work or measured.seconds > SLOWER * best.seconds):
                     return best  # fewer steps that are solved with more effort
-                best = Found(stepper, steps, error, growth, work, taken, seconds)
+                best = measured
                 fewer = max(least, math.ceil(steps * max(1.05 * change, 0.5)))
-                if fewer > FEWER * steps:
+                if self.whole(fewer) > FEWER * steps:
                     return best
                 steps = fewer
-            elif best is not None or wanted < FLOOR:
+            elif best is not None or allowed < FLOOR:
                 return best
             else:
-                steps = math.ceil(steps * min(max(change, 1.1), 8.0))
+                stagnant = stagnant + 1 if error > before / 2 else 0
+                factor = min(max(change, 1.1), 8.0)
+                if stagnant == STAGNANT or factor * measured.seconds > HOPELESS * quickest:
+                    return None
+                before, steps = error, math.ceil(steps * factor)
         return best
 
-    def _wanted(self, growth: float) -> float:
-        """Return the error that the pilot run may have, which grew like this power of time there.
-
-        Above POWER it doubled in equal times, as in chaotic motion, and is assumed to go on so.
-        """
-        allowed, rest = self.error / SAFETY, self.t_end / self.pilot - 1
-        if growth > POWER:
-            return allowed * 2.0 ** (-2 * growth * rest)
-        return allowed * (1 + rest) ** -growth
-
-    def _measure(self, stepper: Stepper, steps: int) -> tuple[float, float, int, int, float] | None:
-        """Return the error, the exponent of its growth with time, work, steps, and the run time."""
-        seconds = math.inf
-        for _ in range(REPEATS):  # the first one may compile
+    def _timed(self, stepper: Stepper, steps: int) -> Candidate | None:
+        """Measure the error of so many steps, their work and time; None if they fail."""
+        times: list[float] = []
+        while len(times) < REPEATS and not (len(times) > 1 and times[-1] > LONG):
             begin = time.perf_counter()
-            run = self._run(stepper, steps, None)
-            seconds = min(seconds, time.perf_counter() - begin)
-            if run is None:
+            if not self.run(stepper, steps, every=None).success:  # the first may compile
                 return None
-        coarse = self._seen(stepper, steps)
-        if coarse is None:
+            times.append(time.perf_counter() - begin)
+        worst, coarse, fine = self.measure(stepper, steps, scout=False)
+        if not coarse.success or not (fine is None or fine.success):
             return None
-        work = coarse.steps + coarse.iterations
-        if self.on == "energy":
-            return coarse.energy_error, 0.0, work, coarse.steps, seconds
-        fine = self._seen(stepper, 2 * steps)
-        if fine is None:
-            return None
-        share = 1 / (1 - 2.0**-stepper.order)
-        middle, end = (self._distance(coarse, fine, k) * share for k in (1, 2))
-        growth = math.log2(max(end, FLOOR) / max(middle, FLOOR))
-        return end, max(growth, 1.0), work, coarse.steps, seconds
-
-    def _run(self, stepper: Stepper, steps: int, every: int | None) -> Any:
-        length = {"t_end": self.pilot} if stepper.program.header.retimed else {"steps": steps}
-        run = stepper.integrate(
-            self.q,
-            p0=self.p,
-            h=self.pilot / steps,
-            **length,
-            every=every,
-            parameters=self.parameters,
-            on_failure="return",
-        )
-        if run.status is not Status.SUCCESS:
-            self.failures.append(run.message)
-            return None
-        return run
-
-    def _seen(self, stepper: Stepper, steps: int) -> Seen | None:
-        whole = self.on == "energy" or stepper.program.header.retimed
-        run = self._run(stepper, steps, 1 if whole else steps // 2)
-        if run is None:
-            return None
-        q, p, largest = run.q, run.p, 0.0
-        if self.on == "energy":
-            largest = float(np.abs(run.energy_error).max())
-        elif whole:
-            states = run.at([0.0, self.pilot / 2, self.pilot])
-            q, p = states.q, states.p
-        return Seen(q, p, run.steps, int(run.newton_iterations.sum()), largest)
-
-    def _distance(self, run: Seen, other: Seen, place: int) -> float:
-        scale_q = np.maximum(np.abs(other.q).max(axis=0), 1.0)
-        scale_p = np.abs(other.p).max() or 1.0
-        gap_q = np.abs((run.q[place] - other.q[place]) / scale_q).max()
-        return float(max(gap_q, np.abs(run.p[place] - other.p[place]).max() / scale_p))
-
-    def reason(self, best: Found, candidates: Sequence[Found], steps: int) -> str:
-        """Say what was chosen and why."""
-        part = "" if self.pilot == self.t_end else f" until t = {self.pilot:g}"
-        what, retimed = f"{self.on} error", best.stepper.program.header.retimed
-        count = "the first step; then they adapt" if retimed else f"{steps} steps"
-        lines = [
-            f"{best.stepper.scheme} with h = {self.t_end / steps:.6g} ({count}): the relative "
-            f"{what} measured{part} is {best.error:.1e}, {self.error:.1e} is asked for."
-        ]
-        fixed = [
-            candidate for candidate in candidates if not candidate.stepper.program.header.retimed
-        ]
-        if retimed:
-            taken = f"{best.stepper.system} takes {best.taken} steps{part}"
-            fewest = min((candidate.taken for candidate in fixed), default=0)
-            beside = f", the fewest of fixed size are {fewest}" if fixed else ""
-            if self.compared and not fixed:
-                beside = "; no fixed steps that were tried come to that error"
-            lines.append(f"{taken}{beside}.")
-        if part and self.on == "state":
-            grew = f"grew like t^{best.growth:.1f}"
-            if best.growth > POWER:
-                grew = f"doubled in each {self.pilot / 2 / best.growth:.3g} of time"
-            lines.append(
-                f"It {grew} there, and is assumed to go on so; chaotic motion may be worse."
-            )
-        if self.frequency > 0 and math.isfinite(largest_stable(best.stepper.scheme)):
-            bound = largest_stable(best.stepper.scheme) / self.frequency
-            lines.append(f"Linear stability at the start bounds h by {bound:.3g}.")
-        others = sorted((x for x in candidates if x is not best), key=lambda x: x.seconds)
-        if others:
-            list_of = ", ".join(
-                f"{_name(x.stepper)} {x.seconds / best.seconds:.1f} times its time" for x in others
-            )
-            lines.append(f"For the same error: {list_of}.")
-        return " ".join(lines)
+        share = 1.0 if self.on == "energy" else 1 / (1 - 2.0**-stepper.order)
+        work = coarse.steps + int(coarse.newton_iterations.sum())
+        return Candidate(stepper, steps, share * worst.largest, work, coarse.steps, min(times))
 
 
-def _name(stepper: Stepper) -> str:
+def verify(motion: Motion, stepper: Stepper, steps: float) -> tuple[Stepper, int, PathError]:
+    """Refine the step until the error of the whole motion is small enough; return that error."""
+    steps = motion.whole(max(steps, LEAST, motion.least(stepper)))
+    most, coarse = max(MOST_STEPS // 2, 4 * steps), None
+    for refinement in range(REFINEMENTS + 1):
+        motion.show()
+        worst, _, fine = motion.measure(stepper, steps, coarse)
+        wanted = (SAFETY * worst.largest / motion.error) ** (1 / stepper.order)
+        factor = 2 if wanted <= 2 else 4
+        if worst.since is None or refinement == REFINEMENTS or factor * steps > most:
+            break
+        steps, coarse = factor * steps, fine if factor == 2 else None
+    return stepper, steps, worst
+
+
+def at_times(function: Any, times: Floats) -> Floats:
+    """Return the values of a function of t, which may take arrays or single numbers."""
+    with contextlib.suppress(Exception):
+        values = np.asarray(function(times), dtype=float)
+        if values.shape == times.shape:
+            return values
+    return np.vectorize(function, otypes=[float])(times)
+
+
+def name_of(stepper: Stepper) -> str:
+    """Return the name of a scheme, and whether its steps are fixed in another time."""
     return stepper.scheme + (" in tau" if stepper.program.header.retimed else "")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,7 +11,8 @@ import numpy as np
 from symsimpson.api.stepper import Stepper
 from symsimpson.errors import ConvergenceError, InputError
 from symsimpson.program.evaluating import evaluate
-from symsimpson.program.status import Status
+from symsimpson.results.trajectory import Trajectory
+from symsimpson.run.ended import uninterrupted
 from symsimpson.support.array_types import Floats, State
 from symsimpson.support.calling import without_step_warnings
 from symsimpson.support.names import shortened
@@ -79,19 +81,22 @@ def choose_step(
     steps: int,
     longest: float = 0.0,
     first: float | None = None,
+    **given: Any,
 ) -> float:
     """Choose a step size with small errors of energy and path, of which so many steps succeed.
 
     The first that will do is taken, of ``first`` and its halves, if that is given; longer ones are
-    looked at up to ``longest`` alone. Raises InputError if there is none.
+    looked at up to ``longest`` alone, a negative one if the motion goes backwards. ``given`` are
+    further arguments of runs. Raises InputError if there is none.
     """
-    first = first or _first_step(stepper, q, p, parameters, longest)
+    first = first or math.copysign(_first_step(stepper, q, p, parameters, abs(longest)), longest)
+    given |= {"q0": q, "p0": p, "parameters": parameters}
     for halvings in range(60):
         h = first / 2**halvings
-        if not _follows(stepper, q, p, parameters, steps, h):
+        if not _follows(stepper, given, steps, h):
             continue
-        while halvings == 0 and 2 * h <= longest:
-            if not _follows(stepper, q, p, parameters, steps, 2 * h):
+        while halvings == 0 and 2 * abs(h) <= abs(longest):
+            if not _follows(stepper, given, steps, 2 * h):
                 break
             h *= 2
         return h
@@ -121,28 +126,29 @@ def _first_step(
     return float(2.0 ** np.round(np.log2(scale)))
 
 
-def _follows(
-    stepper: Stepper, q: Floats, p: Floats, parameters: Mapping[str, float], steps: int, h: float
-) -> bool:
+def _follows(stepper: Stepper, given: Mapping[str, Any], steps: int, h: float) -> bool:
     """Return whether steps of a size follow the motion, and so many of them succeed."""
+
+    def run(h: float, steps: int, every: int | None = 1) -> Trajectory:
+        return uninterrupted(
+            stepper.integrate(**given, h=h, steps=steps, every=every, on_failure="return")
+        )
+
     most = STAGE_ITERATIONS if stepper.program.header.by_stages else NEWTON_ITERATIONS
-    run = stepper.integrate(q, p0=p, h=h, steps=64, parameters=parameters, on_failure="return")
-    if run.steps < 64 or run.newton_iterations.sum() > most * 64:
+    coarse = run(h, 64)
+    if coarse.steps < 64 or coarse.newton_iterations.sum() > most * 64:
         return False
-    kinetic = np.abs((run.p[1:] * np.diff(run.q, axis=0)).sum(axis=1) / (2 * h)).max()
-    if stepper.program.header.conservative and np.ptp(run.energy) > MOST_ENERGY_ERROR * kinetic:
+    moved = np.diff(coarse.q, axis=0)
+    kinetic = np.abs((coarse.p[1:] * moved).sum(axis=1) / (2 * h)).max()
+    conservative = stepper.program.header.conservative
+    if conservative and np.ptp(coarse.energy) > MOST_ENERGY_ERROR * kinetic:
         return False
     # some schemes keep the energy of some systems at any step: the path must be right, too
-    finer = stepper.integrate(
-        q, p0=p, h=h / 2, steps=16, parameters=parameters, every=2, on_failure="return"
-    )
+    finer = run(h / 2, 16, every=2)
     if finer.steps < 16:
         return False
     # all of it: friction brings every path to rest, so that ends alone say nothing
-    path = run.q[:9]
+    path = coarse.q[:9]
     if np.abs(finer.q - path).max() > CLOSE * np.ptp(path, axis=0).max():
         return False
-    far = stepper.integrate(
-        q, p0=p, h=h, steps=steps, every=None, parameters=parameters, on_failure="return"
-    )
-    return far.status is Status.SUCCESS
+    return run(h, steps, every=None).success

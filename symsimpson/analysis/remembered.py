@@ -17,7 +17,10 @@ __all__ = ["remembered"]
 
 
 def remembered(
-    system: MechanicalSystem, question: Mapping[str, Any], choose: Callable[[], Choice]
+    system: MechanicalSystem,
+    question: Mapping[str, Any],
+    duration: float,
+    choose: Callable[[], Choice],
 ) -> Choice:
     """Return the choice that was made before for the same question, or make it and keep it.
 
@@ -25,14 +28,14 @@ def remembered(
     from another.
     """
     values = sorted((symbol.name, value) for symbol, value in system.parameters.items())
-    asked = [symsimpson.__version__, system.digest, values, sorted(question.items())]
+    asked = ["whole path", symsimpson.__version__, system.digest, values, sorted(question.items())]
 
     def read(record: Any) -> Choice:
-        h = float(record["h"])
-        if not 0 < h < math.inf:
-            raise ValueError("a step that is none")
+        h, error = float(record["h"]), float(record["error"])
+        if not (0 < h / duration < math.inf and error >= 0):
+            raise ValueError("no step, or no error")
         whole = system.retimed("encounters") if record["adapting"] is True else system
-        return Choice(compile_system(whole, str(record["scheme"])), h, str(record["reason"]))
+        return Choice(compile_system(whole, str(record["scheme"])), h, str(record["reason"]), error)
 
     def content(choice: Choice) -> dict[str, Any]:
         declared = choice.stepper.program.declared
@@ -41,6 +44,7 @@ def remembered(
             "scheme": choice.stepper.scheme,
             "h": choice.h,
             "reason": choice.reason,
+            "error": choice.error_estimate,
             "adapting": adapting,
         }
 

@@ -44,6 +44,7 @@ OF_RUNS = (
     Status.SINGULAR_JACOBIAN,
     Status.FILE_ERROR,
     Status.RATE_NOT_POSITIVE,
+    Status.TOLERANCE_NOT_MET,
 )
 #: Copies of a workspace stand on the stack, of which programs have 8 MB.
 MOST_STACK = 2**22

@@ -32,6 +32,7 @@ class Status(IntEnum):
     SINGULAR_CONSTRAINTS = interface.SINGULAR_CONSTRAINTS
     RATE_NOT_POSITIVE = interface.RATE_NOT_POSITIVE
     EVENTS_ACCUMULATE = interface.EVENTS_ACCUMULATE
+    TOLERANCE_NOT_MET = interface.TOLERANCE_NOT_MET
 
     @property
     def message(self) -> str:
@@ -88,6 +89,10 @@ _MESSAGES = {
         "Impacts follow each other ever faster, or at rest: the bodies stay in contact from there. "
         "What was computed is kept, up to the last impact. Replace the contact by a constraint "
         "there, or end the run by a terminal event."
+    ),
+    Status.TOLERANCE_NOT_MET: (
+        "The run reached its end, but its error is larger than the one asked for, or is not known. "
+        "The motion may be chaotic, or pass a kink: ask for a larger error, or a shorter time."
     ),
     Status.FILE_ERROR: (
         "The checkpoint could not be written; what was computed is kept. Make room, or choose "

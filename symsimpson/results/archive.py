@@ -204,4 +204,5 @@ def _trajectory(dataset: Any, program: Program) -> Trajectory:
         records=tuple(Record.read(entry) for entry in acted["records"]),
         event_names=tuple(acted["names"]),
         ended_by=acted["ended_by"],
+        error_estimate=float(about["error_estimate"]) if "error_estimate" in about else None,
     )

@@ -17,6 +17,8 @@ class Outcome:
     steps: int
     h: Any
     reduced_values: tuple[tuple[str, float], ...]
+    #: The largest error along the path, if :func:`symsimpson.integrate` measured it.
+    error_estimate: float | None
 
     @property
     def success(self) -> bool:
@@ -30,11 +32,13 @@ class Outcome:
 
     def _outcome(self) -> dict[str, Any]:
         """Return it for files."""
+        estimate = {} if self.error_estimate is None else {"error_estimate": self.error_estimate}
         return {
             "h": float(self.h),
             "steps": self.steps,
             "status": self.status.name,
             "message": self.message,
+            **estimate,
         }
 
 

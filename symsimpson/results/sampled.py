@@ -114,6 +114,7 @@ class Sampled(WithEvents, Outcome, States):
     records: tuple[Record, ...] = ()
     event_names: tuple[str, ...] = ()
     reduced_values: tuple[tuple[str, float], ...] = ()
+    error_estimate: float | None = None
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         return {name: getattr(self, name) for name in ("t", *VECTORS, *(x.name for x in SCALARS))}
@@ -160,6 +161,7 @@ class Saved(WithEvents, Outcome):
     records: tuple[Record, ...] = ()
     event_names: tuple[str, ...] = ()
     reduced_values: tuple[tuple[str, float], ...] = ()
+    error_estimate: float | None = None
 
     def __getitem__(self, name: Any) -> NDArray[Any]:
         """Return a quantity by its name.

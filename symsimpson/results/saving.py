@@ -81,7 +81,8 @@ def digest_of(run: Stored) -> str:
     acted = (_of_events(run),) if run.event_names else ()
     users = run.program.names.users
     named = (json.dumps(users),) if users else ()
-    about = (float(run.h), run.steps, run.every, *outcome, *reduced, *acted, *named)
+    estimate = () if run.error_estimate is None else (float(run.error_estimate),)
+    about = (float(run.h), run.steps, run.every, *outcome, *reduced, *acted, *named, *estimate)
     content = hashlib.sha256(repr(about).encode())
     tau = () if run.tau_values is None else (run.tau_values,)
     beside = [] if run.variations is None else [run.variations]

@@ -59,6 +59,8 @@ class Trajectory(Energies, Differentiated):
         0 is success.
     message : str
         The outcome in words.
+    error_estimate : float or None
+        The largest error along the path that :func:`symsimpson.integrate` measured.
 
     Examples
     --------
@@ -85,6 +87,7 @@ class Trajectory(Energies, Differentiated):
     records: tuple[Record, ...] = field(default=(), repr=False)
     event_names: tuple[str, ...] = field(default=(), repr=False)
     ended_by: str | None = None
+    error_estimate: float | None = None
 
     @property
     def _names_varied(self) -> tuple[str, ...]:

@@ -54,6 +54,16 @@ TIMES = {
     "t_end": "the end t_end= or steps=",
     "every": "every= says which states are stored",
 }
+#: What to call in place of a function that does not have an argument, or without it.
+CHOOSING = "ss.integrate(system, ..., error=1e-6)"
+ADVICE = {
+    "Stepper.integrate": {"error": f" Use {CHOOSING}: it chooses the step size."},
+    "integrate": dict.fromkeys(
+        ["tangents", "sensitivities", "record", "reduce", "checkpoint", "checkpoint_every"],
+        " Use stepper.integrate with the step size in run.h.",
+    ),
+}
+NO_STEP = f": missing step size h. Pass it, or use {CHOOSING}, which chooses it"
 
 
 def explained(
@@ -110,10 +120,10 @@ def warn(message: str, category: type[Warning]) -> None:
 
 
 @contextmanager
-def without_step_warnings() -> Iterator[None]:
-    """Let no warning of step sizes be heard inside a block."""
+def without_step_warnings(*kinds: type[Warning]) -> Iterator[None]:
+    """Let no warning of step sizes be heard inside a block, or none of some kinds."""
     with warnings.catch_warnings():
-        for kind in (StabilityWarning, ResolutionWarning, ConstraintWarning):
+        for kind in kinds or (StabilityWarning, ResolutionWarning, ConstraintWarning):
             warnings.simplefilter("ignore", kind)
         yield
 
@@ -143,10 +153,16 @@ def _problem(
     takes = f"It takes {', '.join(f'{key}=' for key in named_here) or 'none'}."
     for key in named:
         if key not in arguments:
-            meant = (x for x, others in ELSEWHERE.items() if key in others.split())
+            meant = [x for x, others in ELSEWHERE.items() if key in others.split()]
             here = next((x for x in meant if x in arguments), "")
             hint = f" Did you mean {here}=?" if here else ""
-            hint = hint or did_you_mean(key, arguments).replace("?", "=?")
+            advice = ADVICE.get(function.__qualname__, {})
+            known_as = (x for x in (key, *meant) if x in advice)
+            hint = (
+                hint
+                or advice.get(next(known_as, ""), "")
+                or did_you_mean(key, arguments).replace("?", "=?")
+            )
             times = [text for time, text in TIMES.items() if time in arguments]
             about = here in TIMES and len(times) > 1
             return (
@@ -175,5 +191,7 @@ def _problem(
         if key not in filled and known[key].kind not in (VARIADIC, KEYWORDS)
     ]
     if missing:
-        return f"{name.rpartition('.')[2]} is not given {', '.join(missing)}.\n{takes}"
+        alone = missing == ["h="] and function.__qualname__ in ADVICE
+        what = f"{', '.join(missing)}{NO_STEP if alone else ''}"
+        return f"{name.rpartition('.')[2]} is not given {what}.\n{takes}"
     return None

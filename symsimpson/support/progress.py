@@ -53,30 +53,35 @@ def silence(wanted: bool = True) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def waiting(what: str, wanted: bool | None = None) -> Iterator[None]:
-    """Tell after a second what is being waited for, and for how long; at once if wanted."""
+def waiting(what: str, wanted: bool | None = None) -> Iterator[list[str]]:
+    """Tell after a second what is being waited for, and for how long; at once if wanted.
+
+    Texts that are added to the list inside take the place of the first.
+    """
     read_progress(wanted)
+    texts = [what]
     if _silent.get() or wanted is False or not (wanted or watched()):
         with silence(wanted is False):
-            yield
+            yield texts
         return
     done = threading.Event()
-    shown = threading.Thread(target=_tell, args=(what, done, wanted), daemon=True)
+    shown = threading.Thread(target=_tell, args=(texts, done, wanted), daemon=True)
     shown.start()
     try:
         with silence():
-            yield
+            yield texts
     finally:
         done.set()
         shown.join()
 
 
-def _tell(what: str, done: threading.Event, wanted: bool | None) -> None:
+def _tell(texts: list[str], done: threading.Event, wanted: bool | None) -> None:
     if done.wait(0.0 if wanted else DELAY):
         return
-    with Progress(0, True, look="{desc}: {elapsed}", what=what) as bar:
+    with Progress(0, True, look="{desc}: {elapsed}", what=texts[-1]) as bar:
         # a file keeps all that is ever drawn: there, once is enough
         while not done.wait(0.5 if watched() else None):
+            bar.say(texts[-1])
             bar.refresh()
 
 

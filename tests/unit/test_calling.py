@@ -31,7 +31,10 @@ WRONG = {
     "gradient": (lambda s: s.gradient(**START, h=0.1, steps=1, costs="theta", wrt="q"), "cost="),
     "certify": (lambda s: s.certify(dt=0.1), "mean h="),
     "choose": (lambda s: ss.choose(ss.systems.pendulum(), **START, t_end=1, tol=1), "mean error="),
-    "missing": (lambda s: s.integrate([1.0], v0=[0.0], steps=3), "is not given h=.\nIt takes q0="),
+    "missing": (
+        lambda s: s.integrate([1.0], v0=[0.0], steps=3),
+        "is not given h=: missing step size h\\. .*\nIt takes q0=",
+    ),
     "missing two": (lambda s: s.gradient([1.0], v0=[0.0], steps=3), "is not given h=, wrt=."),
     "compile": (lambda s: ss.compile(ss.systems.pendulum(), method="simpson"), "mean scheme="),
     "events": (lambda s: s.integrate(**START, h=0.1, steps=1).events("theta", wraps=1), "wrap="),

@@ -6,6 +6,7 @@ from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.analysis import to_error
+from symsimpson.analysis.choose import select
 
 PENDULUM = ss.systems.pendulum()
 ASKED = {"v0": [0.0], "t_end": 5.0, "error": 1e-6, "schemes": ["simpson"]}
@@ -16,11 +17,12 @@ def choices(monkeypatch, tmp_path):
     """Count how often a choice is made, with a folder of its own for what is kept."""
     made = []
 
-    def choose(*state, **given):
-        made.append(given)
-        return ss.choose(*state, **given)
+    def choose(*asked, strict):
+        made.append(asked)
+        return select(*asked, strict=strict)
 
-    monkeypatch.setattr(to_error, "choose", choose)
+    monkeypatch.setattr(to_error, "select", choose)
+    monkeypatch.setattr("symsimpson.analysis.candidates.SCOUT", 0)  # no run of many steps
     monkeypatch.setattr("symsimpson.program.answers.cache_folder", lambda: tmp_path)
     return made
 

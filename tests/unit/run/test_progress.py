@@ -28,6 +28,10 @@ def told(monkeypatch):
         def update(self, count):
             pass
 
+        def set_description_str(self, text, refresh):
+            if text != shown[-1]:
+                shown.append(text)
+
         refresh = close = lambda self: None
 
     import tqdm
@@ -57,6 +61,27 @@ def test_waiting_tells_what_for_and_only_once(told, monkeypatch):
         raise ZeroDivisionError
     assert told == ["the whole"]
     assert not set(threading.enumerate()) - before
+
+
+def test_trials_of_a_choice_are_counted(told, monkeypatch):
+    with progress.waiting("choosing") as texts:
+        while not told:
+            time.sleep(0.01)
+        texts.append("choosing, trial 1 of at most 9")
+        while len(told) < 2:
+            time.sleep(0.01)
+    assert told == ["choosing", "choosing, trial 1 of at most 9"]
+    asked = {"q0": [1.0], "v0": [0.0], "t_end": 1.0, "error": 1e-3, "schemes": "midpoint"}
+    motions = []
+    monkeypatch.setattr(
+        "symsimpson.analysis.choose.verify", lambda motion, *given: motions.append(motion) or 1 / 0
+    )
+    with pytest.raises(ZeroDivisionError):
+        ss.choose(ss.systems.pendulum(), **asked)
+    shown = motions[0].shown
+    assert shown[0] == "choosing a scheme and a step"
+    assert shown[1] == "choosing a scheme and a step, trial 1 of at most 22"
+    assert len(shown) <= 9
 
 
 @pytest.mark.slow
