@@ -167,13 +167,13 @@ class Motion:
             off = np.abs(coarse.energy_error)
             return PathError.of(coarse.t, off, self.error), coarse, None
         fine = self.run(stepper, 2 * steps)
-        found = path_error(coarse, fine, self.duration, self.error)
+        worst = path_error(coarse, fine, self.duration, self.error)
         few = SCOUT // len(self.q) // steps
-        if scout and found.since is None and few > 2:
+        if scout and worst.since is None and few > 2:
             finest = self.run(stepper, 2 ** few.bit_length() * steps)
             other = path_error(coarse, finest, self.duration, self.error)
-            found = max(found, other, key=lambda error: error.largest)
-        return found, coarse, fine
+            worst = max(worst, other, key=lambda error: error.largest)
+        return worst, coarse, fine
 
     def least(self, stepper: Stepper) -> int:
         """Return the fewest steps, of which none is warned of at the start."""
@@ -245,12 +245,12 @@ class Motion:
             if not self.run(stepper, steps, every=None).success:  # the first may compile
                 return None
             times.append(time.perf_counter() - begin)
-        found, coarse, fine = self.measure(stepper, steps, scout=False)
+        worst, coarse, fine = self.measure(stepper, steps, scout=False)
         if not coarse.success or not (fine is None or fine.success):
             return None
         share = 1.0 if self.on == "energy" else 1 / (1 - 2.0**-stepper.order)
         work = coarse.steps + int(coarse.newton_iterations.sum())
-        return Candidate(stepper, steps, share * found.largest, work, coarse.steps, min(times))
+        return Candidate(stepper, steps, share * worst.largest, work, coarse.steps, min(times))
 
 
 def verify(motion: Motion, stepper: Stepper, steps: float) -> tuple[Stepper, int, PathError]:
@@ -259,13 +259,13 @@ def verify(motion: Motion, stepper: Stepper, steps: float) -> tuple[Stepper, int
     most, coarse = max(MOST_STEPS // 2, 4 * steps), None
     for refinement in range(REFINEMENTS + 1):
         motion.show()
-        found, _, fine = motion.measure(stepper, steps, coarse)
-        wanted = (SAFETY * found.largest / motion.error) ** (1 / stepper.order)
+        worst, _, fine = motion.measure(stepper, steps, coarse)
+        wanted = (SAFETY * worst.largest / motion.error) ** (1 / stepper.order)
         factor = 2 if wanted <= 2 else 4
-        if found.since is None or refinement == REFINEMENTS or factor * steps > most:
+        if worst.since is None or refinement == REFINEMENTS or factor * steps > most:
             break
         steps, coarse = factor * steps, fine if factor == 2 else None
-    return stepper, steps, found
+    return stepper, steps, worst
 
 
 def at_times(function: Any, times: Floats) -> Floats:

@@ -169,6 +169,7 @@ def choose(
     >>> run.status.name
     'SUCCESS'
     """
+    asked: dict[str, Any]
     asked = {"q0": q0, "v0": v0, "p0": p0, "t0": t0, "t_end": t_end, "error": error, "on": on}
     asked |= {"parameters": parameters, "inputs": inputs, "events": events, "schemes": schemes}
     choice = select(system, asked, strict=True)
@@ -257,9 +258,9 @@ def _select(
     else:
         chosen = verify(motion, max(steppers, key=lambda x: x.order), motion.duration / h0)
         best = Candidate(*chosen[:2], 0.0, 0, 0, math.inf)
-    stepper, count, found = chosen
+    stepper, count, worst = chosen
     reason = _reason(motion, chosen, best, candidates)
-    return Choice(stepper, motion.duration / count, reason, found.largest)
+    return Choice(stepper, motion.duration / count, reason, worst.largest)
 
 
 def arguments(choice: Choice, asked: Mapping[str, Any]) -> dict[str, Any]:
@@ -310,8 +311,8 @@ def _solved(
     candidates: list[Candidate] = []
     for stepper in reversed(steppers):  # of high order first: others may be far slower
         quickest = min((x.seconds for x in candidates), default=math.inf)
-        if found := pilot.solve(stepper, h, allowed, quickest):
-            candidates.append(found)
+        if candidate := pilot.solve(stepper, h, allowed, quickest):
+            candidates.append(candidate)
     return candidates
 
 
@@ -322,18 +323,18 @@ def _reason(
     candidates: Sequence[Candidate],
 ) -> str:
     """Say what was chosen, how large its error is, and what others take."""
-    stepper, steps, found = chosen
+    stepper, steps, worst = chosen
     retimed = stepper.program.header.retimed
     count = "the first step; then they adapt" if retimed else f"{steps} steps"
     what = "the largest relative energy error is"
     if motion.on == "state":
-        what = "the path differs from that with half the step, relative to its extent, by at most"
+        what = "relative to its extent, the path differs from that with half the step by"
     lines = [
         f"{stepper.scheme} with h = {motion.duration / steps:.6g} ({count}): {what} "
-        f"{found.largest:.1e}, {motion.error:.1e} is asked for."
+        f"{worst.largest:.1e}, {motion.error:.1e} is asked for."
     ]
-    if found.since is not None:
-        lines.append(f"The bound fails from t = {found.since:g} on.")
+    if worst.since is not None:
+        lines.append(f"The bound fails from t = {worst.since:g} on.")
     fixed = [x.taken for x in candidates if not x.stepper.program.header.retimed]
     if retimed:
         beside = f": the fewest of fixed size are {min(fixed)}" if fixed else ""
@@ -359,6 +360,7 @@ def _in_other_time(
 def _first_step(retimed: RetimedSystem, motion: Motion) -> tuple[float, float]:
     """Find a step in tau that follows the motion, and the time that a pilot run of them takes."""
     stepper = compile_system(retimed, "simpson")
+    begin: dict[str, Any]
     begin = {"q0": motion.q, "p0": motion.p, "t0": motion.t0, "parameters": motion.parameters}
     given = stepper.integrate(**begin, h=1.0, steps=0).parameter_values
     known = dict(zip(stepper.parameters, given, strict=True))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 
 from symsimpson.errors import ConvergenceError
+from symsimpson.results.states import States
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.support.array_types import Floats
 
@@ -45,49 +46,41 @@ def path_error(coarse: Trajectory, fine: Trajectory, duration: float, bound: flo
     for run in (coarse, fine):
         if not run.success:
             return PathError(np.inf, float(run.t[-1]))
-    sign, t0 = np.sign(duration), float(coarse.t[0])
+    sign, t0, scale = np.sign(duration), float(coarse.t[0]), _scale(fine)
     ends = [float(run.t[-1]) for run in (coarse, fine)]
-    end = min(ends, key=lambda t: float(sign * t))
-    times = _times(coarse, duration)
+    end = sign * min(sign * t for t in ends)
+    count = STORED // coarse.program.n + 1
+    stored = np.union1d(np.linspace(0, len(coarse) - 1, count).astype(int), np.arange(count))
+    # the last of equidistant times is the last stored one, however it was rounded
+    equidistant = t0 + duration * np.linspace(0, 1, EQUIDISTANT)[:-1]
+    times = sign * np.union1d(sign * equidistant, sign * coarse.t[stored[stored < len(coarse)]])
     times = times[sign * (end - times) >= 0]
-    scale = _scale(fine)
     try:
-        states = [run.at(times) for run in (coarse, fine)]
+        off = _difference(coarse.at(times), fine.at(times), scale)
     except ConvergenceError as error:
         return PathError(np.inf, error.time)
-    off = _difference(*(np.hstack([x.q, x.p]) for x in states), scale)
-    for first, last in _windows(coarse, fine, t0 + duration):
-        low, high = min(first, last), max(first, last)
+    # between the times of an event one run is before it, and the other after
+    for first, second in zip_longest(coarse.records, fine.records):
+        if first and second and first.event != second.event:
+            break
+        low, high = sorted(record.t if record else t0 + duration for record in (first, second))
         slack = 8 * np.finfo(float).eps * max(abs(low), abs(high), abs(duration))
         if high - low <= bound * abs(duration):
             off[(times >= low - slack) & (times <= high + slack)] = 0.0
     if coarse.ended_by is not None or fine.ended_by is not None:
         late = abs(ends[0] - ends[1]) / abs(duration)
-        last_states = [np.hstack([run.q[-1:], run.p[-1:]]) for run in (coarse, fine)]
         if coarse.ended_by == fine.ended_by:
-            late = max(late, float(_difference(*last_states, scale)[0]))
+            late = max(late, *_difference(coarse[-1:], fine[-1:], scale))
         times, off = np.append(times, end), np.append(off, late)
     return PathError.of(times, off, bound)
 
 
-def _times(run: Trajectory, duration: float) -> Floats:
-    """Return the times at which a run is compared, in order."""
-    count = STORED // run.program.n + 1
-    some = np.linspace(0, len(run) - 1, count).astype(int)
-    stored = run.t[np.union1d(some, np.arange(min(len(run), count)))]
-    # the last of equidistant times is the last stored one, however it was rounded
-    equidistant = float(run.t[0]) + duration * np.linspace(0, 1, EQUIDISTANT)[:-1]
-    times = np.union1d(equidistant, stored)
-    return times if duration > 0 else times[::-1]
-
-
-def _difference(coarse: Floats, fine: Floats, scale: Floats) -> Floats:
+def _difference(coarse: States, fine: States, scale: Floats) -> Floats:
     """Return the largest difference of each pair of states, in units of ``scale``."""
+    first, second = (np.hstack([states.q, states.p]) for states in (coarse, fine))
     with np.errstate(divide="ignore", invalid="ignore"):
-        off = np.abs(coarse - fine) / scale
-    off[coarse == fine] = 0.0
-    largest: Floats = off.max(axis=1)
-    return largest
+        off: Floats = np.where(first == second, 0.0, np.abs(first - second) / scale)
+    return off.max(axis=1)
 
 
 def _scale(run: Trajectory) -> Floats:
@@ -97,29 +90,17 @@ def _scale(run: Trajectory) -> Floats:
     are rounding errors, and are not compared: their scale is infinite.
     """
     units, names, n = run.program.units, run.program.coordinates, run.program.n
-    of_q = [(units.get(name), None) for name in names]
-    of_p = [(units.get(name), units.get(f"p_{name}")) for name in names]
+    kinds: list[tuple[str, str | None, str | None]]
+    kinds = [("q", units.get(name), None) for name in names]
+    kinds += [("p", units.get(name), units.get(f"p_{name}")) for name in names]
+    numbers = {kind: k for k, kind in enumerate(dict.fromkeys(kinds))}
+    group = np.array([numbers[kind] for kind in kinds])
+    same = group[:, None] == group
     states = np.hstack([run.q, run.p])
-    moved, size = np.abs(states - states[0]).max(axis=0), np.abs(states).max(axis=0)
-    for first, groups in ((0, of_q), (n, of_p)):
-        for group in set(groups):
-            same = [first + k for k, other in enumerate(groups) if other == group]
-            moved[same], size[same] = moved[same].max(), size[same].max()
+    moved, size = (
+        np.where(same, np.abs(x).max(axis=0), 0.0).max(axis=1) for x in (states - states[0], states)
+    )
     still = moved <= ROUNDING * np.sqrt(max(run.steps, 1)) * size
     scale = np.where(still, size, moved)
-    for k in range(n):
-        same = [j for j in range(n) if of_p[j] == of_p[k]]
-        if still[same].all():
-            scale[n + k] = np.inf
+    scale[n:][(same[n:, n:] <= still[:n]).all(axis=1)] = np.inf
     return scale
-
-
-def _windows(coarse: Trajectory, fine: Trajectory, t_end: float) -> Iterator[tuple[float, float]]:
-    """Return the times between which one of two runs is before an event, and the other after."""
-    pairs = list(zip(coarse.records, fine.records, strict=False))
-    for one, other in pairs:
-        if one.event != other.event:
-            return
-        yield one.t, other.t
-    for record in (*coarse.records[len(pairs) :], *fine.records[len(pairs) :])[:1]:
-        yield record.t, t_end

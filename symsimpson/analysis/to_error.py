@@ -93,6 +93,7 @@ def integrate(
     """
     check_system(system)
     parameters = read_mapping("parameters", parameters, "m")
+    asked: dict[str, Any]
     asked = {"q0": q0, "v0": v0, "p0": p0, "t0": t0, "t_end": t_end, "error": error, "on": on}
     asked |= {"parameters": parameters, "inputs": inputs, "events": events, "schemes": schemes}
 

@@ -90,7 +90,7 @@ def make_dop853(f: Callable[..., None]) -> Callable[..., Any]:
             else:
                 h *= max(0.2, 0.9 * error ** (-0.125))
                 rejected = True
-        progress[:] = t, h, rejected, evaluations
+        progress[0], progress[1], progress[2], progress[3] = t, h, rejected, evaluations
         return 0
 
     return dop853

@@ -35,8 +35,8 @@ def ours(
         length = {"steps": count} if retimed is None else {"t_end": problem.t_end}
 
         def run() -> Any:
-            given = {"h": h, **length, "every": None, "on_failure": "return"}
-            return uninterrupted(stepper.integrate(problem.q0, p0=problem.p0, **given))
+            start: dict[str, Any] = {"q0": problem.q0, "p0": problem.p0, "h": h, **length}
+            return uninterrupted(stepper.integrate(**start, every=None, on_failure="return"))
 
         def read(trajectory: Any) -> Outcome:
             failed = np.full(stepper.n, np.nan)

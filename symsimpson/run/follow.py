@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from symsimpson.errors import StorageError
 from symsimpson.program.program import Program
@@ -55,7 +56,11 @@ def follow(
     count = run.step if run.arrived else count
     trajectory = trajectory_of(program, run, count, status, spec, asked, spec.every, left_out)
     if count and status is not Status.INTERRUPTED and problem is None:
-        trajectory = verdict(program, run, trajectory, kept)
+        try:
+            trajectory = verdict(program, run, trajectory, kept)
+        except KeyboardInterrupt:  # the states are there, what they are worth is not known
+            stopped = Status.INTERRUPTED
+            trajectory = replace(trajectory, status=stopped, message=stopped.message)
     return trajectory, problem
 
 

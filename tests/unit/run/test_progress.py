@@ -1,12 +1,7 @@
 """Bars: after a second, about anything, and never where they are not wanted."""
 
-import importlib
-import sys
 import threading
 import time
-import warnings
-from importlib.machinery import ModuleSpec
-from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,6 +27,10 @@ def told(monkeypatch):
 
         def update(self, count):
             pass
+
+        def set_description_str(self, text, refresh):
+            if text != shown[-1]:
+                shown.append(text)
 
         refresh = close = lambda self: None
 
@@ -64,25 +63,25 @@ def test_waiting_tells_what_for_and_only_once(told, monkeypatch):
     assert not set(threading.enumerate()) - before
 
 
-def test_in_a_notebook_without_widgets_bars_are_text(monkeypatch):
-    """There is an ipywidgets that has none."""
-    widgets = ModuleType("ipywidgets")
-    widgets.__spec__ = ModuleSpec("ipywidgets", None)
-    notebook = {"IPython": SimpleNamespace(get_ipython=lambda: None), "ipykernel.zmqshell": None}
-    for name, module in {"ipywidgets": widgets, **notebook}.items():
-        monkeypatch.setitem(sys.modules, name, module)
-    tqdm = importlib.import_module("tqdm")
-    for name in ("auto", "autonotebook", "notebook"):
-        monkeypatch.setattr(tqdm, name, None, raising=False)
-        monkeypatch.delitem(sys.modules, f"tqdm.{name}", raising=False)
-    with warnings.catch_warnings(record=True) as heard:
-        warnings.simplefilter("always")
-        with progress.Progress(3, True) as bar:
-            bar.add(2)
-            assert isinstance(bar._bar, sys.modules["tqdm.auto"].tqdm)
-            assert isinstance(bar._bar, sys.modules["tqdm.std"].tqdm)
-            assert bar.count == 2
-    assert [str(x.message) for x in heard] == []
+def test_trials_of_a_choice_are_counted(told, monkeypatch):
+    with progress.waiting("choosing") as texts:
+        while not told:
+            time.sleep(0.01)
+        texts.append("choosing, trial 1 of at most 9")
+        while len(told) < 2:
+            time.sleep(0.01)
+    assert told == ["choosing", "choosing, trial 1 of at most 9"]
+    asked = {"q0": [1.0], "v0": [0.0], "t_end": 1.0, "error": 1e-3, "schemes": "midpoint"}
+    motions = []
+    monkeypatch.setattr(
+        "symsimpson.analysis.choose.verify", lambda motion, *given: motions.append(motion) or 1 / 0
+    )
+    with pytest.raises(ZeroDivisionError):
+        ss.choose(ss.systems.pendulum(), **asked)
+    shown = motions[0].shown
+    assert shown[0] == "choosing a scheme and a step"
+    assert shown[1] == "choosing a scheme and a step, trial 1 of at most 22"
+    assert len(shown) <= 9
 
 
 @pytest.mark.slow
