@@ -18,20 +18,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.analysis.certificate import Certificate, Check
-from symsimpson.analysis.convergence import (
-    DIGITS,
-    STEPS,
-    first_seen,
-    order_of_errors,
-    order_of_time,
-)
+from symsimpson.analysis.convergence import order_of_errors, order_of_time
 from symsimpson.analysis.energy_checks import LONG, drift, shadow
 from symsimpson.analysis.momentum_balance import momentum_balance
 from symsimpson.analysis.order import observed_orders
 from symsimpson.analysis.pilot import choose_state, choose_step
 from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.solver_checks import EXACT, fallbacks, iterations, jacobian, newton, starts
-from symsimpson.analysis.subject import SHORT, Subject, with_inputs
+from symsimpson.analysis.subject import DIGITS, MOST, SHORT, STEPS, Subject, with_inputs
 from symsimpson.analysis.symmetries import block_size
 from symsimpson.analysis.variants import in_tau
 from symsimpson.api.stepper import Stepper
@@ -54,6 +48,8 @@ NEARBY = mpmath.mpf("1e-40")
 ALONE = 1e-9
 #: So often a step that a run would be warned of is halved.
 HALVINGS = 40
+#: A step that is so many times one that follows the motion is far too large.
+TOO_LARGE = 64.0
 #: Steps that show an error at all are doubled so often again before they are halved.
 FAR = 30
 #: What changes at an order below this in the step changes along the exact motion, too.
@@ -99,16 +95,18 @@ def certify(
     precise = Precise(measured, exact, DIGITS)
     held = bool(stepper.program.header.constraints)
     subject = Subject(measured, precise, precise.placed(z) if held else z, step, timed)
-    if h is None and (doublings := first_seen(subject)) > 0:
-        step = choose_step(measured, q, p, exact, LONG, first=step * 2.0 ** (doublings + FAR))
+    if h is None and subject.doublings > 0:
+        step = choose_step(
+            measured, q, p, exact, LONG, first=step * 2.0 ** (subject.doublings + FAR)
+        )
         subject = replace(subject, h=step)
     precise.sizes = subject.sizes
     with warnings.catch_warnings():
         if h is None:  # a step that nobody gave is as long as is measured well
             warnings.simplefilter("ignore", ResolutionWarning)
-        checks = list(_guarded(_too_large, subject))
-        if not checks:
-            checks = [check for measure in CHECKS for check in _guarded(measure, subject)]
+        far = h is not None and _far_too_large(measured, q, p, exact, step)
+        measures = (_unmeasured,) if far else CHECKS  # the others would take very long
+        checks = [check for measure in measures for check in _guarded(measure, subject)]
     return Certificate(
         stepper.system,
         stepper.scheme,
@@ -144,11 +142,21 @@ def _chosen_step(stepper: Stepper, q: Any, p: Any, values: Mapping[str, float]) 
     return choose_step(stepper, q, p, values, LONG, first=step / 2 ** (halvings + 1))
 
 
-def _too_large(s: Subject) -> Iterator[Check]:
-    """order: let nothing be measured with steps that are far too large, which would take long."""
-    s.exact(STEPS * mpmath.mpf(s.h), error=1.0)
-    s.compiled(STEPS, every=None)
-    yield from ()
+def _far_too_large(stepper: Stepper, q: Any, p: Any, values: Mapping[str, float], h: float) -> bool:
+    """Return whether a step is so large that it follows no motion from this state."""
+    try:
+        return abs(h) > TOO_LARGE * choose_step(stepper, q, p, values, SHORT, longest=abs(h))
+    except InputError:  # no step is small enough, which the checks tell
+        return False
+
+
+def _unmeasured(s: Subject) -> Iterator[Check]:
+    """order: tell that h is far too large."""
+    raise ArithmeticError(
+        f"in {STEPS} steps of h={s.h:g} the exact solution needs more than {MOST} steps: choose a "
+        "smaller h"
+    )
+    yield
 
 
 def _guarded(measure: Callable[[Subject], Iterator[Check]], subject: Subject) -> Iterator[Check]:

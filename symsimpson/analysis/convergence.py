@@ -11,24 +11,14 @@ import numpy as np
 
 from symsimpson.analysis.certificate import Check
 from symsimpson.analysis.order import observed_orders
-from symsimpson.analysis.subject import Subject
-from symsimpson.errors import SymsimpsonError
-from symsimpson.results.trajectory import Trajectory
-from symsimpson.support.array_types import Floats
+from symsimpson.analysis.subject import DIGITS, STEPS, Subject
 
-__all__ = ["DIGITS", "STEPS", "first_seen", "order_of_errors", "order_of_time"]
+__all__ = ["order_of_errors", "order_of_time"]
 
-DIGITS = 50
-#: Steps after which errors are measured.
-STEPS = 8
 #: Orders above this are seen with steps down to h/4, others down to h/16.
 HIGH = 8
 #: Errors above this are not those of the solution that they are measured by.
 RESOLVED = 1e-28
-#: An error of compiled steps that is not one of rounding.
-SEEN = 1e-11
-#: Steps are doubled so often, one after the other, until errors are seen.
-DOUBLINGS = range(0, 50, 10)
 
 
 def order_of_errors(s: Subject) -> Iterator[Check]:
@@ -51,7 +41,7 @@ def order_of_errors(s: Subject) -> Iterator[Check]:
         ends.append(end(levels[-1]))
         exact = _exact(s, steps, ends)
         errors = [s.distance(state, exact) for state in ends]
-    if max(errors) < resolved and (first_seen(s) > 0 or s.distance(exact, s.z) == 0):
+    if max(errors) < resolved and (s.doublings > 0 or s.distance(exact, s.z) == 0):
         reason = "Pass a larger h, or a state from which the system moves."
         yield Check.not_asked("order", "", reason, "nothing was tested: the motion hardly moves")
         return
@@ -70,27 +60,6 @@ def order_of_errors(s: Subject) -> Iterator[Check]:
         what,
         f"The scheme has order {s.stepper.order}; the last pairs are asymptotic{nearly}",
     )
-
-
-def first_seen(s: Subject) -> int:
-    """Return how often to double h until errors are resolved; -1 if no step shows an error."""
-    if s.distance(*map(_end, (s.compiled(STEPS, None), s.compiled(2 * STEPS, None, 2)))) > SEEN:
-        return 0
-    for doublings in DOUBLINGS:
-        h = s.precise.context.ldexp(s.h, doublings)
-        try:
-            with mpmath.workdps(DIGITS):
-                end, exact = s.precise.flow(s.z, h, STEPS), s.exact(STEPS * mpmath.mpf(h))
-            off = np.abs(end - exact) / np.maximum(s.scale, np.abs(exact))
-        except (SymsimpsonError, ArithmeticError):
-            return doublings
-        if max(off) > RESOLVED:
-            return doublings
-    return -1
-
-
-def _end(run: Trajectory) -> Floats:
-    return np.concatenate([run.q[-1], run.p[-1]])
 
 
 def _exact(s: Subject, steps: int, ends: Sequence[Any]) -> Any:

@@ -8,8 +8,7 @@ from typing import Any
 import mpmath
 
 from symsimpson.analysis.certificate import Check
-from symsimpson.analysis.convergence import DIGITS
-from symsimpson.analysis.subject import Subject
+from symsimpson.analysis.subject import DIGITS, Subject
 
 __all__ = [
     "EXACT",

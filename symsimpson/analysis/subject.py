@@ -13,7 +13,7 @@ import numpy as np
 from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
 from symsimpson.api.stepper import Stepper
-from symsimpson.errors import ConvergenceError
+from symsimpson.errors import ConvergenceError, SymsimpsonError
 from symsimpson.program.evaluating import evaluate
 from symsimpson.program.input_values import read_number
 from symsimpson.program.program import Findings
@@ -24,10 +24,15 @@ from symsimpson.stepping.driving import read_driving
 from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.names import read_mapping
 
-__all__ = ["SHORT", "Subject", "with_inputs"]
+__all__ = ["DIGITS", "MOST", "SHORT", "STEPS", "Subject", "with_inputs"]
 
-#: Steps that are taken in many digits.
-SHORT = 50
+#: Steps that are taken in many digits, and those after which errors are measured.
+SHORT, STEPS = 50, 8
+DIGITS = 50
+#: Errors that are not round-off: of compiled steps, and in many digits after very long steps.
+SEEN, SEEN_FAR = 1e-11, 1e-25
+#: Steps are doubled so often, one after the other, until errors are seen.
+DOUBLINGS = range(0, 93, 4)
 #: The local error of the exact motion, and the most steps that it is given.
 LOCAL, MOST = mpmath.mpf("1e-30"), 100
 #: An error of the exact motion is this part of those that are measured by it.
@@ -182,6 +187,24 @@ class Subject:
         first = [x / unit for x, unit in zip(start, units, strict=True)]
         last = extrapolate(in_units, first, [end], local, MOST)[0]
         return [x * unit for x, unit in zip(last, units, strict=True)]
+
+    @cached_property
+    def doublings(self) -> int:
+        """How often to double h until errors are seen; -1 where no step shows an error."""
+        runs = (self.compiled(STEPS * parts, None, parts) for parts in (1, 2))
+        if self.distance(*(np.concatenate([run.q[-1], run.p[-1]]) for run in runs)) > SEEN:
+            return 0
+        for doublings in DOUBLINGS:
+            h = self.precise.context.ldexp(self.h, doublings)
+            try:
+                with mpmath.workdps(DIGITS):
+                    end = self.precise.flow(self.z, h, STEPS)
+                    exact = self.exact(STEPS * mpmath.mpf(h))
+            except (SymsimpsonError, ArithmeticError):
+                break
+            if max(np.abs(end - exact) / np.maximum(self.scale, np.abs(exact))) > SEEN_FAR:
+                return doublings
+        return -1
 
     def compiled(self, steps: int, every: int | None, parts: int = 1) -> Trajectory:
         """Integrate in double precision, with h or a part of it."""

@@ -32,6 +32,10 @@ first_rate = sp.Symbol("g_start", positive=True)
 #: Keeps the rate finite at rest.
 rest = sp.Symbol("c_rest", positive=True)
 OWN = (energy, first_rate)
+#: The energy that keeps the rate finite at rest is this part of a run's own, times c_rest.
+REST = 16
+#: Smaller than the square of any energy: the root has a derivative where that is 0.
+NOTHING = sp.Rational(1, 2**800)
 #: Functions that are finite for all real numbers.
 FINITE = (sp.sin, sp.cos, sp.sinh, sp.cosh, sp.tanh, sp.exp, sp.atan, sp.asinh, sp.erf, sp.erfc)
 
@@ -223,13 +227,25 @@ def _named(
         of_near = (-level) ** sp.Rational(-3, 2)
         return of_near.subs(level, near), of_near if near == V else None, {}
     if rate == "kinetic":
-        of_level = 1 / sp.sqrt(rest + energy - level)
+        of_level = 1 / sp.sqrt(rest * _energy_scale(system) + energy - level)
         return of_level.subs(level, V), of_level, {rest: 1.0}
     raise fail(
         system.name,
         f"there is no rate named {rate!r}.",
         'Give an expression of positions, or "encounters" or "kinetic".',
     )
+
+
+def _energy_scale(system: MechanicalSystem) -> sp.Expr:
+    """Return a size of the kinetic energy of a run, by E0 and V where all coordinates are 0."""
+    try:
+        bottom = system.potential.subs(dict.fromkeys(system.coordinates, 0))
+    except (ArithmeticError, ValueError):
+        bottom = sp.nan
+    finite = bottom.is_finite is not False and not bottom.has(sp.nan, sp.zoo, sp.oo)
+    above = energy - bottom if finite else sp.S.Zero
+    squared = energy**2 + above**2  # if it is 0, so is the scale, and a start at rest is rejected
+    return squared / sp.sqrt(squared + NOTHING) / REST
 
 
 def attracts(system: MechanicalSystem) -> bool:

@@ -349,7 +349,9 @@ class MechanicalSystem(Described):
         rate : SymPy expression, "encounters" or "kinetic"
             g > 0, of coordinates, parameters and the energy of the run, :data:`symsimpson.energy`.
             It is scaled so that dt = dtau at the start. "encounters" is U**(-3/2), for V = -U with
-            U a sum of inverse distances. "kinetic" is (c_rest + T)**(-1/2), c_rest a new parameter.
+            U a sum of inverse distances. "kinetic" is (c_rest S + T)**(-1/2). The new parameter
+            c_rest has no unit. S = sqrt(E0^2 + (E0 - V0)^2)/16, V0 is V where all coordinates are
+            0, or E0 if V is infinite there. A start at rest with E0 = V0 = 0 is rejected.
 
         Returns
         -------

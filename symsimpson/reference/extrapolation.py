@@ -66,18 +66,17 @@ def extrapolate(
         ``most`` steps, which is told early on.
     """
     states = []
-    t, taken, growing = mpmath.mpf(0), 0, False
+    t, taken = mpmath.mpf(0), 0
     sizes = [max(least, abs(x)) for x in y]
-    scales = [FIRST * scale for scale in _scales(y, f(y))]
+    scales = [FIRST * scale for scale in _scales(f, y)]
     H = min([*scales, *(MOST_PART * abs(end) for end in times[:1])], default=FIRST)
     for end in times:
         while t != end:
-            if most is not None and (taken >= most or not growing):
+            if most is not None:
                 _check_steps(taken, t, end, H, most)
             taken += 1
             whole = end - t if abs(end - t) <= H else mpmath.sign(end - t) * H
             new, columns = _step(f, y, whole, tolerance, sizes)
-            growing = new is not None and columns < MOST_COLUMNS // 2
             if new is None:
                 H = abs(whole) / 2
                 if abs(end) * mpmath.eps > H:
@@ -85,7 +84,7 @@ def extrapolate(
                 continue
             t, y = t + whole, new
             sizes = [max(size, abs(x)) for size, x in zip(sizes, y, strict=True)]
-            if growing:
+            if columns < MOST_COLUMNS // 2:
                 H = abs(whole) * 2
         states.append(y)
     return states
@@ -97,10 +96,14 @@ def _kinds(y: Vector) -> list[Vector]:
     return [kind for kind in (y[:n], y[n : 2 * n], y[2 * n :]) if kind]
 
 
-def _scales(y: Vector, slope: Vector) -> list[Any]:
-    """Return the times in which kinds of components change, those of kinds that are not zero."""
-    largest = [[max(map(abs, kind)) for kind in _kinds(x)] for x in (y, slope)]
-    return [size / rate for size, rate in zip(*largest, strict=True) if size and rate]
+def _scales(f: Callable[[Vector], Vector], y: Vector) -> list[Any]:
+    """Return the times in which positions and momenta change; from rest, by the acceleration."""
+    slope = f(y)
+    moved = f([a + b for a, b in zip(y, slope, strict=True)])
+    largest = [[max(map(abs, kind)) for kind in _kinds(x)] for x in (y, slope, moved)]
+    times = [size / rate for size, rate, _ in zip(*largest, strict=True) if size and rate]
+    (size, *_), _, (speed, *_) = largest
+    return times or ([mpmath.sqrt(size / speed)] if size and speed else [])
 
 
 def _check_steps(taken: int, t: Any, end: Any, H: Any, most: int) -> None:

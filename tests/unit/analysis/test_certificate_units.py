@@ -62,3 +62,36 @@ def test_metres_of_an_atom_beside_radians(retimed):
     assert [check.name for check in found.checks if not check.passed] == []
     (momenta,) = [check for check in found.checks if check.name == "momenta"]
     assert momenta.what.startswith("change of p_y")
+
+
+W = sp.Symbol("w", positive=True)
+SLOW = ss.MechanicalSystem(
+    "slow",
+    coordinates=(x,),
+    kinetic=x.diff() ** 2 / 2,
+    potential=W**2 * (x**2 / 2 + x**4 / 4),
+    parameters={W: 1e-9},
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("start", "speed"), [(0.7, 0.0), (0.0, 1e-9)])
+def test_the_step_of_a_slow_motion_is_long(start, speed):
+    found = ss.compile(SLOW).certify([start], v0=[speed])
+    assert found.passed, found
+    assert 0.01 < found.h * 1e-9 < 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("start", "h"), [(0.7, 0.1), (0.0, None)])
+def test_a_certificate_of_no_motion_does_not_pass(start, h):
+    found = ss.compile(SLOW).certify([start], v0=[0.0], h=h)
+    assert not found.passed
+    assert "nothing was tested" in found["order"].failure
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::symsimpson.errors.StabilityWarning")
+def test_a_step_that_is_far_too_large_is_measured_no_further():
+    (row,) = ss.compile(ss.systems.double_pendulum(), "gauss8").certify(h=1e4).checks
+    assert "more than 100 steps" in row.failure

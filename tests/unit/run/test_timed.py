@@ -164,3 +164,34 @@ def test_what_is_not_there_is_refused():
         ss.compile(KEPLER.retimed("encounters"), "kahan_li8").integrate(
             [1.6, 0.0], v0=[0.0, 0.6], h=0.1, t_end=1.0, tangents=4
         )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("start", [0.0, 0.4])
+def test_the_kinetic_rate_does_not_depend_on_units(start):
+    """A pendulum from rest and with a velocity, in units of atoms, too."""
+    m, g = sp.symbols("m g", positive=True)
+    system = ss.MechanicalSystem(
+        "pendulum_units",
+        coordinates=(X,),
+        kinetic=m * X.diff() ** 2 / 2,
+        potential=-m * g * sp.cos(X),
+        parameters={m: 1.0, g: 1.0},
+    )
+    stepper, runs = ss.compile(system.retimed("kinetic"), "gauss8"), []
+    for mass, second in ((1.0, 1.0), (1e-27, 1e-15), (6e24, 3.2e7)):
+        how = {"v0": [start / second], "h": 0.2 * second, "t_end": 10.0 * second}
+        run = stepper.integrate([1.5], **how, parameters={"m": mass, "g": second**-2})
+        runs.append((run.steps, run.t / second, run.q[:, 0]))
+    for steps, t, q in runs[1:]:
+        assert steps == runs[0][0]
+        np.testing.assert_allclose(t, runs[0][1], rtol=1e-9)
+        np.testing.assert_allclose(q, runs[0][2], atol=1e-9)
+    assert np.diff(runs[0][1]).min() < 0.1  # and it adapts
+
+
+@pytest.mark.parametrize("how", [{"steps": 3}, {"t_end": 2e20}])
+def test_a_first_step_that_is_lost_in_rounding(how):
+    stepper = ss.compile(oscillator(K).retimed(sp.Integer(1)))
+    with pytest.raises(ss.InputError, match="lost in rounding"):
+        stepper.integrate([1.0], v0=[0.0], h=0.1, t0=1e20, **how)
