@@ -148,7 +148,7 @@ class Printer:
         if name == "pow":
             base, exponent = arguments
             return f"{self._within(base, ATOM)}**{self._within(exponent, ATOM)}", POWER
-        if name != "abs":
+        if name not in ("abs", "min"):
             self.used.add(name)
         if name == "exp" and parts[1] == (1, UNIT):
             return "exp(real(1))", ATOM

@@ -38,7 +38,7 @@ from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.storage import node_stride
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.turning import Turning
-from symsimpson.codegen.unrolled import STATE, lanes, velocity
+from symsimpson.codegen.unrolled import STATE, begun_pivots, lanes, least_pivot, velocity
 
 __all__ = ["StageKernels"]
 
@@ -186,7 +186,8 @@ class StageKernels:
         for a in self._forced:
             kick = self._combined(self._nu, self._kicks[a], f"kick_{names[a]}", "momenta")
             p[a] = define(f"p_{names[a]}_j", low.p[a] + kick, "momenta")
-        velocities, _ = velocity(low, point, p, "velocities", suffix="new")
+        velocities, pivots = velocity(low, point, p, "velocities", suffix="new")
+        kicks += least_pivot(low, pivots, Row("STAGE_PIVOT", "node"), "velocities")
         masses = [entry(point, "velocities", "M", a, a) for a in range(n)]
         new = [
             define(f"dq_{names[a]}_new", self._share * velocities[a], "velocities")
@@ -265,13 +266,13 @@ class StageKernels:
     def _start(self) -> Kernel:
         """From q and p to velocities that are the same at all nodes."""
         low, point = self._low, self._low.start_point()
-        v, deficit = velocity(low, point, low.p, "velocity")
+        v, pivots = velocity(low, point, low.p, "velocity")
         stores = [Store(Row("VELOCITY", a), v[a]) for a in range(low.n)]
         for a in range(low.n):
             stores.append(
                 Store(Row("MASS_DIAGONAL", a), low.template.entry(point, "velocity", "M", a, a))
             )
-        stores.append(Store(Row("MASS_PIVOT", 0), deficit))
+        stores += begun_pivots(low, pivots, "velocity")
         zero = low.graph.of(0)
         stores += [Store(Row(f"STAGE_{name}", 0), zero) for name in ("EXPECTED", "COUNT")]
         same: list[Statement] = [Load(self._share, Row("STAGE_STEP", "node"))]
@@ -324,7 +325,9 @@ class StageKernels:
             "W[STAGE_COUNT, lane] > MANY", smooth, (Index("smooth", "0"), *following)
         )
         left = (Call("leave_path"),) if low.equations.looked_at else ()
-        accepted = (Call("check_stage_acceptance"), *self._afresh())
+        pivots = (Call("least_over_nodes"), Call("check_pivots", ("W", "t + h", "lane")))
+        checked = (Call("check_stage_acceptance"), *(pivots if low.scales else ()))
+        accepted = (*checked, *self._afresh())
         body = (*closing, *left, extrapolated, *accepted)
         doc = "Close a step by compensated sums, then extrapolate to the nodes of the next."
         return Kernel("advance_stages", doc, lanes((IfActive(body),)))

@@ -18,6 +18,7 @@ QUADRATIC = 1e-2  # from here on corrections shrink quadratically
 STAGNATION = 1e-20  # corrections that stop shrinking below this are round-off
 FAR = 4.0  # a velocity at the end of the path off by more is in doubt
 UNRESOLVED = {unresolved}  # cyclic velocities off by more are lost within the step
+LOST_PIVOT = 2.0**-50  # a pivot of M below this part of that at the start is rounding
 LARGE_CHANGE = 0.5  # where M of cyclic coordinates changes by more, finer steps are compared
 """
 _HELD_THRESHOLDS = """\
@@ -34,6 +35,7 @@ _STAGE_THRESHOLDS = """\
 MANY = 10  # after more iterations what nodes have is extrapolated with care
 LOST = 2.0**-150  # what is left at nodes has a sign and adds up: in 1e9 steps below rounding
 ROUNDING = 2.0**-132  # corrections below this are made of rounding
+FALL = 2.0  # M is looked at where its pivots fall so far behind the last node, as the last two do
 STALLED = 2.0**-92  # and below this where they shrink no more,
 NOISE = 2.0**-100  # or below this where they hardly do
 """

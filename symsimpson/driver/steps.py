@@ -91,6 +91,33 @@ def step_back(W, at, lane):
         W[first + row, lane] = W[previous + row, lane]
 
 
+@njit(**RARE)
+def singular(kernels, h, t, W, at, lane, first, last):
+    """Return whether M is not definite after so many steps of constant velocity of a lane."""
+    before, found = np.empty((W.shape[0], LANES)), False
+    for other in range(LANES):
+        keep(W, 0, W.shape[0], other, before)
+    call(kernels[START], h, t, W)
+    for ahead in range(first, last + 1):
+        for a in range(at[DIMENSION]):
+            moved = ahead * h * W[at[VELOCITY] + a, lane]
+            W[at[POSITION] + a, lane] = before[at[POSITION] + a, lane] + moved
+        call(kernels[START], h, t + ahead * h, W)
+        found = found or W[at[MASS_PIVOT], lane] < 0.0
+    for other in range(LANES):
+        put_back(W, 0, W.shape[0], other, before)
+    return found
+
+
+@njit(**RARE)
+def name_failure(kernels, h, t, W, at, lane):
+    """Say so where a step of a lane failed because M loses its definiteness ahead."""
+    status = W[at[STATUS], lane]
+    failed = status in (NOT_CONVERGED, NOT_FINITE, STEP_TOO_LARGE)
+    if failed and singular(kernels, h, t, W, at, lane, 1, 2):
+        W[at[STATUS], lane] = SINGULAR_LEGENDRE
+
+
 @njit(**INLINE)
 def store_lane(W, at, place, lane, stores):
     """Store the state of a lane, what recorders have left, and iterations since the one before."""
@@ -206,6 +233,7 @@ def watch(kernels, h, t, W, at):
         step_back(W, at, 0)
         W[at[LARGEST_SQUARED], 0] = W[at[COUNT], 0]
         W[at[STATUS], 0] = STEP_TOO_LARGE if change < np.inf else NOT_FINITE
+        name_failure(kernels, h, t, W, at, 0)
 
 
 @njit(**DRIVER_OPTIONS)

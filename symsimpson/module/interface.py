@@ -9,7 +9,7 @@ constants, and the places in DRIVER_LAYOUT, which stand in this module by their 
 from symsimpson.module.workspace_layout import DRIVER_LAYOUT
 
 #: Number of the agreement; modules with another number are refused.
-INTERFACE = 12
+INTERFACE = 13
 
 #: The type of a kernel, and what the compiler is told: contract and nsz keep NaN checks and
 #: compensated sums, "fast" would delete both.
@@ -33,9 +33,10 @@ STANDING = 1e-8
 SUCCESS, INTERRUPTED, NOT_CONVERGED, NOT_FINITE, STEP_TOO_LARGE, BAD_INPUT = range(6)
 COORDINATE_SINGULARITY, DIVERGED, SINGULAR_JACOBIAN, FILE_ERROR = range(6, 10)
 SINGULAR_CONSTRAINTS, ARRIVED, RATE_NOT_POSITIVE, EVENTS_ACCUMULATE, MET = range(10, 15)
+SINGULAR_LEGENDRE = 15
 
 # values in IN_DOUBT
-ACCEPTED, TO_BE_VERIFIED, UNRESOLVED, POSSIBLY_UNRESOLVED = range(4)
+ACCEPTED, TO_BE_VERIFIED, UNRESOLVED, POSSIBLY_UNRESOLVED, SINGULAR_MASS = range(5)
 
 #: How a set of kernels takes a step: by none but itself; by Newton's method; by an iteration over
 #: stages; by Newton's method where that failed, with the energy watched as in all steps by stages.

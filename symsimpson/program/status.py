@@ -32,6 +32,7 @@ class Status(IntEnum):
     SINGULAR_CONSTRAINTS = interface.SINGULAR_CONSTRAINTS
     RATE_NOT_POSITIVE = interface.RATE_NOT_POSITIVE
     EVENTS_ACCUMULATE = interface.EVENTS_ACCUMULATE
+    SINGULAR_LEGENDRE = interface.SINGULAR_LEGENDRE
 
     @property
     def message(self) -> str:
@@ -88,6 +89,11 @@ _MESSAGES = {
         "Impacts follow each other ever faster, or at rest: the bodies stay in contact from there. "
         "What was computed is kept, up to the last impact. Replace the contact by a constraint "
         "there, or end the run by a terminal event."
+    ),
+    Status.SINGULAR_LEGENDRE: (
+        "The mass matrix is singular or indefinite at the end of that step, so velocities do not "
+        "follow from momenta. The states before are kept. End the run before, or look for masses "
+        "that vanish; if the motion does not come there, try a smaller h."
     ),
     Status.FILE_ERROR: (
         "The checkpoint could not be written; what was computed is kept. Make room, or choose "

@@ -35,6 +35,8 @@ HOPELESS = (Status.COORDINATE_SINGULARITY, Status.RATE_NOT_POSITIVE)
 #: After a step that only slower and more robust kernels could take, so many more are taken with
 #: them.
 FALLBACK_STRETCH = 64
+#: What stays where a run goes on with kernels that begin anew.
+KEPT = ("ITERATIONS", "LARGEST_SQUARED", "LEAST_PIVOT", "LEAST_TIME")
 #: What stops a run behind a step that is not taken then.
 BEHIND_A_STEP = (ARRIVED, RATE_NOT_POSITIVE)
 
@@ -329,7 +331,7 @@ class Run:
                 self._kernels(), self.h, self._time(), self.W, self.driver_layout
             )
             return
-        kept = [self.rows(name, 1) for name in ("ITERATIONS", "LARGEST_SQUARED")]
+        kept = [self.rows(name, 1) for name in KEPT]
         values = [row.copy() for row in kept]
         self._driver("begin")(self._kernels(), 0, self.h, self._time(), self.W, self.driver_layout)
         for row, value in zip(kept, values, strict=True):

@@ -74,6 +74,16 @@ def check_drift(W, lane):
 
 
 @compiled
+def check_pivots(W, t, lane):
+    """Mark a step at whose end M is singular (4); keep the smallest pivot so far, and its time."""
+    pivot, doubt = W[MASS_PIVOT, lane], W[IN_DOUBT, lane]
+    lower = (pivot < W[LEAST_PIVOT, lane]) & (W[ACTIVE, lane] > 0)
+    W[LEAST_PIVOT, lane] = pivot if lower else W[LEAST_PIVOT, lane]
+    W[LEAST_TIME, lane] = t if lower else W[LEAST_TIME, lane]
+    W[IN_DOUBT, lane] = 4.0 if (pivot <= 0) | ((pivot <= LOST_PIVOT) & (doubt < 2)) else doubt
+
+
+@compiled
 def check_acceptance(W, lane):
     """Mark a solution that may not be the one that smaller steps lead to, or that says nothing.
 

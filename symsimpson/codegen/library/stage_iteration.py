@@ -108,6 +108,18 @@ def check_stage_acceptance(W, lane):
 
 
 @compiled
+def least_over_nodes(W, lane):
+    """Find the smallest pivot of M at the nodes; mark (4) where it may vanish behind the last."""
+    least = W[STAGE_PIVOT, lane]
+    for node in range(1, NODES):
+        least = min(least, W[STAGE_PIVOT + node, lane])
+    last, doubt = W[STAGE_PIVOT + NODES - 1, lane], W[IN_DOUBT, lane]
+    falls = last + FALL * (last - W[STAGE_PIVOT + NODES - 2, lane]) <= 0
+    W[MASS_PIVOT, lane] = least
+    W[IN_DOUBT, lane] = 4.0 if falls & (doubt == 0) else doubt
+
+
+@compiled
 def leave_path(W, lane):
     """Leave the path of the step to whoever differentiates it: increments of control points."""
     for k in range(DEGREE):
