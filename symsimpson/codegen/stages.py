@@ -325,7 +325,7 @@ class StageKernels:
             "W[STAGE_COUNT, lane] > MANY", smooth, (Index("smooth", "0"), *following)
         )
         left = (Call("leave_path"),) if low.equations.looked_at else ()
-        pivots = (Call("least_over_nodes"), Call("check_pivots", ("W", "t + h", "lane")))
+        pivots = (Call("least_over_nodes"), Call("check_pivots"))
         checked = (Call("check_stage_acceptance"), *(pivots if low.scales else ()))
         accepted = (*checked, *self._afresh())
         body = (*closing, *left, extrapolated, *accepted)

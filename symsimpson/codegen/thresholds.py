@@ -18,7 +18,6 @@ QUADRATIC = 1e-2  # from here on corrections shrink quadratically
 STAGNATION = 1e-20  # corrections that stop shrinking below this are round-off
 FAR = 4.0  # a velocity at the end of the path off by more is in doubt
 UNRESOLVED = {unresolved}  # cyclic velocities off by more are lost within the step
-LOST_PIVOT = 2.0**-50  # a pivot of M below this part of that at the start is rounding
 LARGE_CHANGE = 0.5  # where M of cyclic coordinates changes by more, finer steps are compared
 """
 _HELD_THRESHOLDS = """\

@@ -240,7 +240,7 @@ def convergence(held: bool) -> tuple[Call, ...]:
 def acceptance(held: bool, moving: bool) -> tuple[Call, ...]:
     """Return what ends a step, where there are constraints or none, and if M is ``moving``."""
     names = ("expect_rounding", "check_acceptance") if held else ("check_acceptance",)
-    pivots = (Call("check_pivots", ("W", "t + h", "lane")),) if moving else ()
+    pivots = (Call("check_pivots"),) if moving else ()
     return (*map(Call, names), *pivots)
 
 

@@ -177,12 +177,26 @@ def linear(kernels, h, t, W, at, lane):
 
 
 @njit(**RARE)
+def look_at_pivot(W, at, t, lane):
+    """Return whether M is singular or indefinite at the end of a step; else keep how small it is."""
+    W[at[IN_DOUBT], lane] -= SMALL_MASS
+    pivot = W[at[MASS_PIVOT], lane]
+    if pivot <= 0.0 or (pivot <= LOST_PIVOT and W[at[IN_DOUBT], lane] < UNRESOLVED):
+        return True
+    W[at[PIVOT_LIMIT], lane], W[at[PIVOT_TIME], lane] = SMALLER * pivot, t
+    return False
+
+
+@njit(**RARE)
 def verify(kernels, h, t, W, at, lane):
     """Close a lane's step anew if its solution is not the one that smaller steps lead to."""
-    if W[at[IN_DOUBT], lane] == SINGULAR_MASS:
-        step_back(W, at, lane)
-        W[at[STATUS], lane] = SINGULAR_LEGENDRE
-        return
+    if W[at[IN_DOUBT], lane] >= SMALL_MASS:
+        if look_at_pivot(W, at, t + h, lane):
+            step_back(W, at, lane)
+            W[at[STATUS], lane] = SINGULAR_LEGENDRE
+            return
+        if W[at[IN_DOUBT], lane] == ACCEPTED:
+            return
     first, last = at[INCREMENT], at[STATE_END]
     rows, lanes = W.shape[0], LANES
     increments = np.empty((last - first, lanes))
@@ -227,7 +241,7 @@ def verify(kernels, h, t, W, at, lane):
         put_back(W, first, last, lane, continued)
         call(kernels[ADVANCE], h, t, W)
         keep(W, 0, rows, lane, after)
-        lost = W[at[IN_DOUBT], lane] == SINGULAR_MASS
+        lost = W[at[IN_DOUBT], lane] >= SMALL_MASS and look_at_pivot(W, at, t + h, lane)
         if lost or not W[at[VELOCITY_JUMP_SQUARED], lane] < np.inf:
             step_back(W, at, lane)
             keep(W, 0, rows, lane, after)
@@ -250,9 +264,11 @@ def leave_to_others(kernels, h, t, W, at, event):
         call(kernels[ADVANCE], h, t, W)
     for lane in range(LANES):
         if W[at[STATUS], lane] == 0.0 and W[at[IN_DOUBT], lane] != 0.0:
-            unsure = W[at[IN_DOUBT], lane] == SINGULAR_MASS and W[at[MASS_PIVOT], lane] > 0.0
-            if unsure and not singular(kernels, h, t + h, W, at, lane, 0, 0):
-                continue
+            if W[at[IN_DOUBT], lane] >= SMALL_MASS and W[at[MASS_PIVOT], lane] >= 0.0:
+                lost = singular(kernels, h, t + h, W, at, lane, 0, 0)
+                look_at_pivot(W, at, t + h, lane)
+                if not lost and W[at[IN_DOUBT], lane] == ACCEPTED:
+                    continue
             step_back(W, at, lane)
             W[at[STATUS], lane] = NOT_CONVERGED
 

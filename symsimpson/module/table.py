@@ -88,7 +88,7 @@ TABLE = (
     Block("LARGEST_SQUARED", "size of the largest increments so far", for_driver=True),
     Block(
         "IN_DOUBT",
-        "0: accepted, 1: to be verified, 2: unresolved, 3: possibly unresolved, 4: M is singular",
+        "0: accepted, 1: to be verified, 2: unresolved, 3: possibly unresolved, 4 more: M is small",
         for_driver=True,
     ),
     Block("ITERATIONS", "since the last stored state", for_driver=True),
@@ -214,8 +214,8 @@ TABLE = (
     ),
     Block("RESIDUAL", "residual, then the correction", unknowns, scratch=True),
     Block("JACOBIAN", "its derivatives", lambda s: s.jacobian, scratch=True),
-    Block("LEAST_PIVOT", "the smallest pivot of M so far", for_driver=True),
-    Block("LEAST_TIME", "the time of that state"),
+    Block("PIVOT_LIMIT", "pivots of M below this are looked at", for_driver=True),
+    Block("PIVOT_TIME", "the time of the last of these", for_driver=True),
     part("PIVOT_SCALE", "1 / pivot of M at the start", lambda s: s.pivots),
     part(
         "NODE_F_A",

@@ -36,7 +36,7 @@ HOPELESS = (Status.COORDINATE_SINGULARITY, Status.RATE_NOT_POSITIVE)
 #: them.
 FALLBACK_STRETCH = 64
 #: What stays where a run goes on with kernels that begin anew.
-KEPT = ("ITERATIONS", "LARGEST_SQUARED", "LEAST_PIVOT", "LEAST_TIME")
+KEPT = ("ITERATIONS", "LARGEST_SQUARED", "PIVOT_LIMIT", "PIVOT_TIME")
 #: What stops a run behind a step that is not taken then.
 BEHIND_A_STEP = (ARRIVED, RATE_NOT_POSITIVE)
 

@@ -74,13 +74,9 @@ def check_drift(W, lane):
 
 
 @compiled
-def check_pivots(W, t, lane):
-    """Mark a step at whose end M is singular (4); keep the smallest pivot so far, and its time."""
-    pivot, doubt = W[MASS_PIVOT, lane], W[IN_DOUBT, lane]
-    lower = (pivot < W[LEAST_PIVOT, lane]) & (W[ACTIVE, lane] > 0)
-    W[LEAST_PIVOT, lane] = pivot if lower else W[LEAST_PIVOT, lane]
-    W[LEAST_TIME, lane] = t if lower else W[LEAST_TIME, lane]
-    W[IN_DOUBT, lane] = 4.0 if (pivot <= 0) | ((pivot <= LOST_PIVOT) & (doubt < 2)) else doubt
+def check_pivots(W, lane):
+    """Mark a step (by 4 more) at whose end a pivot of M is far smaller than any before."""
+    W[IN_DOUBT, lane] += 4.0 if W[MASS_PIVOT, lane] <= W[PIVOT_LIMIT, lane] else 0.0
 
 
 @compiled

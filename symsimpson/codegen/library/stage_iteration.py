@@ -109,14 +109,13 @@ def check_stage_acceptance(W, lane):
 
 @compiled
 def least_over_nodes(W, lane):
-    """Find the smallest pivot of M at the nodes; mark (4) where it may vanish behind the last."""
+    """Find the smallest pivot of M at the nodes, or 0 where it may vanish behind the last."""
     least = W[STAGE_PIVOT, lane]
     for node in range(1, NODES):
         least = min(least, W[STAGE_PIVOT + node, lane])
-    last, doubt = W[STAGE_PIVOT + NODES - 1, lane], W[IN_DOUBT, lane]
-    falls = last + FALL * (last - W[STAGE_PIVOT + NODES - 2, lane]) <= 0
-    W[MASS_PIVOT, lane] = least
-    W[IN_DOUBT, lane] = 4.0 if falls & (doubt == 0) else doubt
+    last = W[STAGE_PIVOT + NODES - 1, lane]
+    ahead = last + FALL * (last - W[STAGE_PIVOT + NODES - 2, lane])
+    W[MASS_PIVOT, lane] = 0.0 if (ahead <= 0) & (least > 0) else least
 
 
 @compiled
