@@ -61,7 +61,7 @@ class StageKernels:
 
     def __init__(self, low: Lowering) -> None:
         scheme = low.equations.scheme
-        self._low, self._nodes = low, scheme.stages
+        self._low, self._nodes, self._scales = low, scheme.stages, len(low.scales)
         self.stride = node_stride(scheme)
         self.held = 0
         #: Pairs of sine and cosine at a node.
@@ -187,7 +187,8 @@ class StageKernels:
             kick = self._combined(self._nu, self._kicks[a], f"kick_{names[a]}", "momenta")
             p[a] = define(f"p_{names[a]}_j", low.p[a] + kick, "momenta")
         velocities, pivots = velocity(low, point, p, "velocities", suffix="new")
-        kicks += least_pivot(low, pivots, Row("STAGE_PIVOT", "node"), "velocities")
+        least = Row("STAGE_PIVOT", "node")
+        kicks += least_pivot(low, pivots, least, "velocities", self._scales)
         masses = [entry(point, "velocities", "M", a, a) for a in range(n)]
         new = [
             define(f"dq_{names[a]}_new", self._share * velocities[a], "velocities")
@@ -272,7 +273,7 @@ class StageKernels:
             stores.append(
                 Store(Row("MASS_DIAGONAL", a), low.template.entry(point, "velocity", "M", a, a))
             )
-        stores += begun_pivots(low, pivots, "velocity")
+        stores += begun_pivots(low, pivots, "velocity", self._scales)
         zero = low.graph.of(0)
         stores += [Store(Row(f"STAGE_{name}", 0), zero) for name in ("EXPECTED", "COUNT")]
         same: list[Statement] = [Load(self._share, Row("STAGE_STEP", "node"))]

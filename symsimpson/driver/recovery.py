@@ -181,10 +181,9 @@ def look_at_pivot(W, at, t, lane):
     """Return whether M is singular or indefinite at the end of a step; else keep how small it is."""
     W[at[IN_DOUBT], lane] -= SMALL_MASS
     pivot = W[at[MASS_PIVOT], lane]
-    if pivot <= 0.0 or (pivot <= LOST_PIVOT and W[at[IN_DOUBT], lane] < UNRESOLVED):
-        return True
-    W[at[PIVOT_LIMIT], lane], W[at[PIVOT_TIME], lane] = SMALLER * pivot, t
-    return False
+    if pivot > LOST_PIVOT:
+        W[at[PIVOT_LIMIT], lane], W[at[PIVOT_TIME], lane] = SMALLER * pivot, t
+    return pivot <= LOST_PIVOT
 
 
 @njit(**RARE)

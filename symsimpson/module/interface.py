@@ -40,7 +40,7 @@ ACCEPTED, TO_BE_VERIFIED, UNRESOLVED, POSSIBLY_UNRESOLVED, SMALL_MASS = range(5)
 
 #: Pivots of M, in units of those at the start, below the first are looked at, and those below a
 #: part of these; what is below the last is rounding.
-SMALL_PIVOT, SMALLER, LOST_PIVOT = 0.05, 0.25, 2.0**-50
+SMALL_PIVOT, SMALLER, LOST_PIVOT = 0.05, 0.25, 2.0**-44
 
 #: How a set of kernels takes a step: by none but itself; by Newton's method; by an iteration over
 #: stages; by Newton's method where that failed, with the energy watched as in all steps by stages.

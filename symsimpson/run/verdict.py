@@ -27,6 +27,7 @@ AT_POLES = (
     Status.STEP_TOO_LARGE,
     Status.SINGULAR_JACOBIAN,
     Status.NOT_FINITE,
+    Status.SINGULAR_LEGENDRE,
 )
 
 #: So many runs may show that a motion goes where there are singular points.

@@ -31,12 +31,13 @@ PATIENCE = 0.02
 #: After so many steps in which it does not change at all, the time of a retimed run stands still.
 STANDSTILL = 1024
 #: Failures that no other kernels would help.
-HOPELESS = (Status.COORDINATE_SINGULARITY, Status.RATE_NOT_POSITIVE)
+HOPELESS = (
+    *(Status.COORDINATE_SINGULARITY, Status.SINGULAR_LEGENDRE),
+    Status.RATE_NOT_POSITIVE,
+)
 #: After a step that only slower and more robust kernels could take, so many more are taken with
 #: them.
 FALLBACK_STRETCH = 64
-#: What stays where a run goes on with kernels that begin anew.
-KEPT = ("ITERATIONS", "LARGEST_SQUARED", "PIVOT_LIMIT", "PIVOT_TIME")
 #: What stops a run behind a step that is not taken then.
 BEHIND_A_STEP = (ARRIVED, RATE_NOT_POSITIVE)
 
@@ -325,17 +326,14 @@ class Run:
     def _change_to(self, number: int) -> None:
         """Go on with other kernels; between stages and Newton's method nothing is handed over."""
         anew = "stages" in (self._fallbacks[number], self._fallbacks[self._set])
-        self._set = number
-        if not anew:
-            self._driver("switch")(
-                self._kernels(), self.h, self._time(), self.W, self.driver_layout
-            )
-            return
-        kept = [self.rows(name, 1) for name in KEPT]
-        values = [row.copy() for row in kept]
-        self._driver("begin")(self._kernels(), 0, self.h, self._time(), self.W, self.driver_layout)
-        for row, value in zip(kept, values, strict=True):
-            row[:] = value
+        self._set, at = number, self.header.layout
+        last = at["PIVOT_TIME"]  # pivots are compared with those at the start
+        places = [*range(at.get("PIVOT_SCALE", last - 1), last + 1)]
+        places += [at["ITERATIONS"], at["LARGEST_SQUARED"]]
+        values = self._column[places]
+        here = self._kernels(), *((0,) if anew else ()), self.h, self._time()
+        self._driver("begin" if anew else "switch")(*here, self.W, self.driver_layout)
+        self._column[places] = np.where(values != 0, values, self._column[places])
 
     def _time(self) -> Any:
         return self.t0 + self.h * self.step

@@ -88,6 +88,11 @@ def at_pole(system: MechanicalSystem, run: Trajectory) -> str:
     sizes = _sizes(system, t[some], q[some], values)
     usual = float(np.median(sizes))
     at = sizes[-1] < CLOSE * usual and _vanishes_near(system, t[-1], q[-1], values, usual)
+    ahead = [x[-1] + k * (x[-1] - x[-2]) for k in (1, 2) for x in (t, q)]
+    masses = _masses(system, np.array(ahead[::2]), np.array(ahead[1::2]), values)
+    regular = np.isfinite(masses).all()
+    if at and regular and np.linalg.eigvalsh(masses).min() < -VANISHES * abs(masses).max():
+        return ""  # M changes its sign there
     return _named(system, run, -1) if at else ""
 
 
