@@ -178,7 +178,7 @@ def linear(kernels, h, t, W, at, lane):
 
 @njit(**RARE)
 def look_at_pivot(W, at, t, lane):
-    """Return whether M is singular or indefinite at the end of a step; else keep how small it is."""
+    """Return whether M is singular or indefinite behind a step; else keep how small it is."""
     W[at[IN_DOUBT], lane] -= SMALL_MASS
     pivot = W[at[MASS_PIVOT], lane]
     if pivot > LOST_PIVOT:

@@ -41,13 +41,25 @@ def spread(members: int, most: int) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, members - 1, min(members, most)).astype(np.int64))
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class Member(States):
+    """States of one member of an ensemble.
+
+    Attributes are those of :class:`States`, and ``tau``, the time of the steps of a retimed system,
+    shape (N,), or None.
+    """
+
+    tau: Floats | None = None
+
+
 @explaining()
 @dataclass(frozen=True, eq=False, repr=False)
 class Ensemble(Quantities, Differentiated):
     """The results of the members of an ensemble.
 
     ``energy``, ``v``, ``invariants``, ``tangent``, ``sensitivity`` and quantities by name are as
-    for one run, with a first axis of K members; ``ensemble[3]`` gives the states of one member.
+    for one run, with a first axis of K members; ``ensemble[3]`` gives the states of one member, and
+    ``ensemble[3].tau`` the time of its steps, if the system is retimed.
 
     Attributes
     ----------
@@ -107,8 +119,8 @@ class Ensemble(Quantities, Differentiated):
     @overload
     def __getitem__(self, key: str) -> NDArray[Any]: ...
     @overload
-    def __getitem__(self, key: int) -> States: ...
-    def __getitem__(self, key: Any) -> NDArray[Any] | States:
+    def __getitem__(self, key: int) -> Member: ...
+    def __getitem__(self, key: Any) -> NDArray[Any] | Member:
         """Return a quantity of all members by its name, or the states of one member.
 
         Names are those of a run, of what ``reduce`` asked for, and of parameters.
@@ -130,12 +142,16 @@ class Ensemble(Quantities, Differentiated):
             raise IndexError(f"there is no member {member}: there are {len(self)}, from 0 on")
         n = self.program.n
         t, q, p = self.t, *(np.asarray(x[member]).reshape(-1, n) for x in (self.q, self.p))
+        tau = None if self.tau is None else self.tau[member].reshape(-1)
         if self.t.shape == self.q.shape[:-1]:  # times of its own, up to its end
             t = self.t[member].reshape(-1)
-            t, q, p = (x[: np.isfinite(t).sum()] for x in (t, q, p))
+            last = np.isfinite(t).sum()
+            t, q, p = (x[:last] for x in (t, q, p))
+            tau = None if tau is None else tau[:last]
         program, values = self.program, self.parameter_values[member]
         driven = None if self.driven is None else self.driven.of_member(member)
-        return States(t=t, q=q, p=p, program=program, parameter_values=values, driven=driven)
+        about = {"program": program, "parameter_values": values, "driven": driven}
+        return Member(t=t, q=q, p=p, tau=tau, **about)
 
     #: Iterating over quantities or over members: neither is what everybody expects.
     __iter__ = None

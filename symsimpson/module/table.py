@@ -152,7 +152,9 @@ TABLE = (
     part("STAGE_NU", "from STAGE_F to momenta at the nodes", lambda s: s.nodes * s.staged),
     part("STAGE_AHEAD", "from STAGE_V to that of the next step", lambda s: 2 * s.nodes * s.staged),
     part("STAGE_CORRECTION", "sizes of the corrections at the nodes", lambda s: s.staged),
-    part("STAGE_PIVOT", "the smallest pivot of M at each node", lambda s: min(1, s.pivots) * s.staged),
+    part(
+        "STAGE_PIVOT", "the smallest pivot of M at each node", lambda s: min(1, s.pivots) * s.staged
+    ),
     part("STAGE_SIZE", "sizes of the increments at the nodes", lambda s: s.staged),
     scratch(
         "STAGE_HELD",

@@ -31,10 +31,7 @@ PATIENCE = 0.02
 #: After so many steps in which it does not change at all, the time of a retimed run stands still.
 STANDSTILL = 1024
 #: Failures that no other kernels would help.
-HOPELESS = (
-    *(Status.COORDINATE_SINGULARITY, Status.SINGULAR_LEGENDRE),
-    Status.RATE_NOT_POSITIVE,
-)
+HOPELESS = (*(Status.COORDINATE_SINGULARITY, Status.SINGULAR_LEGENDRE), Status.RATE_NOT_POSITIVE)
 #: After a step that only slower and more robust kernels could take, so many more are taken with
 #: them.
 FALLBACK_STRETCH = 64

@@ -307,5 +307,9 @@ def _changes(program: Program, event: Event, place: Any) -> tuple[tuple[str, int
                     f"Change names {spelled(coordinate)!r}, which is no coordinate.\n"
                     f"The system has {', '.join(names.shown)}."
                 )
+            if (block, number) in {change[:2] for change in changes}:
+                raise InputError(
+                    f"Change gives the {what} of {names.shown[number]} twice.\nGive it once."
+                )
             changes.append((block, number, place(expression)))
     return tuple(changes)
