@@ -35,10 +35,11 @@ from symsimpson.codegen.ir import (
 )
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.pivots import begun_pivots, least_pivot
 from symsimpson.codegen.storage import node_stride
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.turning import Turning
-from symsimpson.codegen.unrolled import STATE, begun_pivots, lanes, least_pivot, velocity
+from symsimpson.codegen.unrolled import STATE, lanes, velocity
 
 __all__ = ["StageKernels"]
 

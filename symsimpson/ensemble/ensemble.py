@@ -12,6 +12,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.ensemble.member import Member
 from symsimpson.errors import InputError
 from symsimpson.program.evaluating import evaluate, evaluate_members
 from symsimpson.program.input_values import read_count
@@ -20,7 +21,7 @@ from symsimpson.program.status import Status
 from symsimpson.results.differentiated import Differentiated
 from symsimpson.results.quantities import Quantities
 from symsimpson.results.saving import RECORDED
-from symsimpson.results.states import States, with_units
+from symsimpson.results.states import with_units
 from symsimpson.results.tables import dataframe, write
 from symsimpson.results.work import WORK, named_parts
 from symsimpson.stepping.driving import Driven, inputs_there
@@ -41,25 +42,13 @@ def spread(members: int, most: int) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, members - 1, min(members, most)).astype(np.int64))
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Member(States):
-    """States of one member of an ensemble.
-
-    Attributes are those of :class:`States`, and ``tau``, the time of the steps of a retimed system,
-    shape (N,), or None.
-    """
-
-    tau: Floats | None = None
-
-
 @explaining()
 @dataclass(frozen=True, eq=False, repr=False)
 class Ensemble(Quantities, Differentiated):
     """The results of the members of an ensemble.
 
     ``energy``, ``v``, ``invariants``, ``tangent``, ``sensitivity`` and quantities by name are as
-    for one run, with a first axis of K members; ``ensemble[3]`` gives the states of one member, and
-    ``ensemble[3].tau`` the time of its steps, if the system is retimed.
+    for one run, with a first axis of K members; ``ensemble[3]`` gives the states of one member.
 
     Attributes
     ----------
@@ -142,12 +131,10 @@ class Ensemble(Quantities, Differentiated):
             raise IndexError(f"there is no member {member}: there are {len(self)}, from 0 on")
         n = self.program.n
         t, q, p = self.t, *(np.asarray(x[member]).reshape(-1, n) for x in (self.q, self.p))
-        tau = None if self.tau is None else self.tau[member].reshape(-1)
         if self.t.shape == self.q.shape[:-1]:  # times of its own, up to its end
             t = self.t[member].reshape(-1)
-            last = np.isfinite(t).sum()
-            t, q, p = (x[:last] for x in (t, q, p))
-            tau = None if tau is None else tau[:last]
+            t, q, p = (x[: np.isfinite(t).sum()] for x in (t, q, p))
+        tau = None if self.tau is None else self.tau[member].reshape(-1)[: len(t)]
         program, values = self.program, self.parameter_values[member]
         driven = None if self.driven is None else self.driven.of_member(member)
         about = {"program": program, "parameter_values": values, "driven": driven}
