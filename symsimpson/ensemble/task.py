@@ -102,7 +102,8 @@ class Results:
         self.part = np.zeros(task.members)
         #: When members came to their ends, where they are known to be run by themselves.
         self.ended_at = np.full(task.members, np.nan)
-        self.seen = np.full((task.members, max(1, 2 * len(task.reductions))), np.nan)
+        #: Pairs of numbers of reductions; the energy, its kinetic part, how small pivots of M were.
+        self.seen = np.full((task.members, 2 * len(task.reductions) + 3), np.nan)
         self._task = task
 
     def columns(self) -> dict[str, Any]:
