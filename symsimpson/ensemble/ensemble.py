@@ -102,7 +102,8 @@ class Ensemble(Quantities, Differentiated):
     ended_at: Floats | None = None
     #: How inputs went, where that is known.
     driven: Driven | None = field(default=None, repr=False)
-    #: 1 if the time goes on with the steps, -1 if it goes back.
+    #: How small pivots of M were; 1 if the time goes on with the steps, -1 if it goes back.
+    small_pivots: Floats | None = field(default=None, repr=False)
     _ahead: float = field(default=1.0, repr=False)
 
     @overload

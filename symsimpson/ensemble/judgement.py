@@ -11,6 +11,7 @@ from symsimpson.ensemble.ensemble import Ensemble, spread
 from symsimpson.ensemble.lanes import energies_at_start
 from symsimpson.ensemble.task import Task
 from symsimpson.errors import InputError, ResolutionWarning, StabilityWarning, SymsimpsonError
+from symsimpson.module.interface import SMALL_PIVOT
 from symsimpson.module.quantity import velocities_by
 from symsimpson.program.evaluating import evaluate
 from symsimpson.program.program import Program
@@ -68,8 +69,11 @@ def look_at_ends(program: Program, task: Task, ensemble: Ensemble) -> None:
         return
     some = np.flatnonzero(status == Status.SUCCESS)
     left = _energies_left(program, task, ensemble, some)
-    worst = some[np.argsort(-left)[:AGAIN]][: int((left > LAST_LIMIT).sum())]
-    for member in worst:
+    worst = some[np.argsort(-left)[:AGAIN]][: int((left > LAST_LIMIT).sum())].tolist()
+    if ensemble.small_pivots is not None:  # M was small
+        pivots = ensemble.small_pivots[some]
+        worst += some[np.argsort(pivots)[:AGAIN]][: int((pivots < SMALL_PIVOT).sum())].tolist()
+    for member in dict.fromkeys(worst):
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
             every = 1 if task.steps <= WHOLE else None

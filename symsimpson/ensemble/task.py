@@ -120,6 +120,7 @@ class Results:
             "steps": steps,
             "newton_iterations": iterations,
             "reduced": reduced,
+            "small_pivots": self.seen[:, -1],
         }
         recorded = self.recorded if task.every else self.recorded[:, 0]
         columns["variations"], columns["recorded"] = split(self._recorders, recorded, q.shape[-1])
