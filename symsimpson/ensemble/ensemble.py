@@ -100,11 +100,10 @@ class Ensemble(Quantities, Differentiated):
     tau: Floats | None = None
     recorded: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
     ended_at: Floats | None = None
-    #: How inputs went, where that is known.
+    #: How inputs went, and how small pivots of M were, where that is known.
     driven: Driven | None = field(default=None, repr=False)
-    #: How small pivots of M were; 1 if the time goes on with the steps, -1 if it goes back.
     small_pivots: Floats | None = field(default=None, repr=False)
-    _ahead: float = field(default=1.0, repr=False)
+    _ahead: float = field(default=1.0, repr=False)  #: -1 if the time goes back with the steps.
 
     @overload
     def __getitem__(self, key: str) -> NDArray[Any]: ...

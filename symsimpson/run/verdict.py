@@ -102,10 +102,10 @@ def _unresolved(
 ) -> str:
     """Return what was not resolved, in words, or nothing."""
     tools, system, h = program.tools, program.declared, float(run.h)
-    plain = run.W.dtype == np.float64 and system is not None
+    plain = run.W.dtype == np.float64 and tools is not None and system is not None
     asked = _around_smallest(program, run, trajectory, kept) if plain else None
     unknown = trajectory.every == 1 and not _stays_regular(program, trajectory)
-    if plain and (unknown or asked is not None):
+    if tools is not None and plain and (unknown or asked is not None):
         passed = tools.unresolved_pole(program, system, trajectory, asked)
         if passed is not None and not passed[2]:
             return (
@@ -121,7 +121,7 @@ def _unresolved(
                 "regular there, such as Cartesian ones held by a constraint (see the guide to "
                 "constraints); a smaller h helps only where the passage is wide enough."
             )
-    if plain and unknown and not run.header.retimed:
+    if tools is not None and plain and unknown and not run.header.retimed:
         inputs = np.asarray(trajectory.input_values)[0, 0, 0]
         values = [*map(float, trajectory.parameter_values), *map(float, inputs)]
         jumped = tools.kink_passed(system, trajectory.t, trajectory.q, values)

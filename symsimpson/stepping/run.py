@@ -233,7 +233,21 @@ class Run:
         if self.alive or self.arrived:
             return Status.SUCCESS
         last_resort = self._fallbacks[self._set] == "robust"
-        return failure(self.header, self._column, last_resort=last_resort)
+        status = failure(self.header, self._column, last_resort=last_resort)
+        lost = status is Status.SINGULAR_LEGENDRE and self.header.retimed
+        return Status.RATE_NOT_POSITIVE if lost and self._loses_rate() else status
+
+    def _loses_rate(self) -> bool:
+        """Return whether dt/dtau, by which M is divided, is not positive within two steps."""
+        W, at, n = self.W.copy(), self.header.layout, self.header.n
+        energy, q = self.kernels.address("energy", any_angle=True), W[at["POSITION"] :][:n].copy()
+        for ahead in range(3):
+            self._driver("apply")(energy, self.h, self._time(), W)
+            rate, v = W[at["RATE"], 0], W[at["VELOCITY"] :][:n]
+            if not rate > 0:
+                return True
+            W[at["POSITION"] :][:n] = q + (ahead + 1) * self.h * rate * v
+        return False
 
     @property
     def last_correction(self) -> float:
