@@ -296,7 +296,8 @@ def _changes(program: Program, event: Event, place: Any) -> tuple[tuple[str, int
     """Return what an event changes."""
     if not isinstance(event.action, Change):
         return ()
-    names, changes = program.names.coordinates, []
+    names = program.names.coordinates
+    changes: list[tuple[str, int, int]] = []
     for what, block in CHANGED.items():
         for coordinate, expression in getattr(event.action, what).items():
             number = names.place(coordinate)
