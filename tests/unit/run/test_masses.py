@@ -115,6 +115,29 @@ def test_of_schemes_by_stages():
 
 
 @pytest.mark.slow
+def test_with_constraints_what_they_allow_matters():
+    """The mass of a bob on a circle runs out; that along y does not matter where y = 0."""
+    x, y = ss.coordinates("x y")
+    mass = m - k * ss.time
+    both, across = x.diff() ** 2 + y.diff() ** 2, m * x.diff() ** 2 + mass * y.diff() ** 2
+    bob = {
+        "kinetic": mass * both / 2,
+        "potential": mass * y,
+        "constraints": {"rod": x**2 + y**2 - 1},
+    }
+    bead = {"kinetic": across / 2, "potential": x**2 / 2, "constraints": {"rail": y}}
+    for scheme in ("simpson", "gauss8"):
+        runs = []
+        for about, q0 in ((bob, [0.0, -1.0]), (bead, [1.0, 0.0])):
+            system = ss.MechanicalSystem("held", coordinates=(x, y), parameters=VALUES, **about)
+            given = {"v0": [0.0, 0.0], "h": 0.1, "t_end": 12.0, "on_failure": "return"}
+            runs.append(ss.compile(system, scheme).integrate(q0, **given))
+        assert [run.status.name for run in runs] == ["SINGULAR_LEGENDRE", "SUCCESS"]
+        assert runs[0].t[-1] == pytest.approx(9.9)
+        assert runs[1].q[-1, 0] == pytest.approx(np.cos(12.0), abs=1e-6)
+
+
+@pytest.mark.slow
 def test_of_runs_of_all_kinds():
     (x,) = ss.coordinates("x")
     given = {"q0": [0.0], "v0": [1.0], "h": 0.1}
