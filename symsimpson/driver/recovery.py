@@ -182,7 +182,8 @@ def look_at_pivot(W, at, t, lane):
     W[at[IN_DOUBT], lane] -= SMALL_MASS
     pivot = W[at[MASS_PIVOT], lane]
     if pivot > LOST_PIVOT:
-        W[at[PIVOT_LIMIT], lane], W[at[PIVOT_TIME], lane] = SMALLER * pivot, t
+        W[at[PIVOT_LIMIT], lane] = SMALLER * pivot
+        W[at[PIVOT_TIME], lane] = t
     return pivot <= LOST_PIVOT
 
 
@@ -263,13 +264,13 @@ def leave_to_others(kernels, h, t, W, at, event):
         call(kernels[ADVANCE], h, t, W)
     for lane in range(LANES):
         if W[at[STATUS], lane] == 0.0 and W[at[IN_DOUBT], lane] != 0.0:
+            lost = 1
             if W[at[IN_DOUBT], lane] >= SMALL_MASS and W[at[MASS_PIVOT], lane] >= 0.0:
                 lost = singular(kernels, h, t + h, W, at, lane, 0, 0)
                 look_at_pivot(W, at, t + h, lane)
-                if not lost and W[at[IN_DOUBT], lane] == ACCEPTED:
-                    continue
-            step_back(W, at, lane)
-            W[at[STATUS], lane] = NOT_CONVERGED
+            if lost or W[at[IN_DOUBT], lane] != ACCEPTED:
+                step_back(W, at, lane)
+                W[at[STATUS], lane] = NOT_CONVERGED
 
 
 @njit(**RARE)

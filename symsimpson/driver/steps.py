@@ -94,7 +94,8 @@ def step_back(W, at, lane):
 @njit(**RARE)
 def singular(kernels, h, t, W, at, lane, first, last):
     """Return whether M is not definite after so many steps of constant velocity of a lane."""
-    before, found = np.empty((W.shape[0], LANES)), False
+    before = np.empty((W.shape[0], LANES))
+    lost = 0
     for other in range(LANES):
         keep(W, 0, W.shape[0], other, before)
     call(kernels[START], h, t, W)
@@ -103,17 +104,17 @@ def singular(kernels, h, t, W, at, lane, first, last):
             moved = ahead * h * W[at[VELOCITY] + a, lane]
             W[at[POSITION] + a, lane] = before[at[POSITION] + a, lane] + moved
         call(kernels[START], h, t + ahead * h, W)
-        found = found or W[at[MASS_PIVOT], lane] < 0.0
+        lost += W[at[MASS_PIVOT], lane] < 0.0
     for other in range(LANES):
         put_back(W, 0, W.shape[0], other, before)
-    return found
+    return lost > 0
 
 
 @njit(**RARE)
 def name_failure(kernels, h, t, W, at, lane):
     """Say so where a step of a lane failed because M loses its definiteness ahead."""
     status = W[at[STATUS], lane]
-    failed = status in (NOT_CONVERGED, NOT_FINITE, STEP_TOO_LARGE)
+    failed = abs(status - NOT_FINITE) <= 1.0  # and what stands beside it: not converged, too large
     if failed and singular(kernels, h, t, W, at, lane, 1, 2):
         W[at[STATUS], lane] = SINGULAR_LEGENDRE
 
