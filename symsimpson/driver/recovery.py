@@ -264,7 +264,7 @@ def leave_to_others(kernels, h, t, W, at, event):
         call(kernels[ADVANCE], h, t, W)
     for lane in range(LANES):
         if W[at[STATUS], lane] == 0.0 and W[at[IN_DOUBT], lane] != 0.0:
-            lost = 1
+            lost = True
             if W[at[IN_DOUBT], lane] >= SMALL_MASS and W[at[MASS_PIVOT], lane] >= 0.0:
                 lost = singular(kernels, h, t + h, W, at, lane, 0, 0)
                 look_at_pivot(W, at, t + h, lane)
