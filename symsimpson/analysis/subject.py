@@ -55,8 +55,9 @@ def with_inputs(stepper: Stepper, given: Mapping[Any, float] | None) -> Stepper:
     if not stepper.inputs and given is None:
         return stepper
     held = dict.fromkeys(stepper.inputs, 1.0)
-    for key, value in read_mapping("inputs", given, "u").items():
-        name = stepper.inputs[stepper.program.names.inputs.found(key)]
+    names = stepper.program.names.inputs
+    for place, value in names.by_place(read_mapping("inputs", given, "u")).items():
+        name = stepper.inputs[place]
         held[name] = read_number(f"input {name}", value, stepper.program.numbers)
     fixed = replace(stepper.program, default_inputs=held, findings=Findings())
     read_driving(fixed, None, 1.0, 1, 0.0)

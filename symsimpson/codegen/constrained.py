@@ -15,6 +15,7 @@ from symsimpson.codegen.coupled import (
     node_point,
 )
 from symsimpson.codegen.expression import Expression
+from symsimpson.codegen.levels import Level
 from symsimpson.codegen.linear_solve import solve_in_pairs, solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
@@ -145,7 +146,7 @@ def held_velocities(
     group: Sequence[int],
     suffix: str,
 ) -> tuple[list[Expression], list[Expression], list[Expression]]:
-    """Solve M v + Phi^T nu = p - a, Phi v = 0, for v, the pivots of M, and nu.
+    """Solve M v + Phi^T nu = p - a, Phi v = 0, for v, pivots of M where Phi v = 0, and nu.
 
     Where M needs it, w Phi^T Phi is added, which such velocities do not see: it is positive
     definite then, and its pivots are positive, if M is for them.
@@ -174,6 +175,17 @@ def held_velocities(
     right = [p[a] - entry(point, section, "a", a) for a in group]
     hints = [f"u_{names[a]}_{suffix}" for a in group]
     free, pivots = solve_symmetric(graph, mass, right, hints, section)
+    moving = any(graph.level(x) > Level.RUN for row in mass for x in row)
+    if moving and not low.stiffened:  # what constraints take may have any sign
+        weights = _weights(low, point, section, group, suffix)
+        stiff = [
+            [
+                mass[a][b] + total(10 * weights[c] * slopes[c][a] * slopes[c][b] for c in held)
+                for b in group
+            ]
+            for a in group
+        ]
+        pivots = solve_symmetric(graph, stiff, right, [f"{x}_stiff" for x in hints], section)[1]
     columns = [
         solve_symmetric(
             graph, mass, slopes[c], [f"y_{names[a]}_{c}_{suffix}" for a in group], section

@@ -185,6 +185,7 @@ class LoopKernels:
             _call("mass"),
             *first,
             *self.factors(),
+            *self._pivots("scale_pivots"),
             *again,
             _call("straight_path", "W", "h", "lane"),
             *((_call("clear_multipliers"),) if self.held else ()),
@@ -208,7 +209,7 @@ class LoopKernels:
             *again,
             *held,
             _call("predict", "W", "h", "lane"),
-            *acceptance(bool(self.held)),
+            *acceptance(bool(self.held), not self.constant_mass),
         )
         closing: tuple[Statement, ...] = ()
         if isinstance(part, Separable) and part.last is not None:
@@ -219,7 +220,7 @@ class LoopKernels:
             self.nodes("range(NODES)", _call("gradient"), _call("accumulate", *_NODE)),
             *self.points("range(DEGREE)", "constraint_slopes", _call("add_pull", "W", "h", "lane")),
             _call("close_step"),
-            *(() if constant else self._velocity("t + h")),
+            *(() if constant else (*self._velocity("t + h"), *self._pivots("compare_pivots"))),
             *(following if part.columns else ()),
         )
         step = lanes((IfActive(advance),))
@@ -321,6 +322,19 @@ class LoopKernels:
         step = (exchange, *first, nodes, *pulled, exchange, *ended, _call("sum_work"))
         doc = "Add the work of forces in the step that was taken, and the integral of dL/dt."
         return Kernel("work", doc, lanes((IfActive(step),)))
+
+    def _pivots(self, name: str) -> tuple[Statement, ...]:
+        """Keep the pivots of M where a run begins, or compare others with them, if M changes."""
+        first = "HELD" if self.held else "NODE_L_VV"
+        return () if self.constant_mass else (_call(name, "W", first, "lane"),)
+
+    @property
+    def pivots(self) -> dict[str, object]:
+        """Where each pivot of M stands among the factors."""
+        storage = self.held.storage if self.held else self.storage
+        places = self.held.place[: self.storage.n] if self.held else range(self.storage.n)
+        step, offset = storage.node_stride + 1, storage.node_offset
+        return {} if self.constant_mass else {"PIVOT_AT": tuple(i * step + offset for i in places)}
 
     def before_state(self) -> tuple[Statement, ...]:
         """Return what finds the velocities of a state."""

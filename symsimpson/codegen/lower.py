@@ -107,6 +107,8 @@ class Lowering:
         }
         self.rows |= {symbol: Row("PARAMETER", i) for i, symbol in enumerate(symbols)}
         self.coefficients: tuple[Expression, ...] = ()
+        #: 1 over those pivots of M at the start of a run that change along a motion.
+        self.scales: list[Expression] = []
         self.scheme = SchemeNumbers(equations.scheme, self.graph)
 
     @cached_property
@@ -192,6 +194,13 @@ class Lowering:
         for rows, block in ((self.node_q, "NODE_POSITION"), (self.node_v, "NODE_VELOCITY")):
             for symbol, place in zip(rows, places, strict=True):
                 self.rows[symbol] = Row(block, place)
+
+    def pivot_scale(self, i: int) -> Expression:
+        """Return 1 over a pivot of M at the start of a run."""
+        for k in range(len(self.scales), i + 1):
+            hint = [f"pivot_scale_{k}"]
+            self.scales += self._base(hint, "PIVOT_SCALE", Level.ITERATION, k)
+        return self.scales[i]
 
     def known(self, value: Value) -> Expression:
         """Return a value that is made of parameters."""

@@ -149,6 +149,9 @@ def _looped_module(equations: DiscreteEquations) -> Module:
     elif held:
         functions += constraint_functions(low, held, places, drifting=kicked)
     loops = _loops(low, storage, held, constant_mass=constant or structure.constant_mass)
+    tables |= loops.pivots
+    if loops.pivots:
+        low.pivot_scale(low.n - 1)
     kernels = loops.composed() if isinstance(part, Composed) else loops.step(part)
     kernels.append(loops.energy())
     if held:

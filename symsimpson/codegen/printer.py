@@ -150,7 +150,7 @@ class Printer:
         if name == "pow":
             base, exponent = arguments
             return f"{self._within(base, ATOM)}**{self._within(exponent, ATOM)}", POWER
-        if name != "abs":
+        if name not in ("abs", "min"):
             self.used |= _LIBRARY.get(name, {name})
         if name == "exp" and parts[1] == (1, UNIT):
             return "exp(real(1))", ATOM

@@ -45,6 +45,7 @@ def sizes(
         jacobian=sum(jacobian),
         hoisted=len(low.hoisted),
         coefficients=len(low.coefficients),
+        pivots=len(low.scales),
         stride=node_stride(scheme),
         by_nodes=looped or bool(plain.powers) or low.equations.system.retiming is not None,
         assembled=bool(low.equations.rows) and looped,

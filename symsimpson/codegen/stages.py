@@ -35,6 +35,7 @@ from symsimpson.codegen.ir import (
 )
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.pivots import begun_pivots, least_pivot
 from symsimpson.codegen.storage import node_stride
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.turning import Turning
@@ -61,7 +62,7 @@ class StageKernels:
 
     def __init__(self, low: Lowering) -> None:
         scheme = low.equations.scheme
-        self._low, self._nodes = low, scheme.stages
+        self._low, self._nodes, self._scales = low, scheme.stages, len(low.scales)
         self.stride = node_stride(scheme)
         self.held = 0
         #: Pairs of sine and cosine at a node.
@@ -186,7 +187,9 @@ class StageKernels:
         for a in self._forced:
             kick = self._combined(self._nu, self._kicks[a], f"kick_{names[a]}", "momenta")
             p[a] = define(f"p_{names[a]}_j", low.p[a] + kick, "momenta")
-        velocities, _ = velocity(low, point, p, "velocities", suffix="new")
+        velocities, pivots = velocity(low, point, p, "velocities", suffix="new")
+        least = Row("STAGE_PIVOT", "node")
+        kicks += least_pivot(low, pivots, least, "velocities", self._scales)
         masses = [entry(point, "velocities", "M", a, a) for a in range(n)]
         new = [
             define(f"dq_{names[a]}_new", self._share * velocities[a], "velocities")
@@ -265,13 +268,13 @@ class StageKernels:
     def _start(self) -> Kernel:
         """From q and p to velocities that are the same at all nodes."""
         low, point = self._low, self._low.start_point()
-        v, deficit = velocity(low, point, low.p, "velocity")
+        v, pivots = velocity(low, point, low.p, "velocity")
         stores = [Store(Row("VELOCITY", a), v[a]) for a in range(low.n)]
         for a in range(low.n):
             stores.append(
                 Store(Row("MASS_DIAGONAL", a), low.template.entry(point, "velocity", "M", a, a))
             )
-        stores.append(Store(Row("MASS_PIVOT", 0), deficit))
+        stores += begun_pivots(low, pivots, "velocity", self._scales)
         zero = low.graph.of(0)
         stores += [Store(Row(f"STAGE_{name}", 0), zero) for name in ("EXPECTED", "COUNT")]
         same: list[Statement] = [Load(self._share, Row("STAGE_STEP", "node"))]
@@ -324,7 +327,9 @@ class StageKernels:
             "W[STAGE_COUNT, lane] > MANY", smooth, (Index("smooth", "0"), *following)
         )
         left = (Call("leave_path"),) if low.equations.looked_at else ()
-        accepted = (Call("check_stage_acceptance"), *self._afresh())
+        pivots = (Call("least_over_nodes"), Call("check_pivots"))
+        checked = (Call("check_stage_acceptance"), *(pivots if low.scales else ()))
+        accepted = (*checked, *self._afresh())
         body = (*closing, *left, extrapolated, *accepted)
         doc = "Close a step by compensated sums, then extrapolate to the nodes of the next."
         return Kernel("advance_stages", doc, lanes((IfActive(body),)))

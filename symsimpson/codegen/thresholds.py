@@ -34,6 +34,7 @@ _STAGE_THRESHOLDS = """\
 MANY = 10  # after more iterations what nodes have is extrapolated with care
 LOST = 2.0**-150  # what is left at nodes has a sign and adds up: in 1e9 steps below rounding
 ROUNDING = 2.0**-132  # corrections below this are made of rounding
+FALL = 2.0  # M is looked at where its pivots fall so far behind the last node, as the last two do
 STALLED = 2.0**-92  # and below this where they shrink no more,
 NOISE = 2.0**-100  # or below this where they hardly do
 """

@@ -22,6 +22,7 @@ from symsimpson.codegen.levels import Level
 from symsimpson.codegen.linear import LinearSolver
 from symsimpson.codegen.linear_solve import solve_symmetric
 from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.pivots import begun_pivots, least_pivot
 from symsimpson.codegen.routh import RouthSolver
 from symsimpson.codegen.separable import SeparableSolver
 from symsimpson.codegen.template import Point
@@ -123,23 +124,18 @@ def lanes(body: Iterable[Statement]) -> tuple[Statement, ...]:
 
 def velocity(
     low: Lowering, point: Point, p: Sequence[Expression], section: str, suffix: str | None = None
-) -> tuple[list[Expression], Expression]:
-    """Solve M v = p - a; the second value is negative if M is not positive definite.
+) -> tuple[list[Expression], list[Expression]]:
+    """Solve M v = p - a; returns the pivots of M, too, all positive if it is positive definite.
 
     Velocities have the point's suffix unless another one is given.
     """
     velocities: dict[int, Expression] = {}
-    deficits: list[Expression] = []
+    pivots: list[Expression] = []
     for part in low.equations.parts:
-        v, pivots = _velocities(low, point, p, section, part.mass_order, suffix)
+        v, more = _velocities(low, point, p, section, part.mass_order, suffix)
         velocities |= v
-        deficits += [
-            low.graph.define("deficit", d - low.graph.applied("abs", d), section)
-            for d in pivots
-            if not low.graph.is_positive(d)
-        ]
-    deficit = low.graph.define("deficit", low.graph.total(deficits), section)
-    return [velocities[a] for a in range(low.n)], deficit
+        pivots += more
+    return [velocities[a] for a in range(low.n)], pivots
 
 
 def _velocities(
@@ -209,10 +205,11 @@ def convergence(held: bool) -> tuple[Call, ...]:
     return tuple(map(Call, names))
 
 
-def acceptance(held: bool) -> tuple[Call, ...]:
-    """Return what ends a step."""
+def acceptance(held: bool, moving: bool) -> tuple[Call, ...]:
+    """Return what ends a step, where there are constraints or none, and if M is ``moving``."""
     names = ("expect_rounding", "check_acceptance") if held else ("check_acceptance",)
-    return tuple(map(Call, names))
+    pivots = (Call("check_pivots"),) if moving else ()
+    return (*map(Call, names), *pivots)
 
 
 def _advance(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
@@ -254,7 +251,7 @@ def _advance(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
     closed = low.statements(stores, (Level.ITERATION,))
     if iterated:
         doc = "Close a step: p1 and q1 by compensated sums, then predict the next increments."
-        checked = acceptance(bool(low.multipliers))
+        checked = acceptance(bool(low.multipliers), bool(low.scales))
         return Kernel("advance", doc, lanes((KEEP_STEP, *closed, *checked)))
     doc = "Take as many steps as W[COUNT] says, without Newton's method."
     return Kernel("advance", doc, (Loop("step", "range(int(W[COUNT, 0]))", lanes(closed)),))
@@ -269,10 +266,12 @@ def _predicted(
     total = low.graph.total
     every = sorted(increments(solvers))
     masses: dict[int, Expression] = {}
+    pivots: list[Expression] = []
     jump: list[Expression] = []
     following: dict[Increment, Expression] = {}
     for part, solver in zip(eqs.parts, solvers, strict=True):
-        v = _velocities(low, end, momentum, "velocity at q1", part.mass_order)[0]
+        v, more = _velocities(low, end, momentum, "velocity at q1", part.mass_order)
+        pivots += more
         if not solver.increments:
             continue
         for a in part.mass_order:
@@ -298,6 +297,7 @@ def _predicted(
         row = Row("PREDICTED", eqs.unknowns.place(k, a))
         stores.append(Store(row, low.impulses[k - d - 1][a]))
     stores += [Store(Row("MASS_DIAGONAL", a), masses[a], moving=True) for a in masses]
+    stores += least_pivot(low, pivots, Row("MASS_PIVOT", 0), "velocity at q1")
     measured = {"velocity_jump_squared": jump, "prediction_error_squared": error}
     for name, terms in measured.items():
         stores.append(Store(Row(name.upper(), 0), define(name, total(terms), section)))
@@ -310,7 +310,7 @@ def _start(
     """From q and p to the first increments, and to what is ``kept`` from step to step."""
     eqs, define = low.equations, low.graph.define
     point, section = low.start_point(), "velocity"
-    v, deficit = velocity(low, point, low.p, section)
+    v, pivots = velocity(low, point, low.p, section)
     every = increments(solvers)
     iterated = {a for _, a in every}
     stores = [Store(row, symbol) for symbol, row in kept]
@@ -331,7 +331,7 @@ def _start(
     for k, a in (unknown for solver in solvers for unknown in solver.multipliers):
         for block in ("INCREMENT", "PREDICTED"):  # they enter linearly: any start will do
             stores.append(Store(Row(block, eqs.unknowns.place(k, a)), low.graph.of(0)))
-    stores.append(Store(Row("MASS_PIVOT", 0), deficit))
+    stores += begun_pivots(low, pivots, section)
     more = ", and increments of constant velocity" if every else ""
     doc = f"Begin at (q, p): what depends on q alone{more}."
     return Kernel("start", doc, lanes(low.statements(stores, STATE)))

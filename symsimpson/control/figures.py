@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.plotting.axes import axes, colours
-from symsimpson.plotting.run_figures import label, with_unit
+from symsimpson.plotting.axes import axes, colours, label, name_axis
 
 __all__ = ["iterations", "motion", "sparsity"]
 
@@ -29,11 +28,10 @@ def motion(result: Any) -> Any:
             bounds = read.of_inputs.get(read.inputs.index(name), ()) if kind == "inputs" else ()
             for bound in filter(np.isfinite, bounds):
                 ax.axhline(bound, color=colour, linestyle=":", linewidth=1)
-        several = f"[{unit}]" if unit else kind
-        ax.set_ylabel(several if len(names) > 1 else with_unit(names[0], units))
+        name_axis(ax, "y", kind if len(names) > 1 else names[0], unit)
         if len(names) > 1:
             ax.legend()
-    panels[-1].set_xlabel(with_unit("t", units))
+    name_axis(panels[-1], "x", "t", units.get("t"))
     return panels[0].figure
 
 

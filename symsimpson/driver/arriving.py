@@ -66,6 +66,8 @@ def run_to_end(kernels, addresses, setting, start, asked, results, inputs):
     take_all(kernels, (h, t0, W, at), progress, most, every, stores, inputs)
     if W[at[STATUS], 0] != ARRIVED:
         return -2 if progress[0] == most else -1
+    if W[at[PIVOT_LIMIT], 0] < SMALL_PIVOT:  # steps there may not resolve the motion
+        return -1
     steps = progress[0] - 1
     last, tail[1] = steps // every, W[at[ITERATIONS], 0]
     for i in range(1, last + 1):

@@ -38,6 +38,7 @@ def begin(kernels, legendre, h, t, W, at):
         W[at[STATUS], lane] = 0.0
         W[at[CONTRACTION], lane] = 1.0
         W[at[LARGEST_SQUARED], lane] = 0.0
+        W[at[PIVOT_LIMIT], lane] = SMALL_PIVOT
         W[at[ITERATIONS], lane] = 0.0
     call(kernels[PREPARE], h, t, W)
     if legendre != 0:

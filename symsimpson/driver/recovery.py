@@ -14,7 +14,9 @@ from symsimpson.driver.steps import (
     SIGNATURES,
     WORKSPACE,
     keep,
+    name_failure,
     put_back,
+    singular,
     step_back,
 )
 from symsimpson.module.interface import *
@@ -175,8 +177,26 @@ def linear(kernels, h, t, W, at, lane):
 
 
 @njit(**RARE)
+def look_at_pivot(W, at, t, lane):
+    """Return whether M is singular or indefinite behind a step; else keep how small it is."""
+    W[at[IN_DOUBT], lane] -= SMALL_MASS
+    pivot = W[at[MASS_PIVOT], lane]
+    if pivot > LOST_PIVOT:
+        W[at[PIVOT_LIMIT], lane] = SMALLER * pivot
+        W[at[PIVOT_TIME], lane] = t
+    return pivot <= LOST_PIVOT
+
+
+@njit(**RARE)
 def verify(kernels, h, t, W, at, lane):
     """Close a lane's step anew if its solution is not the one that smaller steps lead to."""
+    if W[at[IN_DOUBT], lane] >= SMALL_MASS:
+        if look_at_pivot(W, at, t + h, lane):
+            step_back(W, at, lane)
+            W[at[STATUS], lane] = SINGULAR_LEGENDRE
+            return
+        if W[at[IN_DOUBT], lane] == ACCEPTED:
+            return
     first, last = at[INCREMENT], at[STATE_END]
     rows, lanes = W.shape[0], LANES
     increments = np.empty((last - first, lanes))
@@ -221,10 +241,11 @@ def verify(kernels, h, t, W, at, lane):
         put_back(W, first, last, lane, continued)
         call(kernels[ADVANCE], h, t, W)
         keep(W, 0, rows, lane, after)
-        if not W[at[VELOCITY_JUMP_SQUARED], lane] < np.inf:
+        lost = W[at[IN_DOUBT], lane] >= SMALL_MASS and look_at_pivot(W, at, t + h, lane)
+        if lost or not W[at[VELOCITY_JUMP_SQUARED], lane] < np.inf:
             step_back(W, at, lane)
             keep(W, 0, rows, lane, after)
-            after[at[STATUS], lane] = NOT_FINITE
+            after[at[STATUS], lane] = SINGULAR_LEGENDRE if lost else NOT_FINITE
     put_all_back(W, after)
 
 
@@ -243,8 +264,13 @@ def leave_to_others(kernels, h, t, W, at, event):
         call(kernels[ADVANCE], h, t, W)
     for lane in range(LANES):
         if W[at[STATUS], lane] == 0.0 and W[at[IN_DOUBT], lane] != 0.0:
-            step_back(W, at, lane)
-            W[at[STATUS], lane] = NOT_CONVERGED
+            lost = True
+            if W[at[IN_DOUBT], lane] >= SMALL_MASS and W[at[MASS_PIVOT], lane] >= 0.0:
+                lost = singular(kernels, h, t + h, W, at, lane, 0, 0)
+                look_at_pivot(W, at, t + h, lane)
+            if lost or W[at[IN_DOUBT], lane] != ACCEPTED:
+                step_back(W, at, lane)
+                W[at[STATUS], lane] = NOT_CONVERGED
 
 
 @njit(**RARE)
@@ -255,6 +281,9 @@ def recover(kernels, h, t, W, at, event):
     if kernels[MODE] == STAGES:
         leave_to_others(kernels, h, t, W, at, event)
         return
+    alive = np.empty(LANES)
+    for lane in range(lanes):
+        alive[lane] = W[at[STATUS], lane]
     if event == FAILED:
         for lane in range(lanes):
             failure = -W[at[ACTIVE], lane]
@@ -270,3 +299,5 @@ def recover(kernels, h, t, W, at, event):
     for lane in range(lanes):
         if W[at[STATUS], lane] == 0.0 and W[at[IN_DOUBT], lane] != 0.0:
             verify(kernels, h, t, W, at, lane)
+        if alive[lane] == 0.0:
+            name_failure(kernels, h, t, W, at, lane)

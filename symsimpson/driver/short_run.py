@@ -57,6 +57,7 @@ def run_briefly(kernels, addresses, setting, start, asked, results, inputs):
     store_lane(W, at, 0, 0, stores)
     take_all(kernels, setting, progress, steps, every, stores, inputs)
     over = progress[0] == steps and W[at[STATUS], 0] == 0.0 and W[at[MASS_PIVOT], 0] >= 0.0
+    over = over and W[at[PIVOT_LIMIT], 0] == SMALL_PIVOT
     if not over or not finite(W, at[POSITION], at[POSITION] + 4 * n, 0):
         return -1
     count = np.int64(W[at[ITERATIONS], 0])

@@ -98,10 +98,10 @@ class Ensemble(Quantities, Differentiated):
     #: What events did, in the order of time, in the members in which some acted; and their names.
     records: Mapping[int, tuple[Record, ...]] = field(default_factory=dict, repr=False)
     event_names: tuple[str, ...] = field(default=(), repr=False)
-    #: How inputs went, where that is known.
+    #: How inputs went, and how small pivots of M were, where that is known.
     driven: Driven | None = field(default=None, repr=False)
-    #: 1 if the time goes on with the steps, -1 if it goes back.
-    _ahead: float = field(default=1.0, repr=False)
+    small_pivots: Floats | None = field(default=None, repr=False)
+    _ahead: float = field(default=1.0, repr=False)  #: -1 if the time goes back with the steps.
     note: str = field(default="", repr=False)  #: What the message says of the step.
 
     @overload
@@ -130,7 +130,7 @@ class Ensemble(Quantities, Differentiated):
             raise IndexError(f"there is no member {member}: there are {len(self)}, from 0 on")
         return member_of(self, member % len(self))
 
-    def __iter__(self) -> Iterator[States]:
+    def __iter__(self) -> Iterator[Sampled]:
         """Iterate over the members, each as ``ensemble[k]`` gives it."""
         return (self[k] for k in range(len(self)))
 

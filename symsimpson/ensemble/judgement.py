@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from symsimpson.ensemble.ensemble import Ensemble
-from symsimpson.ensemble.lanes import run_blocks
+from symsimpson.ensemble.lanes import energies_at_start
 from symsimpson.ensemble.task import Task
 from symsimpson.errors import InputError, ResolutionWarning, StabilityWarning, SymsimpsonError
+from symsimpson.module.interface import SMALL_PIVOT
 from symsimpson.module.quantity import velocities_by
-from symsimpson.program.evaluating import evaluate, evaluate_members
+from symsimpson.program.evaluating import evaluate
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.run.requested import run
@@ -23,8 +23,8 @@ from symsimpson.support.calling import warn
 
 __all__ = ["look_at_ends", "look_at_steps"]
 
-#: Of so many members, spread over all, the step is looked at, and the energy at the end.
-LOOKED_AT, MEASURED = 8, 256
+#: Of so many members, spread over all, the step is looked at.
+LOOKED_AT = 8
 #: So many of those whose energy changed most are run once more, each by itself.
 AGAIN = 2
 #: A run of more steps than this keeps some of its states alone.
@@ -67,11 +67,13 @@ def look_at_ends(program: Program, task: Task, ensemble: Ensemble) -> None:
         _refuse(program, task)
     if task.steps < FEWEST or task.of_variations:
         return
-    some = spread(task.members, MEASURED)
-    some = some[status[some] == Status.SUCCESS]
+    some = np.flatnonzero(status == Status.SUCCESS)
     left = _energies_left(program, task, ensemble, some)
-    worst = some[np.argsort(-left)[:AGAIN]][: int((left > LAST_LIMIT).sum())]
-    for member in worst:
+    worst = some[np.argsort(-left)[:AGAIN]][: int((left > LAST_LIMIT).sum())].tolist()
+    if ensemble.small_pivots is not None:  # M was small
+        pivots = ensemble.small_pivots[some]
+        worst += some[np.argsort(pivots)[:AGAIN]][: int((pivots < SMALL_PIVOT).sum())].tolist()
+    for member in dict.fromkeys(worst):
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
             every = 1 if task.steps <= WHOLE else None
@@ -101,21 +103,18 @@ def _energies_left(program: Program, task: Task, ensemble: Ensemble, some: Ints)
     """Return how far energies are from those at the start, in units of the kinetic energy."""
     if not some.size:
         return np.zeros(0)
-    part = replace(
-        task.part(some), steps=0, every=0, reductions=(), tangents=None, t_end=None, threads=1
-    )
-    begun, _ = run_blocks(program, part, lambda done: None)
-    last = (slice(None), -1) if task.every else (slice(None),)
-    ends: list[Any] = [np.asarray(x[:][some])[last] for x in (ensemble.q, ensemble.p)]
-    q, p = (np.stack([a, b], axis=1) for a, b in zip((begun.q, begun.p), ends, strict=True))
-    t = task.t0 + task.h * np.array([0.0, task.steps])
-    values = np.array(part.parameters)
-    energies = evaluate_members(program, "energy", "ENERGY", 2, t, q, p, values)
-    change = np.abs(energies[:, 1, 0] - energies[:, 0, 0])
-    scale = energies[..., 1].max(axis=1)
+    begun = task.part(some)
+    q, p = (np.asarray(x[:])[some] for x in (ensemble.q, ensemble.p))
+    if task.every:  # members of retimed systems end after steps of their own
+        last = np.arange(len(q)), np.isfinite(q[..., 0]).sum(axis=1) - 1
+        q, p = q[last], p[last]
+    t_end = task.t0 if task.retimed else task.times[-1]
+    ended = replace(begun, q0=q, other0=p, given="p0", t0=t_end)
+    (start, kinetic), (end, later) = (energies_at_start(program, x).T for x in (begun, ended))
+    scale = np.maximum(kinetic, later)
     with np.errstate(all="ignore"):
-        left = np.where(scale > 0, change / scale, 0.0)
-    return np.where(np.isfinite(energies[:, 0]).all(axis=1), np.nan_to_num(left, nan=np.inf), 0.0)
+        left = np.where(scale > 0, abs(end - start) / scale, 0.0)
+    return np.where(np.isfinite(start + kinetic), np.nan_to_num(left, nan=np.inf), 0.0)
 
 
 def spread(members: int, most: int) -> Ints:

@@ -23,7 +23,7 @@ from symsimpson.stepping.recording import recorders_of
 from symsimpson.support.array_types import Floats
 from symsimpson.support.signals import listening
 
-__all__ = ["run_blocks"]
+__all__ = ["energies_at_start", "run_blocks"]
 
 #: A thread comes back from compiled code after about so many seconds, so that Ctrl-C is heard.
 PATIENCE = 0.02
@@ -35,17 +35,32 @@ FIRST_BUDGET = 2000
 
 def run_blocks(program: Program, task: Task, count: Callable[[int], None]) -> tuple[Ensemble, bool]:
     """Run members in blocks, on threads of our own; tells whether Ctrl-C stopped it."""
-    results, queue = _work_off(program, task, count)
+    results = Results(task, program.header)
+    queue = _work_off(program, task, results, count)
     if task.t_end is not None:
         take_last_parts(program, task, results)
     stopped = bool(queue.heard) or run_singly(program, task, results)
     return ensemble_of(program, task, **results.columns()), stopped
 
 
-def _work_off(program: Program, task: Task, count: Callable[[int], None]) -> tuple[Results, _Queue]:
-    """Run all blocks; the queue has heard of Ctrl-C."""
+def energies_at_start(program: Program, task: Task) -> Floats:
+    """Return the energy of members where they begin, and its kinetic part, shape (K, 2)."""
+    task = replace(task, steps=0, every=0, reductions=(), record=(), tangents=None, run_events=None)
     results = Results(task, program.header)
-    work_off = _prepared(program, task, results)
+    _work_off(program, replace(task, t_end=None), results, lambda done: None, measured=True)
+    return results.seen[:, :2]
+
+
+def _work_off(
+    program: Program,
+    task: Task,
+    results: Results,
+    count: Callable[[int], None],
+    *,
+    measured: bool = False,
+) -> _Queue:
+    """Run members in blocks, on threads of our own; their energy is ``measured`` at the end."""
+    work_off = _prepared(program, task, results, measured)
     lanes = task.lanes
     blocks = -(-task.members // lanes)
     queue = _Queue(blocks, task.threads)
@@ -56,7 +71,7 @@ def _work_off(program: Program, task: Task, count: Callable[[int], None]) -> tup
             work_off(*chunk, queue, lambda done: count(done * lanes))
 
     _share(work, threads, queue)
-    return results, queue
+    return queue
 
 
 class _Queue:
@@ -89,7 +104,9 @@ def _share(work: Callable[[], None], threads: int, queue: _Queue) -> None:
         other.result()
 
 
-def _prepared(program: Program, task: Task, results: Results) -> Callable[..., None]:
+def _prepared(
+    program: Program, task: Task, results: Results, measured: bool
+) -> Callable[..., None]:
     """Compile what is needed, and give a function that works off a chunk of blocks."""
     header, lanes = program.header, task.lanes
     kernels = program.kernels_for(lanes)
@@ -110,8 +127,8 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
                 f"a run of {task.steps} steps does not tell how variations grow.\n"
                 f"Take {RENEWAL} at least."
             )
-        begun, queue = _work_off(program, first_part(task), lambda _: None)
-        if queue.heard:
+        begun = Results(first_part(task), header)
+        if _work_off(program, first_part(task), begun, lambda _: None).heard:
             raise KeyboardInterrupt
         derivatives = begun.columns()["variations"]
         columns = first_columns(derivatives, task.h, PAIR).reshape(-1, PAIR + 1)
@@ -128,7 +145,8 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
     observed, watched = (rows.get(kernel, (0, 0)) for kernel in ("observe", "watch"))
     legendre = kernels.address("legendre") if task.velocities else 0
     retime = kernels.address("retime") if header.retimed else 0
-    more = np.array([legendre, slopes, retime, *observed, *watched], dtype=np.int64)
+    energy = kernels.address("energy") if measured else 0
+    more = np.array([legendre, slopes, retime, *observed, *watched, energy], dtype=np.int64)
     kinds = np.array([KINDS.index(r.kind) for r in task.reductions], dtype=np.float64)
     step, at = kernels.set(kernels.fallbacks[0], called), driver_layout(header, called)
     advance_blocks = program.numbers.driver("advance_blocks", lanes, renewing=task.of_variations)

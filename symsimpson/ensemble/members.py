@@ -157,7 +157,8 @@ def _parameters(
         raise InputError(
             f"parameters is {type(given).__name__}, not a mapping.\nPass parameters={{'m': 1.0}}."
         )
-    for key, value in (given or {}).items():
+    for place, value in names.by_place(given or {}).items():
+        key = names.shown[place]
         column = read_array(f"parameter {key}", value, FLOAT64)
         if column.ndim > 1 or column.size == 0:
             raise InputError(
@@ -166,7 +167,7 @@ def _parameters(
             )
         for extreme in (column.min(), column.max()):  # signs and names, as for a single run
             read_parameters(names, program.header.signs, program.defaults, {key: extreme}, FLOAT64)
-        columns[names.shown[names.found(key)]] = column
+        columns[key] = column
     if program.names.idle:
         places = enumerate(zip(columns.values(), program.defaults, strict=True))
         changed = [i for i, (x, default) in places if (x != default).any()]

@@ -103,7 +103,8 @@ class Results:
         self.part = np.zeros(task.members)
         #: When members came to their ends, where they are known to be run by themselves.
         self.ended_at = np.full(task.members, np.nan)
-        self.seen = np.full((task.members, max(1, 2 * len(task.reductions))), np.nan)
+        #: Pairs of numbers of reductions; the energy, its kinetic part, how small pivots of M were.
+        self.seen = np.full((task.members, 2 * len(task.reductions) + 3), np.nan)
         #: What events did, by member.
         self.records = dict[int, tuple[Record, ...]]()
         self._task = task
@@ -122,6 +123,7 @@ class Results:
             "steps": steps,
             "newton_iterations": iterations,
             "reduced": reduced,
+            "small_pivots": self.seen[:, -1],
         }
         recorded = self.recorded if task.every else self.recorded[:, 0]
         columns["variations"], columns["recorded"] = split(self._recorders, recorded, q.shape[-1])

@@ -42,6 +42,11 @@ def read_units(
                 "Name coordinates, momenta and velocities (p_ and v_ before a coordinate), "
                 f"parameters, invariants, points, 't', {', '.join(x.name for x in SCALARS)}."
             )
+        if quantity in units:
+            raise ModelError(
+                f"system '{name}': units gives {quantity} twice, by name and by symbol.\n"
+                "Give it once."
+            )
         if not isinstance(unit, str):
             raise ModelError(
                 f"system '{name}': the unit of {quantity} is {unit!r}, no text.\n"

@@ -30,6 +30,7 @@ class Sizes:
     #: Values that are computed once a run or a step, factors of the terms of L.
     hoisted: int = 0
     coefficients: int = 0
+    pivots: int = 0  #: Pivots of M that change along a motion.
     stride: int = 0  #: Rows of an input: one for each node, or more.
     by_nodes: bool = True  #: Whether loops go over nodes.
     assembled: bool = False  #: Whether they assemble the equations of a step, and the Jacobian.

@@ -9,7 +9,7 @@ constants, and the places in DRIVER_LAYOUT, which stand in this module by their 
 from symsimpson.module.workspace_layout import DRIVER_LAYOUT
 
 #: Number of the agreement; modules with another number are refused.
-INTERFACE = 12
+INTERFACE = 13
 
 #: The type of a kernel, and what the compiler is told: contract and nsz keep NaN checks and
 #: compensated sums, "fast" would delete both.
@@ -33,10 +33,14 @@ STANDING = 1e-8
 SUCCESS, INTERRUPTED, NOT_CONVERGED, NOT_FINITE, STEP_TOO_LARGE, BAD_INPUT = range(6)
 COORDINATE_SINGULARITY, DIVERGED, SINGULAR_JACOBIAN, FILE_ERROR = range(6, 10)
 SINGULAR_CONSTRAINTS, ARRIVED, RATE_NOT_POSITIVE, EVENTS_ACCUMULATE, MET = range(10, 15)
-TOLERANCE_NOT_MET = 15
+TOLERANCE_NOT_MET, SINGULAR_LEGENDRE = 15, 16
 
 # values in IN_DOUBT
-ACCEPTED, TO_BE_VERIFIED, UNRESOLVED, POSSIBLY_UNRESOLVED = range(4)
+ACCEPTED, TO_BE_VERIFIED, UNRESOLVED, POSSIBLY_UNRESOLVED, SMALL_MASS = range(5)
+
+#: Pivots of M, in units of those at the start, below the first are looked at, and those below a
+#: part of these; what is below the last is rounding.
+SMALL_PIVOT, SMALLER, LOST_PIVOT = 0.05, 0.25, 2.0**-44
 
 #: How a set of kernels takes a step: by none but itself; by Newton's method; by an iteration over
 #: stages; by Newton's method where that failed, with the energy watched as in all steps by stages.

@@ -75,7 +75,11 @@ TABLE = (
     ),
     Block("CYCLIC_JUMP_SQUARED", "the velocity jump of cyclic coordinates alone"),
     Block("CYCLIC_MASS_CHANGE", "relative change of M of cyclic coordinates over the step"),
-    Block("MASS_PIVOT", "below 0 if M is not positive definite", for_driver=True),
+    Block(
+        "MASS_PIVOT",
+        "at the start below 0 if M is not positive definite, then the smallest pivot of M",
+        for_driver=True,
+    ),
     Block("ENERGY", "the Hamiltonian", for_driver=True),
     Block("KINETIC", "its kinetic part"),
     Block("STATUS", "0: going on, else why the lane stopped", for_driver=True),
@@ -84,7 +88,7 @@ TABLE = (
     Block("LARGEST_SQUARED", "size of the largest increments so far", for_driver=True),
     Block(
         "IN_DOUBT",
-        "0: accepted, 1: to be verified, 2: unresolved, 3: possibly unresolved",
+        "0: accepted, 1: to be verified, 2: unresolved, 3: possibly unresolved, 4 more: M is small",
         for_driver=True,
     ),
     Block("ITERATIONS", "since the last stored state", for_driver=True),
@@ -148,6 +152,9 @@ TABLE = (
     part("STAGE_NU", "from STAGE_F to momenta at the nodes", lambda s: s.nodes * s.staged),
     part("STAGE_AHEAD", "from STAGE_V to that of the next step", lambda s: 2 * s.nodes * s.staged),
     part("STAGE_CORRECTION", "sizes of the corrections at the nodes", lambda s: s.staged),
+    part(
+        "STAGE_PIVOT", "the smallest pivot of M at each node", lambda s: min(1, s.pivots) * s.staged
+    ),
     part("STAGE_SIZE", "sizes of the increments at the nodes", lambda s: s.staged),
     scratch(
         "STAGE_HELD",
@@ -209,6 +216,9 @@ TABLE = (
     ),
     Block("RESIDUAL", "residual, then the correction", unknowns, scratch=True),
     Block("JACOBIAN", "its derivatives", lambda s: s.jacobian, scratch=True),
+    part("PIVOT_SCALE", "1 / pivot of M at the start", lambda s: s.pivots),
+    Block("PIVOT_LIMIT", "pivots of M below this are looked at", for_driver=True),
+    Block("PIVOT_TIME", "the time of the last of these", for_driver=True),
     part(
         "NODE_F_A",
         "derivatives of F by the parameters that are varied, at a node",

@@ -110,15 +110,8 @@ def read_parameters(
 ) -> Reals:
     """Merge run-time values, by symbol or by name, into the defaults."""
     values = defaults.copy()
-    seen: set[int] = set()
-    for key, value in read_mapping("parameters", given, "m").items():
-        slot = names.found(key)
+    for slot, value in names.by_place(read_mapping("parameters", given, "m")).items():
         name = names.shown[slot]
-        if slot in seen:
-            raise InputError(
-                f"parameter {name} is given twice, by name and by symbol.\nGive it once."
-            )
-        seen.add(slot)
         number = read_number(f"parameter {name}", value, numbers)
         if (signs[slot] == "positive" and number <= 0) or (
             signs[slot] == "negative" and number >= 0

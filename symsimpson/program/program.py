@@ -38,8 +38,8 @@ class Tools:
     changes_of_potential: Callable[..., Any]
     #: Takes a system and a run; returns at which singular point of the coordinates that ended.
     at_pole: Callable[..., str]
-    #: Takes a program, its system and a run; returns when and where that passed a small det M
-    #: unresolved, and whether such a point is there.
+    #: Takes a program, its system, a run, and how its steps are to be taken again; returns when and
+    #: where that passed a small det M unresolved, and whether such a point is there.
     unresolved_pole: Callable[..., Any]
     #: Takes a system, times, positions and values; returns when a force jumped at which root.
     kink_passed: Callable[..., Any]

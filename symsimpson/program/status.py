@@ -33,6 +33,7 @@ class Status(IntEnum):
     RATE_NOT_POSITIVE = interface.RATE_NOT_POSITIVE
     EVENTS_ACCUMULATE = interface.EVENTS_ACCUMULATE
     TOLERANCE_NOT_MET = interface.TOLERANCE_NOT_MET
+    SINGULAR_LEGENDRE = interface.SINGULAR_LEGENDRE
 
     @property
     def message(self) -> str:
@@ -93,6 +94,11 @@ _MESSAGES = {
     Status.TOLERANCE_NOT_MET: (
         "The run reached its end, but its error is larger than the one asked for, or is not known. "
         "The motion may be chaotic, or pass a kink: ask for a larger error, or a shorter time."
+    ),
+    Status.SINGULAR_LEGENDRE: (
+        "The mass matrix is singular or indefinite at the end of that step, so velocities do not "
+        "follow from momenta. The states before are kept. End the run before, or look for masses "
+        "that vanish; if the motion does not come there, try a smaller h."
     ),
     Status.FILE_ERROR: (
         "The checkpoint could not be written; what was computed is kept. Make room, or choose "

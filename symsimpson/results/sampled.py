@@ -19,6 +19,7 @@ from symsimpson.results.outcome import Outcome
 from symsimpson.results.records import Actions, Record, actions_of
 from symsimpson.results.states import States, attribute_name, with_units
 from symsimpson.results.tables import apart, dataframe, write
+from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
 from symsimpson.support.names import counted, did_you_mean, public_names, spelled
@@ -98,6 +99,7 @@ class Sampled(WithEvents, Outcome, States):
 
     Attributes are those of :class:`States`, and how the run ended: ``status``, ``message``,
     ``success``, its ``steps`` and ``h``. Of a run that failed, the times that it reached are there.
+    A member of a retimed system has ``tau``, the time of the steps, shape (N,).
 
     Examples
     --------
@@ -118,6 +120,7 @@ class Sampled(WithEvents, Outcome, States):
     event_names: tuple[str, ...] = ()
     reduced_values: tuple[tuple[str, float], ...] = field(default=(), repr=False)
     error_estimate: float | None = None
+    tau: Floats | None = field(default=None, repr=False)
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         return {name: getattr(self, name) for name in ("t", *VECTORS, *(x.name for x in SCALARS))}
@@ -133,11 +136,13 @@ def member_of(ensemble: Any, member: int) -> Sampled:
     if ensemble.t.shape == ensemble.q.shape[:-1]:  # times of its own, up to its end
         t = ensemble.t[member].reshape(-1)
         t, q, p = (x[: np.isfinite(t).sum()] for x in (t, q, p))
+    tau = None if ensemble.tau is None else ensemble.tau[member].reshape(-1)[: len(t)]
     status = Status(int(ensemble.status[member]))
     return Sampled(
         t=t,
         q=q,
         p=p,
+        tau=tau,
         program=ensemble.program,
         parameter_values=ensemble.parameter_values[member],
         driven=None if driven is None else driven.of_member(member),

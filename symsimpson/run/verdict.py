@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from symsimpson.errors import ResolutionWarning
+from symsimpson.module.interface import SMALL_PIVOT
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
@@ -14,6 +15,7 @@ from symsimpson.run.ended import out_of_domain
 from symsimpson.run.folds import ended_after, first_states, look_at_folds, unknown_values
 from symsimpson.run.resolution import Sampled, energies_at, look_at_energy
 from symsimpson.stepping.kept import KeptStates
+from symsimpson.stepping.request import Request
 from symsimpson.stepping.run import Run
 from symsimpson.support.array_types import Reals
 from symsimpson.support.calling import warn
@@ -27,7 +29,11 @@ AT_POLES = (
     Status.STEP_TOO_LARGE,
     Status.SINGULAR_JACOBIAN,
     Status.NOT_FINITE,
+    Status.SINGULAR_LEGENDRE,
 )
+
+#: Around the smallest M, so many steps are taken again; so many at most with those before.
+AROUND, MOST_AGAIN = 64, 200_000
 
 #: So many runs may show that a motion goes where there are singular points.
 TRIES = 3
@@ -96,10 +102,11 @@ def _unresolved(
 ) -> str:
     """Return what was not resolved, in words, or nothing."""
     tools, system, h = program.tools, program.declared, float(run.h)
-    plain = run.W.dtype == np.float64 and not run.header.retimed
-    unknown = plain and trajectory.every == 1 and not _stays_regular(program, trajectory)
-    if tools is not None and system is not None and unknown:
-        passed = tools.unresolved_pole(program, system, trajectory)
+    plain = run.W.dtype == np.float64 and tools is not None and system is not None
+    asked = _around_smallest(program, run, trajectory, kept) if plain else None
+    unknown = trajectory.every == 1 and not _stays_regular(program, trajectory)
+    if tools is not None and plain and (unknown or asked is not None):
+        passed = tools.unresolved_pole(program, system, trajectory, asked)
         if passed is not None and not passed[2]:
             return (
                 f"about t={passed[0]:g} the motion passes {passed[1]}, where its inertia is small, "
@@ -114,6 +121,7 @@ def _unresolved(
                 "regular there, such as Cartesian ones held by a constraint (see the guide to "
                 "constraints); a smaller h helps only where the passage is wide enough."
             )
+    if tools is not None and plain and unknown and not run.header.retimed:
         inputs = np.asarray(trajectory.input_values)[0, 0, 0]
         values = [*map(float, trajectory.parameter_values), *map(float, inputs)]
         jumped = tools.kink_passed(system, trajectory.t, trajectory.q, values)
@@ -148,6 +156,25 @@ def _unresolved(
         f"unreliable{but}.\n"
         "Take a smaller h, or a scheme of higher order."
     )
+
+
+def _around_smallest(
+    program: Program, run: Run, trajectory: Trajectory, kept: KeptStates
+) -> Request | None:
+    """Return how to take the steps again at which M was small, if a run has not all its states."""
+    small = run.value("PIVOT_LIMIT") < SMALL_PIVOT and not run.header.inputs
+    if trajectory.every == 1 or not small:
+        return None
+    place = round(float((run.value("PIVOT_TIME") - run.t0) / run.h))
+    # a retimed run has its rate from its start
+    some = len(kept.q) and not run.header.retimed
+    first = max(0, place - AROUND) // kept.every * kept.every if some else 0
+    q, p = (x[first // kept.every] for x in kept[:2]) if some else run.begun[1]
+    steps = min(place + AROUND, trajectory.steps) - first
+    free = {name: trajectory.parameters[name] for name in program.free_values()}
+    t = run.t0 + run.h * first
+    asked = Request(q, p0=p, h=run.h, steps=steps, t0=t, parameters=free, every=1)
+    return asked if steps <= MOST_AGAIN else None
 
 
 def _stays_regular(program: Program, trajectory: Trajectory) -> bool:

@@ -137,13 +137,7 @@ def given_inputs(program: Program, given: Any) -> dict[str, Any]:
     if given is None:
         return {}
     if isinstance(given, Mapping):
-        values: dict[str, Any] = {}
-        for key, value in given.items():
-            place = program.names.inputs.found(key)
-            if names[place] in values:
-                raise InputError(f"the input {names[place]} is given twice.\nGive it once.")
-            values[names[place]] = value
-        return values
+        return {names[k]: x for k, x in program.names.inputs.by_place(given).items()}
     if len(names) == 1 and callable(given):
         return {names[0]: given}
     array = read_array("inputs", given, program.numbers)

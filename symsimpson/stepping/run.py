@@ -33,7 +33,7 @@ PATIENCE = 0.02
 #: After so many steps in which it does not change at all, the time of a retimed run stands still.
 STANDSTILL = 1024
 #: Failures that no other kernels would help.
-HOPELESS = (Status.COORDINATE_SINGULARITY, Status.RATE_NOT_POSITIVE)
+HOPELESS = (*(Status.COORDINATE_SINGULARITY, Status.SINGULAR_LEGENDRE), Status.RATE_NOT_POSITIVE)
 #: After a step that only slower and more robust kernels could take, so many more are taken with
 #: them.
 FALLBACK_STRETCH = 64
@@ -235,7 +235,21 @@ class Run:
         if self.alive or self.arrived:
             return Status.SUCCESS
         last_resort = self._fallbacks[self._set] == "robust"
-        return failure(self.header, self._column, last_resort=last_resort)
+        status = failure(self.header, self._column, last_resort=last_resort)
+        lost = status is Status.SINGULAR_LEGENDRE and self.header.retimed
+        return Status.RATE_NOT_POSITIVE if lost and self._loses_rate() else status
+
+    def _loses_rate(self) -> bool:
+        """Return whether dt/dtau, by which M is divided, is not positive within two steps."""
+        W, at, n = self.W.copy(), self.header.layout, self.header.n
+        energy, q = self.kernels.address("energy", any_angle=True), W[at["POSITION"] :][:n].copy()
+        for ahead in range(3):
+            self._driver("apply")(energy, self.h, self._time(), W)
+            rate, v = W[at["RATE"], 0], W[at["VELOCITY"] :][:n]
+            if not rate > 0:
+                return True
+            W[at["POSITION"] :][:n] = q + (ahead + 1) * self.h * rate * v
+        return False
 
     @property
     def last_correction(self) -> float:
@@ -329,17 +343,14 @@ class Run:
         if before != after:
             LOG.info("%s: from step %d on with kernels %r, before with %r", *where, after, before)
         anew = "stages" in (self._fallbacks[number], self._fallbacks[self._set])
-        self._set = number
-        if not anew:
-            self._driver("switch")(
-                self._kernels(), self.h, self._time(), self.W, self.driver_layout
-            )
-            return
-        kept = [self.rows(name, 1) for name in ("ITERATIONS", "LARGEST_SQUARED")]
-        values = [row.copy() for row in kept]
-        self._driver("begin")(self._kernels(), 0, self.h, self._time(), self.W, self.driver_layout)
-        for row, value in zip(kept, values, strict=True):
-            row[:] = value
+        self._set, at = number, self.header.layout
+        last = at["PIVOT_TIME"]  # pivots are compared with those at the start
+        places = [*range(at.get("PIVOT_SCALE", last - 1), last + 1)]
+        places += [at["ITERATIONS"], at["LARGEST_SQUARED"]]
+        values = self._column[places]
+        here = self._kernels(), *((0,) if anew else ()), self.h, self._time()
+        self._driver("begin" if anew else "switch")(*here, self.W, self.driver_layout)
+        self._column[places] = np.where(values != 0, values, self._column[places])
 
     def _time(self) -> Any:
         return self.t0 + self.h * self.step

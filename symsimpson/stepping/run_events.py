@@ -301,7 +301,8 @@ def _changes(program: Program, event: Event, place: Any) -> tuple[tuple[str, int
     """Return what an event changes."""
     if not isinstance(event.action, Change):
         return ()
-    names, changes = program.names.coordinates, []
+    names = program.names.coordinates
+    changes: list[tuple[str, int, int]] = []
     for what, block in CHANGED.items():
         for coordinate, expression in getattr(event.action, what).items():
             number = names.place(coordinate)
@@ -311,6 +312,10 @@ def _changes(program: Program, event: Event, place: Any) -> tuple[tuple[str, int
                 raise InputError(
                     f"Change names {spelled(coordinate)!r}, which is no coordinate.\n"
                     f"The system has {', '.join(names.shown)}."
+                )
+            if (block, number) in {change[:2] for change in changes}:
+                raise InputError(
+                    f"Change gives the {what} of {names.shown[number]} twice.\nGive it once."
                 )
             changes.append((block, number, place(expression)))
     return tuple(changes)

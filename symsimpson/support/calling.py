@@ -198,6 +198,7 @@ def _problem(
         if key not in filled and known[key].kind not in (VARIADIC, KEYWORDS)
     ]
     if missing:
-        advice = NO_STEP if missing == ["h="] and function.__qualname__ in ADVICE else ""
-        return f"{name.rpartition('.')[2]} is not given {', '.join(missing)}{advice}.\n{takes}"
+        alone = missing == ["h="] and function.__qualname__ in ADVICE
+        what = f"{', '.join(missing)}{NO_STEP if alone else ''}"
+        return f"{name.rpartition('.')[2]} is not given {what}.\n{takes}"
     return None

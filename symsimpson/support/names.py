@@ -149,6 +149,22 @@ class Named:
             raise InputError(self.unknown(key))
         return place
 
+    def by_place(self, given: Mapping[Any, Any]) -> dict[int, Any]:
+        """Return values by the places of what their names or symbols mean.
+
+        Raises InputError if there is no such thing, or a value is given twice.
+        """
+        values: dict[int, Any] = {}
+        for key, value in given.items():
+            place = self.found(key)
+            if place in values:
+                raise InputError(
+                    f"{self.what} {self.shown[place]} is given twice, by name and by symbol.\n"
+                    "Give it once."
+                )
+            values[place] = value
+        return values
+
     def unknown(self, key: Any) -> str:
         """Say that there is no such thing, and which there are."""
         name = spelled(key)

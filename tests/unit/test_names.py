@@ -101,3 +101,28 @@ def test_what_was_probably_meant(name, meant):
 def test_names_of_the_package(call, kind, message):
     with pytest.raises(kind, match=message):
         call()
+
+
+def test_what_is_given_by_name_and_by_symbol_is_refused_by_all_readers():
+    (x,) = ss.coordinates("x")
+    k, u = sp.symbols("k u", positive=True)
+    about = {"coordinates": (x,), "kinetic": x.diff() ** 2 / 2, "potential": k * x**2 / 2}
+    about |= {"parameters": {k: 1.0}, "forces": {x: u}, "inputs": (u,)}
+    system = ss.MechanicalSystem("twice", **about)
+    stepper, given = ss.compile(system), {"v0": [0.0], "h": 0.1, "steps": 3}
+    values, inputs = {k: 2.0, "k": 3.0}, {u: 1.0, "u": 2.0}
+    leap = ss.Event(x, name="leap", action=ss.Change(velocities={x: 1.0, "x": 2.0}))
+    asked = (
+        lambda: stepper.integrate([1.0], parameters=values, **given),
+        lambda: stepper.integrate([1.0], inputs=inputs, **given),
+        lambda: stepper.integrate([1.0], inputs={"u": 1.0}, events=leap, **given),
+        lambda: stepper.ensemble([[1.0]], parameters=values, **given),
+        lambda: stepper.ensemble([[1.0]], inputs=inputs, **given),
+        lambda: stepper.energy([[1.0]], [[0.0]], parameters=values),
+        lambda: stepper.certify(inputs=inputs),
+        lambda: system.linearise([1.0], parameters=values),
+        lambda: ss.MechanicalSystem("twice", **about, units={x: "m", "x": "mm"}),
+    )
+    for ask in asked:
+        with pytest.raises((ss.InputError, ss.ModelError), match=r"twice.*\nGive it once"):
+            ask()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Hashable, Sequence
+from contextvars import ContextVar
 from functools import lru_cache
 from typing import Any
 
@@ -20,10 +21,10 @@ from symsimpson.errors import SymsimpsonError
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import Value
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.program.evaluating import evaluate
 from symsimpson.program.program import Program
 from symsimpson.reference.first_order import Lines
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.run.ended import uninterrupted
 from symsimpson.run.requested import run as run_again
 from symsimpson.stepping.request import Request
 from symsimpson.support.array_types import Floats
@@ -50,6 +51,9 @@ PASSAGES, BEFORE, BEHIND, FINER = 3, 2, 3, 16
 #: The ends may be so far apart, squared, in units of what a step moves; and so many times as far
 #: as where det M is ordinary.
 APART, ORDINARY = 1e-3, 100.0
+
+#: Whether steps are taken again to look at a passage.
+_looking: ContextVar[bool] = ContextVar("_looking", default=False)
 
 
 @lru_cache(maxsize=64)
@@ -89,19 +93,26 @@ def at_pole(system: MechanicalSystem, run: Trajectory) -> str:
     sizes = _sizes(system, t[some], q[some], values)
     usual = float(np.median(sizes))
     at = sizes[-1] < CLOSE * usual and _vanishes_near(system, t[-1], q[-1], values, usual)
+    ahead = [x[-1] + k * (x[-1] - x[-2]) for k in (1, 2) for x in (t, q)]
+    masses = _masses(system, np.array(ahead[::2]), np.array(ahead[1::2]), values)
+    regular = np.isfinite(masses).all()
+    if at and regular and np.linalg.eigvalsh(masses).min() < -VANISHES * abs(masses).max():
+        return ""  # M changes its sign there
     return _named(system, run, -1) if at else ""
 
 
 def unresolved_pole(
-    program: Program, system: MechanicalSystem, run: Trajectory
+    program: Program, system: MechanicalSystem, run: Trajectory, asked: Request | None = None
 ) -> tuple[float, str, bool] | None:
     """Return when a run passed a small det M unresolved, where, and if it vanishes near there.
 
-    The run has stored all its states. Where is told in words; the last is whether the coordinates
-    have a singular point there. It is None if there was no such passage.
+    The run has stored all its states, or its steps are taken again as ``asked``. Where is told in
+    words; the last is whether the coordinates have a singular point there. It is None if there was
+    no such passage.
     """
-    if _mass(system)[0] is None:
+    if _mass(system)[0] is None or _looking.get():
         return None
+    run = run if asked is None else _run_quietly(program, asked)
     t, q, values = _states(run)
     stride = max(1, len(t) // SAMPLES)
     sizes = _sizes(system, t[::stride], q[::stride], values)
@@ -120,6 +131,17 @@ def unresolved_pole(
             singular = _vanishes_near(system, t[place], q[place], values, sizes[plain])
             return float(t[place]), _named(system, run, int(place)), singular
     return None
+
+
+def _run_quietly(program: Program, asked: Request) -> Trajectory:
+    """Run without warnings; nobody looks at the passages of this run."""
+    token = _looking.set(True)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return uninterrupted(run_again(program, asked, None, False, "return"))
+    finally:
+        _looking.reset(token)
 
 
 def _vanishes_near(
@@ -193,7 +215,11 @@ def _apart(program: Program, system: MechanicalSystem, run: Trajectory, place: i
 
     Nothing is known where inputs are polynomials of the steps: 0.
     """
-    first, last = max(0, place - BEFORE), min(len(run) - 1, place + BEHIND)
+    first, last = max(0, place - BEFORE), min(run.steps, place + BEHIND)
+    rate = 1.0
+    if program.header.retimed:  # whose rate is 1 where a run begins
+        here = np.zeros(1), run.q[[first]], run.p[[first]]
+        rate = evaluate(program, "energy", "RATE", 1, here, run.parameter_values).item()
     inputs: Any = None
     if program.inputs:
         if run.input_values.shape[2] > 1:
@@ -204,23 +230,21 @@ def _apart(program: Program, system: MechanicalSystem, run: Trajectory, place: i
             for k, name in enumerate(program.inputs)
         }
     free = {name: run.parameters[name] for name in program.free_values()}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            asked = Request(
-                run.q[first],
-                p0=run.p[first],
-                h=run.h / FINER,
-                steps=FINER * (last - first),
-                t0=run.t[first],
-                parameters=free,
-                inputs=inputs,
-            )
-            finer = uninterrupted(run_again(program, asked, None, False, "return"))
-        except KeyboardInterrupt:
-            raise
-        except SymsimpsonError:
-            return np.inf
+    try:
+        asked = Request(
+            run.q[first],
+            p0=run.p[first],
+            h=run.h * rate / FINER,
+            steps=FINER * (last - first),
+            t0=run.t[first],
+            parameters=free,
+            inputs=inputs,
+        )
+        finer = _run_quietly(program, asked)
+    except KeyboardInterrupt:
+        raise
+    except SymsimpsonError:
+        return np.inf
     if not finer.success:
         return np.inf
     turn = np.where(_periodic(system), 2 * np.pi, np.inf)

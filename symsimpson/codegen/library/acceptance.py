@@ -3,13 +3,10 @@
 
 @compiled
 def check_convergence(W, lane):
-    """Go on with a lane, or not: ACTIVE becomes 0 where it is solved, -3 where it is not finite.
+    """Set ACTIVE to 0 where a lane is solved, and to -3 where it is not finite.
 
-    The correction after the present one is predicted from the ratio of a correction to the square
-    of the one before it, as seen of late; where it would be lost in rounding, the lane is done.
-    Increments of a coordinate may be far smaller than those of others: each is held to its own.
-    All sizes are squared: RELATIVE, a correction relative to the increments, and CONTRACTION, the
-    ratio.
+    CONTRACTION, the ratio of a correction to the square of the one before, predicts the next one;
+    where that would be lost in rounding, for each coordinate, the lane is done. Sizes are squared.
     """
     active = W[ACTIVE, lane]
     correction, increment = W[CORRECTION_SQUARED, lane], W[INCREMENT_SQUARED, lane]
@@ -74,14 +71,17 @@ def check_drift(W, lane):
 
 
 @compiled
-def check_acceptance(W, lane):
-    """Mark a solution that may not be the one that smaller steps lead to, or that says nothing.
+def check_pivots(W, lane):
+    """Mark a step (by 4 more) at whose end a pivot of M is far smaller than any before."""
+    W[IN_DOUBT, lane] += 4.0 if W[MASS_PIVOT, lane] <= W[PIVOT_LIMIT, lane] else 0.0
 
-    Its increments are further from the predicted ones than any was from zero (the first step of a
-    run has nothing to compare with), or the velocity at the end of its path is far from that of
-    the new momentum, in units of the largest increments so far. Midpoint leaves rest with 1.
-    It says nothing (2) where the velocities of cyclic coordinates are lost within the step, and
-    is looked at (3) where their masses change much.
+
+@compiled
+def check_acceptance(W, lane):
+    """Mark a solution (1) that may not be the one that smaller steps lead to.
+
+    Its increments, or the velocity at the end of its path, are far from what is expected. Or
+    velocities of cyclic coordinates are lost within the step (2), or their masses change much (3).
     """
     known = W[LARGEST_SQUARED, lane]
     largest = max(known, W[INCREMENT_SQUARED, lane])

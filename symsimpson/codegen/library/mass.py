@@ -23,6 +23,22 @@ def factor_mass(W, lane):
 
 
 @compiled
+def scale_pivots(W, first, lane):
+    """Keep 1 / pivot of M where a run begins."""
+    for i in range(DIMENSION):
+        W[PIVOT_SCALE + i, lane] = 1 / W[first + PIVOT_AT[i], lane]
+
+
+@compiled
+def compare_pivots(W, first, lane):
+    """Find the smallest pivot of M, each in units of that at the start."""
+    least = INFINITE
+    for i in range(DIMENSION):
+        least = min(least, W[first + PIVOT_AT[i], lane] * W[PIVOT_SCALE + i, lane])
+    W[MASS_PIVOT, lane] = least
+
+
+@compiled
 def momentum_to_solve(W, lane):
     """Return p - a to the solve for the velocity."""
     for s in range(DIMENSION):

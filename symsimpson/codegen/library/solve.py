@@ -37,10 +37,7 @@ def solve_symmetric(W, first, right, count, band, stride, lane):
 
 @compiled
 def solve_pivoted(W, lane):
-    """Solve J x = R in place by Gaussian elimination with row pivoting; x takes the place of R.
-
-    A row with a larger entry takes the place of the pivot's at once: lanes may differ in that.
-    """
+    """Solve J x = R in place with row pivoting; a larger entry takes the pivot's place at once."""
     for k in range(SOLVE_UNKNOWNS):
         last = min(SOLVE_UNKNOWNS, k + SOLVE_LOWER + 1)
         end = min(SOLVE_UNKNOWNS, k + SOLVE_UPPER + 1)
@@ -73,11 +70,7 @@ def solve_pivoted(W, lane):
 
 @compiled
 def solve_in_pairs(W, lane):
-    """Solve J x = R in place without exchange of rows; x takes the place of R.
-
-    Rows are eliminated two by two, with the inverse of the 2 x 2 block on the diagonal: divisions
-    wait for each other, and this is one for both.
-    """
+    """Solve J x = R in place, two rows by two: divisions wait for each other, and this is one."""
     paired = SOLVE_UNKNOWNS - SOLVE_UNKNOWNS % 2
     for k in range(0, paired, 2):
         upper = JACOBIAN + k * SOLVE_STRIDE

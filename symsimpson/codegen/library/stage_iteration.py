@@ -108,6 +108,17 @@ def check_stage_acceptance(W, lane):
 
 
 @compiled
+def least_over_nodes(W, lane):
+    """Find the smallest pivot of M at the nodes, or 0 where it may vanish behind the last."""
+    least = W[STAGE_PIVOT, lane]
+    for node in range(1, NODES):
+        least = min(least, W[STAGE_PIVOT + node, lane])
+    last = W[STAGE_PIVOT + NODES - 1, lane]
+    ahead = last + FALL * (last - W[STAGE_PIVOT + NODES - 2, lane])
+    W[MASS_PIVOT, lane] = 0.0 if (ahead <= 0) & (least > 0) else least
+
+
+@compiled
 def leave_path(W, lane):
     """Leave the path of the step to whoever differentiates it: increments of control points."""
     for k in range(DEGREE):

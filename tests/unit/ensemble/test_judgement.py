@@ -96,3 +96,26 @@ def test_where_no_member_could_begin_it_says_why():
     stepper = ss.compile(system, "gauss4")
     with pytest.raises(ss.InputError, match="not positive definite"):
         stepper.ensemble([[0, 10.0, 0]] * 8, v0=[1.2, 0, 0.04], h=0.1, steps=10)
+
+
+@pytest.mark.slow
+def test_the_energy_of_each_of_many_members_is_looked_at():
+    """Member 22 of 1000 falls into the centre and comes out at x = 9163, its energy at 531011."""
+    v0 = np.tile([0.0, 1.0], (1000, 1))
+    v0[22] = 0.0
+    x, y = ss.coordinates("x y")
+    kinetic, centre = (x.diff() ** 2 + y.diff() ** 2) / 2, -1 / sp.sqrt(x**2 + y**2)
+    about = {"kinetic": kinetic, "potential": centre, "parameters": {}}
+    system = ss.MechanicalSystem("comet", coordinates=(x, y), **about)
+    stepper = ss.compile(system, "suzuki4")
+    for every in (None, 50):
+        with pytest.warns(ss.ResolutionWarning, match="member 22, as others may"):
+            stepper.ensemble([1.0, 0.0], v0=v0, h=0.05, t_end=10.0, every=every)
+
+
+def test_a_member_tells_the_time_of_its_steps():
+    stepper = ss.compile(ss.systems.kepler().retimed("encounters"))
+    many = stepper.ensemble(STARTS[:2], v0=SPEEDS[:2], h=0.1, steps=4, every=2)
+    run = stepper.integrate(STARTS[1], v0=SPEEDS[1], h=0.1, steps=4, every=2)
+    assert (many[1].tau == run.tau).all()
+    assert (many[1].tau == many.tau[1]).all()

@@ -138,7 +138,7 @@ def test_what_cannot_be_linearised_is_told():
     pendulum = ss.systems.pendulum()
     with pytest.raises(ss.InputError, match="q0 is"):
         pendulum.linearise([0.0, 1.0])
-    with pytest.raises(ss.InputError, match="parameters names 'k'"):
+    with pytest.raises(ss.InputError, match="no parameter 'k'"):
         pendulum.linearise([0.0], parameters={"k": 1.0})
     with pytest.raises(ss.InputError, match="q0 does not satisfy the constraints"):
         ss.systems.cartesian_pendulum().linearise([0.0, 0.0, -1.1])

@@ -8,7 +8,7 @@ import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.stepping.driving import at_places, read_driving
+from symsimpson.stepping.driving import at_places
 
 H, STEPS = 0.02, 60
 START = {"q0": [0.0, 0.1], "v0": [0.0, 0.0]}
