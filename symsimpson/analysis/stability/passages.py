@@ -25,6 +25,7 @@ from symsimpson.program.evaluating import evaluate
 from symsimpson.program.program import Program
 from symsimpson.reference.first_order import Lines
 from symsimpson.results.trajectory import Trajectory
+from symsimpson.run.ended import uninterrupted
 from symsimpson.run.requested import run as run_again
 from symsimpson.stepping.request import Request
 from symsimpson.support.array_types import Floats
