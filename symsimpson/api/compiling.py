@@ -21,6 +21,8 @@ from symsimpson.mechanics.extended import extended
 from symsimpson.mechanics.points import points_of
 from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.module.header import check_interface
+from symsimpson.module.interface import INTERFACE
 from symsimpson.program.numbers import Numbers
 from symsimpson.program.program import Program, Tools, new_program, read_program
 from symsimpson.program.texts import kept_text
@@ -298,7 +300,9 @@ def load(path: str | os.PathLike[str]) -> Stepper:
             "Generate it with symsimpson.generate(system, scheme). A run that was saved is read by "
             "symsimpson.open_trajectory."
         ) from error
-    return Stepper(read_program(text, os.fspath(path), TOOLS))
+    program = read_program(text, os.fspath(path), TOOLS)
+    check_interface(program.header.layout, program.where, (INTERFACE,))
+    return Stepper(program)
 
 
 @explained()

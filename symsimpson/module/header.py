@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields
 from functools import cached_property
@@ -20,7 +20,19 @@ from symsimpson.module.interface import INTERFACE, PIVOTED
 from symsimpson.module.workspace_layout import ADJACENT, BLOCKS, DRIVER_LAYOUT
 from symsimpson.support.array_types import Ints
 
-__all__ = ["SIGNED", "Header", "digest", "read_header", "signed_anew", "with_facts"]
+__all__ = [
+    "SIGNED",
+    "Header",
+    "check_interface",
+    "digest",
+    "read_header",
+    "signed_anew",
+    "with_facts",
+]
+
+#: Interfaces of modules in files of runs that can still be driven, each with the blocks that these
+#: modules do not have. The driver has rows of its own for them, behind those of the module.
+OLDER = {12: ("PIVOT_LIMIT", "PIVOT_TIME")}
 
 #: Constants without which nothing is a module.
 _SIZES = {"DIMENSION", "DEGREE", "UNKNOWNS", "NEWTON_UNKNOWNS", "NODES", "ROWS"}
@@ -175,20 +187,28 @@ def read_header(text: str, where: str) -> Header:
             case ast.FunctionDef(name=name):
                 functions.append(name)
     facts, layout = constants.get("FACTS"), _of_type(constants, int)
-    if layout.get("INTERFACE") != INTERFACE:
-        raise StaleKernelError(
-            f"{where}: the module has kernel interface {constants.get('INTERFACE')}, "
-            f"this symsimpson drives interface {INTERFACE}.\n"
-            "Generate it anew: symsimpson generate, or symsimpson.generate(system, scheme)."
-        )
+    check_interface(layout, where, (INTERFACE, *OLDER))
     if not (isinstance(facts, dict) and _are_facts(facts) and _fit(facts, layout)):
         raise StaleKernelError(
             f"{where}: what the module says of itself is not complete, or of other types.\n"
             "It is damaged, or was made by somebody else. Generate it anew."
         )
     _check_layout(layout, where)
+    added = OLDER.get(layout["INTERFACE"], ())
+    rows = {name: layout["ROWS"] + k for k, name in enumerate((*added, "ROWS"))}
+    layout = MappingProxyType({**layout, **rows})
     tables = _of_type(constants, tuple)
     return Header(**facts, layout=layout, tables=tables, functions=tuple(functions))
+
+
+def check_interface(layout: Mapping[str, int], where: str, driven: Container[int]) -> None:
+    """Raise StaleKernelError if the interface of a module is none of these."""
+    if layout.get("INTERFACE") not in driven:
+        raise StaleKernelError(
+            f"{where}: the module has kernel interface {layout.get('INTERFACE')}, "
+            f"this symsimpson drives interface {INTERFACE}.\n"
+            "Generate it again: symsimpson generate, or symsimpson.generate(system, scheme)."
+        )
 
 
 def signed_anew(text: str) -> str:

@@ -400,4 +400,7 @@ class Run:
     def put_back(self, position: Sequence[Any], workspace: Floats) -> None:
         """Go on where another run was."""
         self.first, self._progress[0], self._set, self._set_until = position
+        later = len(self._column) - len(workspace)  # rows that an older module had not
+        if later:
+            workspace = np.insert(workspace, self.header.rows - later, np.zeros(later))
         self._column[:] = workspace

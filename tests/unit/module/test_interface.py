@@ -81,7 +81,7 @@ def test_the_driver_is_one_text_that_imports_nothing_of_ours():
 
 
 def test_a_module_of_the_interface_before_is_refused_and_told_what_to_do():
-    with pytest.raises(StaleKernelError, match=r"has kernel interface 9.*\n.*Generate it anew"):
+    with pytest.raises(StaleKernelError, match=r"has kernel interface 9.*\n.*Generate it again"):
         read_header(signed(redefined(TEXT, {"INTERFACE": "INTERFACE = 9", "FACTS": ""})), "here")
 
 

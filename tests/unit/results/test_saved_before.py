@@ -56,3 +56,9 @@ def test_a_solution_of_optimal_control_opens(expected):
     solution = problem.open(SAVED / "cart_control.npz")
     assert solution.success
     assert solution.cost == pytest.approx(float(expected["cost"]), rel=1e-12)
+
+
+def test_a_generated_file_of_an_earlier_interface_is_stale():
+    """A run that was saved needs it; a file can be written again."""
+    with pytest.raises(ss.StaleKernelError, match=r"interface 12.*\n.*symsimpson generate"):
+        ss.load(SAVED / "pendulum__midpoint.py")
