@@ -28,6 +28,8 @@ MOST = 8000
 #: Chords that miss the motion by more than FINE of the range are divided, and by more than ROUGH
 #: are not drawn.
 FINE, ROUGH = 0.002, 0.02
+#: The same over time, where so many states fill a band.
+BAND = 0.2
 #: The part of an interval at which its chord is checked, and how many intervals are.
 PART, CHECKED = 0.381966, 200
 #: States between take at most so many steps, divided by the number of coordinates; steps of
@@ -62,6 +64,7 @@ def curve_of(some: Any, read: Read, connected: bool = True, *, thin: bool = Fals
         some = some[sample(len(some), MOST)]
     knots = curve = _with_events(some)
     t, parts = _times(knots), 1
+    rough = ROUGH if thin or len(t) < MOST / 4 else BAND
     while True:
         miss = chords_miss(curve, read, some)
         finer = parts * math.ceil(math.sqrt(min(miss, 1.0) / FINE))
@@ -69,7 +72,7 @@ def curve_of(some: Any, read: Read, connected: bool = True, *, thin: bool = Fals
         inner = t[:-1, None] + np.diff(t)[:, None] * np.arange(1, finer) / finer
         more = _between(some, inner.ravel()) if finer > parts else None
         if miss <= FINE or more is None:
-            joined = miss <= ROUGH and len(t) > 1
+            joined = miss <= rough and len(t) > 1
             return Curve(curve if joined else knots, knots, joined)
         places = np.repeat(np.arange(1, len(t)), finer - 1)
         parts, curve = finer, _merged(knots, places, more.t, more.q, more.p)
