@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import chain, count
 from typing import Any, overload
@@ -28,11 +28,16 @@ from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
 from symsimpson.support.names import counted
 
-__all__ = ["Ensemble", "names_in_dataset"]
+__all__ = ["Ensemble", "names_in_dataset", "spread"]
 
 #: Names that a dataset has for itself.
 STATES = ("q", "p", "q0", "v0", "p0", "variations")
 RESERVED = (*STATES, "status", "steps", "newton_iterations", "member", "time", "coord")
+
+
+def spread(members: int, most: int) -> NDArray[np.int64]:
+    """Return so many members at most, spread over all."""
+    return np.unique(np.linspace(0, members - 1, min(members, most)).astype(np.int64))
 
 
 @explaining()
@@ -130,10 +135,6 @@ class Ensemble(Quantities, Differentiated):
         program, values = self.program, self.parameter_values[member]
         driven = None if self.driven is None else self.driven.of_member(member)
         return States(t=t, q=q, p=p, program=program, parameter_values=values, driven=driven)
-
-    def __iter__(self) -> Iterator[States]:
-        """Iterate over the members, each as ``ensemble[k]`` gives it."""
-        return (self[k] for k in range(len(self)))
 
     @property
     def stored(self) -> int:

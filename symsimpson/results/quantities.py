@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Any, NoReturn, cast
 
@@ -187,6 +188,10 @@ class Quantities:
         positions = getattr(self.program.declared, "positions", None) or ()
         every += [*names.invariants.shown, *self._own_names(), *positions, "t"]
         return every + [quantity.name for quantity in SCALARS]
+
+    def __iter__(self: Any) -> Iterator[Any]:
+        """Iterate over states, or members of an ensemble, as ``self[k]`` gives them."""
+        return (self[k] for k in range(len(self)))
 
     def __array__(self, dtype: Any = None, copy: Any = None) -> NoReturn:
         """Raise InputError: NumPy would look for an array in states of states."""

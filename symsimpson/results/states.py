@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, overload
 
@@ -161,10 +161,6 @@ class States(Quantities):
 
     def __getstate__(self) -> dict[str, Any]:
         return {f.name: getattr(self, f.name) for f in fields(self)}  # without what was computed
-
-    def __iter__(self) -> Iterator[States]:
-        """Iterate over the states, each as ``run[k]`` gives it."""
-        return (self[k] for k in range(len(self)))
 
     def plot(self, names: str | Sequence[str] | None = None, *more: str, ax: Any = None) -> Any:
         """Draw quantities over time.
