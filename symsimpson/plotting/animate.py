@@ -128,14 +128,15 @@ def animate(
     frames = max(2, round(length * fps))
     for fine in (COARSE, 2 * COARSE, FINEST):
         t = np.linspace(float(run.t[0]), float(run.t[-1]), (frames - 1) * fine + 1)
-        miss = chords_miss(run.at(t), read_places, run)
+        states = run.at(t)
+        miss = chords_miss(states, read_places, run)
         if miss <= FINE:
             break
-    between = np.flatnonzero(np.arange(len(t)) % fine)
-    for record in getattr(run, "records", ()):  # trails pass through the places of events
+    records, between = getattr(run, "records", ()), np.flatnonzero(np.arange(len(t)) % fine)
+    for record in records[:: 1 + len(records) // len(t)]:  # trails pass through places of events
         if min(t[0], t[-1]) < record.t < max(t[0], t[-1]):
             t[between[np.abs(t[between] - record.t).argmin()]] = record.t
-    scene = scene_of(run.at(t), fine, joined=miss <= ROUGH)
+    scene = scene_of(run.at(t) if records else states, fine, joined=miss <= ROUGH)
     inches, more = ((8.3, 9.2), 50) if scene.spatial else ((4.2, 4.2), 168)
     make = film_in_space if scene.spatial else film_in_plane
     title = f"{run.program.system}, {run.program.scheme}"

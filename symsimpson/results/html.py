@@ -12,17 +12,7 @@ from symsimpson.results.outcome import iterations_a_step
 from symsimpson.support.markup import Markup, box, curves, facts, scatter
 from symsimpson.support.names import counted
 
-__all__ = [
-    "chaos",
-    "dense",
-    "ensemble",
-    "events",
-    "solution",
-    "states",
-    "stepper",
-    "trajectory",
-    "verdict",
-]
+__all__ = ["chaos", "ensemble", "events", "solution", "states", "stepper", "trajectory", "verdict"]
 
 #: More coordinates than this are no picture each.
 DRAWN = 6
@@ -153,12 +143,6 @@ def chaos(result: Any) -> str:
         ("to t", f"{result.t[-1]:g}"),
     ]
     return box(f"Lyapunov exponents of {result.trajectory.program.system}", facts(rows))
-
-
-def dense(output: Any) -> str:
-    """Show what the states between those of a run are."""
-    calls = "sol(t) gives positions and momenta, shape (2 n,) or (2 n, m)"
-    return box(repr(output), facts([("call", calls)]))
 
 
 def verdict(text: str, good: bool) -> Markup:
