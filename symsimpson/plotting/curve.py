@@ -62,7 +62,7 @@ def curve_of(some: Any, read: Read, connected: bool = True, *, thin: bool = Fals
         return Curve(some, some, connected)
     if thin and len(some) > MOST:
         some = some[sample(len(some), MOST)]
-    knots = curve = _with_events(some)
+    knots = curve = _with_events(some, MOST // 4 if thin else 20 * MOST)
     t, parts = _times(knots), 1
     rough = ROUGH if thin or len(t) < MOST / 4 else BAND
     while True:
@@ -120,14 +120,14 @@ def _between(some: Any, t: Floats) -> Any:
     return None
 
 
-def _with_events(some: Any) -> Any:
-    """Return states and, between them, those before and after each event."""
+def _with_events(some: Any, most: int) -> Any:
+    """Return states and, between them, those before and after each event, up to so many."""
     t, records = _times(some), getattr(some, "records", ())
     low, high, sign = t.min(initial=0), t.max(initial=0), 1.0 if t[-1:] >= t[:1] else -1.0
     records = [record for record in records if low <= record.t <= high]
     if not records or (np.diff(sign * t) < 0).any():
         return some
-    records = records[:: 1 + len(records) // MOST]
+    records = records[:: 1 + len(records) // most]
     acted = np.array([record.t for record in records])
     q = np.array([(record.q, record.q_after) for record in records])
     p = np.array([(record.p, record.p_after) for record in records])
