@@ -64,23 +64,10 @@ def slope_triangle(
     top = y * (to / x) ** order
     ax.plot([x, to, to, x], [y, y, top, y], lw=0.8, color=color)
     middle = float(np.sqrt(x * to))
-    ax.annotate(
-        "1",
-        (middle, y),
-        (0, -2),
-        textcoords="offset points",
-        ha="center",
-        va="top",
-        fontsize=8,
-        color=color,
-    )
-    ax.annotate(
-        str(order),
-        (to, float(np.sqrt(y * top))),
-        (3, 0),
-        textcoords="offset points",
-        ha="left",
-        va="center",
-        fontsize=8,
-        color=color,
-    )
+    below, beside = {"ha": "center", "va": "top"}, {"ha": "left", "va": "center"}
+    for text, place, away, how in (
+        ("1", (middle, y), (0, -2), below),
+        (str(order), (to, float(np.sqrt(y * top))), (3, 0), beside),
+    ):
+        how |= {"textcoords": "offset points", "fontsize": 8, "color": color}
+        ax.annotate(text, place, away, **how)

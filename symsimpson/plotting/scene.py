@@ -43,7 +43,6 @@ class Scene:
     reach: float  #: Nothing is farther from the middle, along an axis.
     stride: int  #: Points in ``fine`` from one frame to the next.
     unit: str  #: That of all positions.
-    joined: bool  #: Whether lines between ``fine`` follow the motion.
 
     @property
     def points(self) -> Floats:
@@ -77,7 +76,7 @@ class Film:
     dpi: float
 
 
-def scene_of(some: Any, stride: int = 1, *, joined: bool = True) -> Scene:
+def scene_of(some: Any, stride: int = 1) -> Scene:
     """Evaluate the positions that were declared with a system; each ``stride``-th state is a frame.
 
     Raises InputError if there are none.
@@ -93,7 +92,7 @@ def scene_of(some: Any, stride: int = 1, *, joined: bool = True) -> Scene:
     reach = 0.55 * float((high - low).max()) or 1.0
     thinned, middle = tuple(x[::stride] for x in bodies), (low + high) / 2
     unit = unit_of(some.program)
-    return Scene(tuple(points), together, thinned, links, middle, reach, stride, unit, joined)
+    return Scene(tuple(points), together, thinned, links, middle, reach, stride, unit)
 
 
 def places_of(some: Any) -> dict[str, Floats]:
@@ -120,17 +119,12 @@ def places_of(some: Any) -> dict[str, Floats]:
 
 
 def unit_of(program: Any) -> str:
-    """Return the unit of all positions, "" if it is not known or they differ.
-
-    It is that of points by name, or of lengths in their terms: coordinates and factors.
-    """
+    """Return the unit of points, or of factors in them; "" if it is not known or they differ."""
     known, units = program.units, set()
     for name, place in program.declared.positions.items():
-        corners = place if isinstance(place[0], tuple) else [place]
-        terms = [x for corner in corners for axis in corner for x in axis.as_ordered_terms()]
-        factors = [[spelled(x) for x in term.as_ordered_factors()] for term in terms]
-        lengths = [[known[x] for x in row if x in known] for row in factors]
-        units |= {known[name]} if name in known else {" ".join(row) for row in lengths if row}
+        terms = [term for axis in np.ravel(place) for term in axis.as_ordered_terms()]
+        factors = {spelled(x) for term in terms for x in term.as_ordered_factors()}
+        units |= {known[x] for x in ([name] if name in known else factors & set(known))}
     return units.pop() if len(units) == 1 else ""
 
 

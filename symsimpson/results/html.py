@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from typing import Any
 
 import numpy as np
@@ -147,6 +148,4 @@ def chaos(result: Any) -> str:
 
 def verdict(text: str, good: bool) -> Markup:
     """Return a text in green or red."""
-    import html
-
     return Markup(f'<span style="color: {GOOD if good else BAD}">{html.escape(text)}</span>')

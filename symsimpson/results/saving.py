@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.module.quantity import SCALARS, VECTORS
 from symsimpson.results.stored import Stored
 from symsimpson.results.tables import write
 
@@ -25,9 +24,7 @@ def save(run: Stored, path: str | os.PathLike[str]) -> None:
     """Write a trajectory to a file that it can be read from again, or a table of its states."""
 
     def arrays() -> dict[str, Any]:
-        stored = (quantity.name for quantity in (*VECTORS, *SCALARS))
-        columns = {name: getattr(run, name) for name in ("t", *stored)}
-        return columns | {f"point_{name}": x for name, x in run.points.items()}
+        return run._arrays() | {f"point_{name}": x for name, x in run.points.items()}
 
     write(path, "trajectory", arrays, run._table, lambda: _dataset(run), trajectory=run)
 
@@ -66,12 +63,8 @@ def _dataset(run: Stored) -> Any:
 
 def _of_events(run: Stored) -> str:
     """Return what events did, as JSON."""
-    about = {
-        "names": run.event_names,
-        "ended_by": run.ended_by,
-        "records": [x.as_json for x in run.records],
-    }
-    return json.dumps(about)
+    records = [x.as_json for x in run.records]
+    return json.dumps({"names": run.event_names, "ended_by": run.ended_by, "records": records})
 
 
 def digest_of(run: Stored) -> str:

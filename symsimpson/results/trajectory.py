@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_array
 from symsimpson.program.status import Status
+from symsimpson.results import html
 from symsimpson.results.differentiated import Differentiated
 from symsimpson.results.energies import Energies
 from symsimpson.results.states import States
@@ -173,7 +174,7 @@ class Trajectory(Energies, Differentiated):
         with numbers.working():
             times = np.atleast_1d(numbers.result(read_array("t", t, numbers)))
         q, p = self.sol.states(times)
-        return self._others(times, q, p)
+        return self.with_states(times, q, p)
 
     def events(self, expression: Any, *, direction: int = 0, wrap: Any = ()) -> Events:
         """Find the zeros of an expression along the run, to rounding error.
@@ -312,10 +313,7 @@ class Trajectory(Energies, Differentiated):
     def _about(self) -> dict[str, Any]:
         return super()._about() | self._outcome()
 
-    def _repr_html_(self) -> str:
-        from symsimpson.results.html import trajectory
-
-        return trajectory(self)
+    _repr_html_ = html.trajectory
 
     def __repr__(self) -> str:
         program = self.program
