@@ -14,7 +14,7 @@ import numpy as np
 
 from symsimpson.errors import InputError
 from symsimpson.plotting.axes import axes, colours, label, legend, style
-from symsimpson.plotting.curve import at_once, curve_of
+from symsimpson.plotting.curve import curve_of
 from symsimpson.plotting.pictures import KINDS, film_in_plane, frame_scene, painter, write_film
 from symsimpson.plotting.scene import Film, places_of, scene_of
 from symsimpson.plotting.space import film_in_space
@@ -111,7 +111,7 @@ def animate(
             "Pass up to 600 seconds, and from 1 to 100 frames in each."
         )
     sizes = [dpi, *np.ravel((1, 1) if figsize is None else figsize)]
-    real = all(isinstance(x, (int, float, np.number)) for x in sizes)
+    real = all(isinstance(x, Real) for x in sizes)
     if len(sizes) != 3 or not real or not all(0 < x < MOST_DOTS for x in sizes):
         raise InputError(
             f"figsize={figsize!r}, dpi={dpi!r} are no size of a figure.\n"
@@ -148,8 +148,8 @@ def plot_path(run: Any, *, connected: bool = True, ax: Any = None) -> Any:
             f"{run.program.system} moves in space, and these axes are plane.\n"
             "Make axes with plt.subplots(subplot_kw={'projection': '3d'}), or leave ax out."
         )
-    # an event may move points at once
-    paths = np.insert(scene.fine, np.flatnonzero(at_once(curve.states.t)) + 1, np.nan, axis=0)
+    acted = np.flatnonzero(np.diff(curve.states.t) == 0)  # an event may move points at once
+    paths = np.insert(scene.fine, acted + 1, np.nan, axis=0)
     how = style(curve.connected, len(scene.fine), 0.7)
     for k, (name, colour) in enumerate(zip(scene.names, colours(len(scene.names)), strict=True)):
         ax.plot(*paths[:, k].T, color=colour, label=label(name), **how)

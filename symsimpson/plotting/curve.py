@@ -10,7 +10,7 @@ import numpy as np
 from symsimpson.errors import ConvergenceError, InputError
 from symsimpson.support.array_types import Floats
 
-__all__ = ["Curve", "at_once", "curve_of"]
+__all__ = ["Curve", "curve_of"]
 
 #: Chords that miss the motion by more than FINE of the range are divided, and by more than ROUGH
 #: are not drawn.
@@ -19,11 +19,9 @@ FINE, ROUGH = 0.002, 0.02
 PART, CHECKED = 0.381966, 200
 #: States between take at most so many steps, divided by the number of coordinates; steps of
 #: numbers with many digits count as many.
-STEPS, DIGITS = 300_000, 1000
+STEPS, DIGITS = 100_000, 1000
 #: Ranges below this part of the values are rounding; below this part of other ranges, noise.
 ROUNDING, NOISE = 1e-6, 1e-12
-#: Intervals below this part of others are none.
-NOTHING = 1e-9
 
 Read = Callable[[Any], list[Any]]
 
@@ -49,7 +47,7 @@ def curve_of(some: Any, read: Read, connected: bool = True) -> Curve:
     while (miss := _chords_miss(curve, read, some)) > FINE:
         parts *= 2
         inner = t[:-1, None] + np.diff(t)[:, None] * np.arange(1, parts) / parts
-        more = _between(some, inner[~at_once(t)].ravel())
+        more = _between(some, inner[np.diff(t) != 0].ravel())
         if more is None:
             break
         curve = _merged(knots, more.t, more.q, more.p)
@@ -60,7 +58,7 @@ def curve_of(some: Any, read: Read, connected: bool = True) -> Curve:
 def _chords_miss(curve: Any, read: Read, some: Any) -> float:
     """Return how far chords between states miss the motion of a run, as a part of its range."""
     t = _times(curve)
-    first = np.flatnonzero(~at_once(t))
+    first = np.flatnonzero(np.diff(t))
     if not first.size:
         return 0.0
     uneven = np.linspace(0, 1, CHECKED) ** 1.1  # no period hides between these intervals
@@ -114,12 +112,6 @@ def _merged(some: Any, *more: Any) -> Any:
     order = np.argsort(np.concatenate([t[rest], new]) * (1 if t[-1] >= t[0] else -1), kind="stable")
     pairs = zip((t, some.q, some.p), (new, *more[1:]), strict=True)
     return some.with_states(*(np.concatenate([x[rest], y])[order] for x, y in pairs))
-
-
-def at_once(t: Any) -> Any:
-    """Return where times follow one another without an interval, as on both sides of an event."""
-    intervals = np.abs(np.diff(np.asarray(t, dtype=np.float64)))
-    return intervals <= NOTHING * intervals.max(initial=0.0)
 
 
 def _times(some: Any) -> Floats:

@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from symsimpson.plotting.axes import name_axis
 from symsimpson.plotting.scene import Film, Scene
 from symsimpson.support.extras import library
@@ -63,9 +65,8 @@ def write_film(shown: Film, path: Path, kind: str, frame: int) -> None:
     film = library("matplotlib.animation", "an animation", "plot")
     if kind == ".mp4" and not film.writers.is_available("ffmpeg"):
         ffmpeg = library("imageio_ffmpeg", "an .mp4 file", "film")
-        library("matplotlib", "an animation", "plot").rcParams["animation.ffmpeg_path"] = (
-            ffmpeg.get_ffmpeg_exe()
-        )
+        settings = library("matplotlib", "an animation", "plot").rcParams
+        settings["animation.ffmpeg_path"] = ffmpeg.get_ffmpeg_exe()
     with _moving(shown) as animation:
         if kind == ".png":
             animation._func(frame)
@@ -102,7 +103,7 @@ def _moving(shown: Film) -> Iterator[Any]:
         ax = figure.add_axes((0.16, 0.12, 0.8, 0.8), **space)
         frame_scene(ax, scene)
         ax.grid(lw=0.4, alpha=0.6)
-        nothing, caption = [[]] * len(scene.middle), ax.set_title("", fontsize=10)
+        nothing, caption = np.empty((len(scene.middle), 0)), ax.set_title("", fontsize=10)
         trails = [ax.plot(*nothing, lw=0.9, color="C1", alpha=0.6)[0] for _ in scene.names]
         paint = painter(ax, scene)
 
@@ -120,7 +121,7 @@ def _moving(shown: Film) -> Iterator[Any]:
 
 def painter(ax: Any, scene: Scene) -> Callable[[int], list[Any]]:
     """Return what draws the links, bodies and points of a frame."""
-    nothing: list[Any] = [[]] * len(scene.middle)
+    nothing = np.empty((len(scene.middle), 0))
     rigid, loose = {"lw": 2, "ls": "-"}, {"lw": 0.8, "ls": ":"}
     lines = [
         ax.plot(*nothing, color="0.25", **(rigid if x.rigid else loose))[0] for x in scene.links

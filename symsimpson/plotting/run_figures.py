@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from symsimpson.errors import InputError
 from symsimpson.plotting.axes import axes, colours, label, legend, name_axes, name_axis, style
 from symsimpson.plotting.curve import curve_of
-from symsimpson.support.names import counted, shortened, spelled
+from symsimpson.support.names import counted, in_a_row, shortened, spelled
 
 __all__ = ["plot", "plot_energy", "plot_exponents", "plot_members", "plot_phase", "plot_section"]
 
@@ -30,19 +30,14 @@ def read_names(given: Any, default: Sequence[Any]) -> list[Any]:
     """
     if given is None:
         return list(default)
-    wanted = [given] if is_name(given) or not isinstance(given, Iterable) else list(given)
-    if not all(map(is_name, wanted)):
+    wanted = list(in_a_row(given))
+    if not all(isinstance(x, str) or hasattr(x, "free_symbols") for x in wanted):
         raise InputError(
             f"{shortened(given)} is given to be drawn, which is no name of a quantity.\nPass names "
             "or symbols, as plot('q1', 'energy'); matplotlib draws arrays: plt.plot(run.t, "
             "run['q1'])."
         )
     return wanted or list(default)
-
-
-def is_name(given: Any) -> bool:
-    """Return whether something may name a quantity: a text, a symbol, a function of time."""
-    return isinstance(given, str) or hasattr(given, "free_symbols")
 
 
 def plot(some: Any, names: Any = None, *, connected: bool = True, ax: Any = None) -> Any:

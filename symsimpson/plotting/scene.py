@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,8 +19,7 @@ RIGID = 1e-6
 TRAIL = 40
 
 
-@dataclass(frozen=True)
-class Link:
+class Link(NamedTuple):
     """A line that is drawn between two points; -1 is the origin."""
 
     first: int
@@ -29,8 +27,7 @@ class Link:
     rigid: bool
 
 
-@dataclass(frozen=True)
-class Scene:
+class Scene(NamedTuple):
     """Points and bodies over time."""
 
     names: tuple[str, ...]  #: Those of the points.
@@ -64,8 +61,7 @@ class Scene:
         return np.array([first, self.points[frame, link.second]])
 
 
-@dataclass(frozen=True)
-class Film:
+class Film(NamedTuple):
     """A scene, the times of its frames, and how they are shown."""
 
     scene: Scene

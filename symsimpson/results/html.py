@@ -30,21 +30,17 @@ def stepper(program: Program) -> str:
         if program.header.by_stages:
             solved = f"iterated over {program.header.layout['NODES']} stages; else {solved}"
     lines = program.source.count("\n")
-    return box(
-        f"Stepper of {program.system}",
-        facts(
-            [
-                ("scheme", f"{program.scheme}, order {program.order}"),
-                ("coordinates", ", ".join(program.coordinates)),
-                ("parameters", values or "none"),
-                ("invariants", ", ".join(program.invariants) or "none declared"),
-                ("a step", solved),
-                ("Newton unknowns", unknowns or "none"),
-                ("module", f"{lines} lines; print(stepper.source) shows them"),
-                ("compiled code", program.kernels.location),
-            ]
-        ),
-    )
+    rows = [
+        ("scheme", f"{program.scheme}, order {program.order}"),
+        ("coordinates", ", ".join(program.coordinates)),
+        ("parameters", values or "none"),
+        ("invariants", ", ".join(program.invariants) or "none declared"),
+        ("a step", solved),
+        ("Newton unknowns", unknowns or "none"),
+        ("module", f"{lines} lines; print(stepper.source) shows them"),
+        ("compiled code", program.kernels.location),
+    ]
+    return box(f"Stepper of {program.system}", facts(rows))
 
 
 def states(some: Any) -> str:

@@ -114,10 +114,8 @@ def actions_of(run: Any, name: str) -> Actions:
 
 def energies_given(run: Any) -> Floats:
     """Return the energy that events gave up to each stored state of a run."""
-    columns = Record(*map(np.array, zip(*run.records, strict=True)))
-    t, step = columns.t, columns.step
-    before = run.with_states(t, columns.q, columns.p)
-    behind = run.with_states(t, columns.q_after, columns.p_after)
+    _, t, step, q, p, q_after, p_after, *_ = map(np.array, zip(*run.records, strict=True))
+    before, behind = run.with_states(t, q, p), run.with_states(t, q_after, p_after)
     stays = (before.q == behind.q).all(axis=1)  # and V, which may be NaN at the zero of a root
     moved, pushed = behind.energy - before.energy, behind.kinetic_energy - before.kinetic_energy
     total = np.concatenate([[0.0], np.cumsum(np.where(stays, pushed, moved))])

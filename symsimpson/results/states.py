@@ -201,8 +201,7 @@ class States(Quantities):
     def plot_phase(self, x: str | None = None, y: str | None = None, *, ax: Any = None) -> Any:
         """Draw one quantity over another, as a curve like that of :meth:`plot`.
 
-        Both axes have scales of their own, as units differ. Call ``ax.set_aspect("equal")`` for
-        two quantities of the same unit.
+        Call ``ax.set_aspect("equal")`` for two quantities of the same unit.
 
         Parameters
         ----------

@@ -47,7 +47,17 @@ def middles(line):
     return np.linalg.norm((points[1:] + points[:-1]) / 2, axis=1)
 
 
-@pytest.mark.parametrize("part", [slice(None), slice(1, 5), slice(None, None, -1)])
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        slice(None),
+        pytest.param(slice(1, 5), marks=SLOW),
+        pytest.param(slice(None, None, -1), marks=SLOW),
+    ],
+)
 def test_few_states_are_joined_along_the_path(circle, part):
     run = circle(steps=95, every=19)[part]
     assert middles(run.plot_path().lines[0]) == pytest.approx(1, abs=0.01)
@@ -63,6 +73,7 @@ def test_files_have_the_states_between(circle, tmp_path):
     assert middles(run.plot_phase().lines[0]) == pytest.approx(1, abs=0.01)
 
 
+@pytest.mark.slow
 def test_states_that_resolve_the_motion_stay(circle):
     run = circle(steps=100)
     h = run[::2]
@@ -91,7 +102,14 @@ def test_steps_taken_again_are_bounded(circle, monkeypatch):
     assert (line.get_linestyle(), len(line.get_xdata())) == ("None", 11)
 
 
-@pytest.mark.parametrize("how", [{}, {"every": 5}, {"t_eval": np.linspace(0, 2, 41)}])
+@pytest.mark.parametrize(
+    "how",
+    [
+        {},
+        pytest.param({"every": 5}, marks=SLOW),
+        pytest.param({"t_eval": np.linspace(0, 2, 41)}, marks=SLOW),
+    ],
+)
 def test_impacts_are_drawn(thrown, how):
     run = thrown(**how) if "t_eval" in how else thrown(t_end=2, **how)
     assert run.plot("y").lines[0].get_ydata().min() == pytest.approx(0, abs=1e-12)
@@ -107,6 +125,7 @@ def test_impacts_are_drawn(thrown, how):
     assert (np.diff(fallen.get_xdata())[np.diff(fallen.get_ydata()) < -1e-9] == 0).all()
 
 
+@pytest.mark.slow
 def test_jumps_break_paths_and_not_curves_over_time(thrown):
     run = thrown(t_end=2)
     path = run.plot_path().lines[0].get_xdata()
