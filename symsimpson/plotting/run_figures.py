@@ -17,8 +17,8 @@ __all__ = ["plot", "plot_energy", "plot_exponents", "plot_members", "plot_phase"
 
 #: Quantities whose largest values differ by more than this factor have panels of their own.
 APART = 30
-#: Numbers below this part of others are rounding.
-ROUNDING = 1e-9
+#: Changes below this part of others are rounding, and coordinates below NOISE of others.
+ROUNDING, NOISE = 1e-9, 1e-12
 #: What bands show of an ensemble.
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
@@ -49,7 +49,7 @@ def plot(some: Any, names: Any = None, *, connected: bool = True, ax: Any = None
     curve = curve_of(some, lambda states: [states[name] for name in moving], connected)
     drawn = {name: curve.states if name in moving else curve.knots for name in wanted}
     values = {name: states[name] for name, states in drawn.items()}
-    groups = panels_of(values, units) if ax is None else [list(values)]
+    groups = [list(values)] if ax is not None else panels_of(values, units, program.coordinates)
     size = (7, 3.5 if len(groups) == 1 else 1.2 + 1.6 * len(groups))
     shared = {"nrows": len(groups), "sharex": True} if ax is None else {}
     panels, hues = np.ravel(axes(ax, size, **shared)), iter(colours(len(values)))
@@ -71,11 +71,13 @@ def plot(some: Any, names: Any = None, *, connected: bool = True, ax: Any = None
     return panels[0]
 
 
-def panels_of(values: Mapping[str, Any], units: Mapping[str, str]) -> list[list[str]]:
+def panels_of(
+    values: Mapping[str, Any], units: Mapping[str, str], coordinates: Sequence[str]
+) -> list[list[str]]:
     """Return names for panels, one above the other.
 
-    Lengths say nothing beside angles, and small numbers nothing beside large ones. What is 0 up to
-    rounding may stand anywhere.
+    Lengths say nothing beside angles, and small numbers nothing beside large ones. Coordinates that
+    are 0 up to rounding stand beside others.
     """
     finite = {k: np.nan_to_num(np.asarray(x, float), posinf=0, neginf=0) for k, x in values.items()}
     sizes = {name: np.abs(x).max(initial=0.0) for name, x in finite.items()}
@@ -83,7 +85,8 @@ def panels_of(values: Mapping[str, Any], units: Mapping[str, str]) -> list[list[
     for name in sorted(sizes, key=sizes.__getitem__, reverse=True):
         for panel in panels:
             ratio = sizes[name] / (sizes[panel[0]] or 1.0)
-            if units.get(panel[0]) == units.get(name) and not ROUNDING < ratio < 1 / APART:
+            least = NOISE if {name, panel[0]} <= {*coordinates} else 0
+            if units.get(panel[0]) == units.get(name) and not least < ratio < 1 / APART:
                 panel.append(name)
                 break
         else:

@@ -75,7 +75,7 @@ class Part(States):
 
     def __dir__(self) -> list[str]:
         """Return public names, with rows of the run."""
-        return [*public_names(self), *ROWS, "sol"]
+        return [*{*public_names(self), *ROWS, "sol"}]
 
     def __getitem__(self, key: Any) -> Any:
         """Return a quantity by its name, shape (N,), or some of the states."""

@@ -34,11 +34,15 @@ def many():
 
 def test_large_and_small_numbers_have_panels():
     small, large, zero = np.sin(np.arange(9)), np.linspace(0, 500, 9), 1e-15 * np.arange(9)
-    assert panels_of({"a": small, "b": large}, {}) == [["a"], ["b"]]
-    assert panels_of({"b": large, "a": small, "z": zero}, {}) == [["b", "z"], ["a"]]
-    assert panels_of({"a": small, "b": 20 * small, "c": 1e-3 * small}, {}) == [["a", "b"], ["c"]]
-    assert panels_of({"a": small, "b": small}, {"a": "m"}) == [["a"], ["b"]]
-    assert panels_of({"a": small * np.nan, "z": 0 * small}, {}) == [["a", "z"]]
+    assert panels_of({"a": small, "b": large}, {}, "bz") == [["a"], ["b"]]
+    assert panels_of({"b": large, "a": small, "z": zero}, {}, "bz") == [["b", "z"], ["a"]]
+    assert panels_of({"a": small, "b": 20 * small, "c": 1e-3 * small}, {}, "bz") == [
+        ["a", "b"],
+        ["c"],
+    ]
+    assert panels_of({"a": small, "b": small}, {"a": "m"}, "") == [["a"], ["b"]]
+    assert panels_of({"a": small * np.nan, "z": 0 * small}, {}, "bz") == [["a", "z"]]
+    assert panels_of({"x": small, "p_x": 1e-27 * small}, {}, "x") == [["x"], ["p_x"]]
 
 
 def test_powers_of_ten_stand_in_labels(run):
