@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from symsimpson.results import html
 from symsimpson.results.differentiated import Differentiated
 from symsimpson.results.energies import Energies
 from symsimpson.results.states import States
+from symsimpson.results.tables import write
 from symsimpson.support.calling import explaining
 from symsimpson.support.names import counted, did_you_mean
 
@@ -300,9 +301,13 @@ class Trajectory(Energies, Differentiated):
         >>> ss.open_trajectory(path).steps
         50
         """
-        from symsimpson.results.saving import save
+        from symsimpson.results.saving import dataset_of
 
-        save(self, path)
+        dataset = partial(dataset_of, self)
+        write(path, "trajectory", self._arrays, self._table, dataset, trajectory=self)
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        return super()._arrays() | {f"point_{name}": x for name, x in self.points.items()}
 
     def _further(self) -> dict[str, Any]:
         further = {"newton_iterations": (("time",), self.newton_iterations)}
