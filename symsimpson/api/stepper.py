@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from symsimpson.api.evaluator import Parameters
 from symsimpson.api.examining import Examining
+from symsimpson.results import html
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.requested import run
 from symsimpson.stepping.request import Request
@@ -48,9 +49,7 @@ class Stepper(Examining):
     """
 
     def _repr_html_(self) -> str:
-        from symsimpson.results.html import stepper
-
-        return stepper(self.program)
+        return html.stepper(self.program)
 
     @overload
     def integrate(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import chain, count
 from typing import Any, overload
@@ -13,15 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.plotting import run_figures
 from symsimpson.program.evaluating import evaluate, evaluate_members
+from symsimpson.program.input_values import read_count
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
+from symsimpson.results import html
 from symsimpson.results.differentiated import Differentiated
 from symsimpson.results.quantities import Quantities
 from symsimpson.results.records import Record
 from symsimpson.results.sampled import Sampled, member_of
 from symsimpson.results.saving import RECORDED
-from symsimpson.results.states import with_units
+from symsimpson.results.states import about_program, with_units
 from symsimpson.results.tables import dataframe, write
 from symsimpson.results.work import WORK, named_parts
 from symsimpson.stepping.driving import Driven, inputs_there
@@ -30,11 +33,16 @@ from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
 from symsimpson.support.names import counted
 
-__all__ = ["Ensemble", "names_in_dataset"]
+__all__ = ["Ensemble", "names_in_dataset", "spread"]
 
 #: Names that a dataset has for itself.
 STATES = ("q", "p", "q0", "v0", "p0", "variations")
 RESERVED = (*STATES, "status", "steps", "newton_iterations", "member", "time", "coord")
+
+
+def spread(members: int, most: int) -> NDArray[np.int64]:
+    """Return so many members at most, spread over all."""
+    return np.unique(np.linspace(0, members - 1, min(members, most)).astype(np.int64))
 
 
 @explaining()
@@ -129,10 +137,6 @@ class Ensemble(Quantities, Differentiated):
         if not -len(self) <= member < len(self):
             raise IndexError(f"there is no member {member}: there are {len(self)}, from 0 on")
         return member_of(self, member % len(self))
-
-    def __iter__(self) -> Iterator[Sampled]:
-        """Iterate over the members, each as ``ensemble[k]`` gives it."""
-        return (self[k] for k in range(len(self)))
 
     @property
     def stored(self) -> int:
@@ -314,19 +318,15 @@ class Ensemble(Quantities, Differentiated):
         arrays |= {f"parameter_{name}": x for name, x in self.parameters.items()}
         return arrays | {f"reduced_{name}": x for name, x in self.reduced.items()}
 
-    def plot(
-        self, name: str | None = None, *, members: Any = None, most: Any = None, ax: Any = None
-    ) -> Any:
+    def plot(self, name: str | None = None, *, most: int | None = None, ax: Any = None) -> Any:
         """Draw the median and bands of 50 and 90 % of members, or a histogram of last states.
 
         Parameters
         ----------
         name : str, optional
             As in ``ensemble["q1"]``; the first coordinate unless given.
-        members : int or sequence of int, optional
-            Draw lines of these members, or of so many, in place of bands.
         most : int, optional
-            The same as ``members`` with a number.
+            Draw lines of so many members at most, spread over all, in place of bands.
         ax : matplotlib axes, optional
             Axes to draw in; new ones unless given.
 
@@ -337,7 +337,7 @@ class Ensemble(Quantities, Differentiated):
         Raises
         ------
         InputError
-            If matplotlib is not installed, or there are no such members.
+            If matplotlib is not installed, or ``most`` is no positive whole number.
 
         Examples
         --------
@@ -347,29 +347,19 @@ class Ensemble(Quantities, Differentiated):
         >>> many.plot("energy").get_ylabel()
         'energy'
         """
-        from symsimpson.plotting.run_figures import members_drawn, plot_members
-
-        return plot_members(self, name, members_drawn(len(self), members, most), ax=ax)
+        most = None if most is None else read_count("most", most, 1)
+        return run_figures.plot_members(self, name, most, ax=ax)
 
     def _about(self) -> dict[str, Any]:
         """Where the numbers come from."""
-        program = self.program
-        return {
-            "system": program.system,
-            "scheme": program.scheme,
-            "order": program.order,
-            "digest": program.header.digest,
-            "outcome": self.message,
-            "t_end": float(self._ahead * np.nanmax(self._ahead * self.t)),
-        }
+        t_end = float(self._ahead * np.nanmax(self._ahead * self.t))
+        return about_program(self.program) | {"outcome": self.message, "t_end": t_end}
 
     def __len__(self) -> int:
         return self.status.size
 
     def _repr_html_(self) -> str:
-        from symsimpson.results.html import ensemble
-
-        return ensemble(self, self._about()["t_end"])
+        return html.ensemble(self, self._about()["t_end"])
 
     def __repr__(self) -> str:
         stored = f"{counted(len(self), 'member')}, {counted(self.stored, 'state')} of each stored"

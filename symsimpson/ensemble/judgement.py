@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from symsimpson.ensemble.ensemble import Ensemble
+from symsimpson.ensemble.ensemble import Ensemble, spread
 from symsimpson.ensemble.lanes import energies_at_start
 from symsimpson.ensemble.task import Task
 from symsimpson.errors import InputError, ResolutionWarning, StabilityWarning, SymsimpsonError
@@ -115,8 +115,3 @@ def _energies_left(program: Program, task: Task, ensemble: Ensemble, some: Ints)
     with np.errstate(all="ignore"):
         left = np.where(scale > 0, abs(end - start) / scale, 0.0)
     return np.where(np.isfinite(start + kinetic), np.nan_to_num(left, nan=np.inf), 0.0)
-
-
-def spread(members: int, most: int) -> Ints:
-    """Return so many members at most, spread over all."""
-    return np.unique(np.linspace(0, members - 1, min(members, most)).astype(np.int64))

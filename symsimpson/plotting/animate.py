@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import os
 from collections.abc import Callable
-from functools import cached_property, partial
+from functools import cache, partial
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from symsimpson.errors import InputError
-from symsimpson.plotting.axes import axes, colours, dotted, label, legend
-from symsimpson.plotting.curve import FINE, ROUGH, at_once, chords_miss, curve_of
-from symsimpson.plotting.pictures import DOTS, KINDS, film_in_plane, frame_scene, write_film
+from symsimpson.plotting.axes import axes, colours, label, legend, style
+from symsimpson.plotting.curve import curve_of
+from symsimpson.plotting.pictures import KINDS, film_in_plane, frame_scene, painter, write_film
 from symsimpson.plotting.scene import Film, places_of, scene_of
 from symsimpson.plotting.space import film_in_space
 from symsimpson.program.input_values import whole_number
@@ -25,10 +25,8 @@ __all__ = ["Animation", "animate", "plot_path"]
 
 #: Runs of at most so many seconds are shown as fast as they are.
 LONGEST = 10.0
-#: A trail has from COARSE to FINEST points from one frame to the next.
-COARSE, FINEST = 8, 32
-#: Paths that jump by more than this part of a figure, by an action of an event, are broken there.
-JUMP = 1e-6
+#: A trail has so many points from one frame to the next.
+FINE = 8
 #: Inches, and dots an inch, of a figure are fewer.
 MOST_DOTS = 1000
 
@@ -48,11 +46,7 @@ class Animation:
         frames: int,
         size: tuple[int, int],
     ) -> None:
-        self._make, self._write, self.frames, self._size = page, write, frames, size
-
-    @cached_property
-    def _page(self) -> str:
-        return self._make()
+        self._page, self._write, self.frames, self._size = cache(page), write, frames, size
 
     def save(self, path: str | os.PathLike[str], *, frame: int = 0) -> Path:
         """Write the film as the ending of the name says.
@@ -78,7 +72,7 @@ class Animation:
         """
         place = read_path("the file of the animation", path)
         if place.suffix == ".html":
-            return write_text(path, self._page, "animation")
+            return write_text(path, self._page(), "animation")
         known = whole_number(frame)
         if place.suffix not in KINDS or known not in range(-self.frames, self.frames):
             raise InputError(
@@ -93,7 +87,7 @@ class Animation:
         width, height = self._size
         # a page of its own, so that its scripts run and disturb nobody
         return (
-            f'<iframe srcdoc="{html.escape(self._page)}" width="{width}" height="{height}" '
+            f'<iframe srcdoc="{html.escape(self._page())}" width="{width}" height="{height}" '
             'style="border: 0"></iframe>'
         )
 
@@ -107,7 +101,7 @@ def animate(
     seconds: float | None = None,
     fps: int = 20,
     figsize: tuple[float, float] | None = None,
-    dpi: float = DOTS,
+    dpi: float = 72,
 ) -> Animation:
     """Film the points and bodies of a system."""
     numbers = all(isinstance(x, Real) for x in (fps, 1 if seconds is None else seconds))
@@ -117,7 +111,7 @@ def animate(
             "Pass up to 600 seconds, and from 1 to 100 frames in each."
         )
     sizes = [dpi, *np.ravel((1, 1) if figsize is None else figsize)]
-    real = all(isinstance(x, (int, float, np.number)) for x in sizes)
+    real = all(isinstance(x, Real) for x in sizes)
     if len(sizes) != 3 or not real or not all(0 < x < MOST_DOTS for x in sizes):
         raise InputError(
             f"figsize={figsize!r}, dpi={dpi!r} are no size of a figure.\n"
@@ -126,21 +120,13 @@ def animate(
     span = abs(float(run.t[-1] - run.t[0]))
     length = seconds or (span if 1 <= span <= LONGEST else LONGEST)
     frames = max(2, round(length * fps))
-    for fine in (COARSE, 2 * COARSE, FINEST):
-        t = np.linspace(float(run.t[0]), float(run.t[-1]), (frames - 1) * fine + 1)
-        miss = chords_miss(run.at(t), read_places, run)
-        if miss <= FINE:
-            break
-    between = np.flatnonzero(np.arange(len(t)) % fine)
-    for record in getattr(run, "records", ()):  # trails pass through the places of events
-        if min(t[0], t[-1]) < record.t < max(t[0], t[-1]):
-            t[between[np.abs(t[between] - record.t).argmin()]] = record.t
-    scene = scene_of(run.at(t), fine, joined=miss <= ROUGH)
+    t = np.linspace(float(run.t[0]), float(run.t[-1]), (frames - 1) * FINE + 1)
+    scene = scene_of(run.at(t), FINE)
     inches, more = ((8.3, 9.2), 50) if scene.spatial else ((4.2, 4.2), 168)
     make = film_in_space if scene.spatial else film_in_plane
     title = f"{run.program.system}, {run.program.scheme}"
     width, height = figsize or inches
-    film = Film(scene, t[::fine], fps, title, (width, height), dpi)
+    film = Film(scene, t[::FINE], fps, title, (width, height), dpi)
     size = max(round(width * dpi) + 50, 420), round(height * dpi) + more
     return Animation(partial(make, film), partial(write_film, film), frames, size)
 
@@ -153,9 +139,8 @@ def read_places(some: Any) -> list[Any]:
 
 def plot_path(run: Any, *, connected: bool = True, ax: Any = None) -> Any:
     """Draw the paths of the points of a system, and where all is in the end."""
-    read_places(run[-1:])
-    curve = curve_of(run, read_places, connected, thin=True)
-    scene = scene_of(curve.states, joined=curve.connected)
+    curve = curve_of(run, read_places, connected)
+    scene = scene_of(curve.states)
     in_space = {"subplot_kw": {"projection": "3d"}} if scene.spatial else {}
     ax = axes(ax, (5, 5) if scene.spatial else (4.5, 4.5), **in_space)
     if scene.spatial and not hasattr(ax, "set_zlim"):
@@ -163,19 +148,12 @@ def plot_path(run: Any, *, connected: bool = True, ax: Any = None) -> Any:
             f"{run.program.system} moves in space, and these axes are plane.\n"
             "Make axes with plt.subplots(subplot_kw={'projection': '3d'}), or leave ax out."
         )
-    jumps = at_once(curve.states.t) & (
-        np.abs(np.diff(scene.fine, axis=0)).max(axis=(1, 2)) > JUMP * scene.reach
-    )
-    paths = np.insert(scene.fine, np.flatnonzero(jumps) + 1, np.nan, axis=0)
-    how = {"lw": 0.7, "alpha": 0.8} if scene.joined else dotted(len(scene.fine))
+    acted = np.flatnonzero(np.diff(curve.states.t) == 0)  # an event may move points at once
+    paths = np.insert(scene.fine, acted + 1, np.nan, axis=0)
+    how = style(curve.connected, len(scene.fine), 0.7)
     for k, (name, colour) in enumerate(zip(scene.names, colours(len(scene.names)), strict=True)):
         ax.plot(*paths[:, k].T, color=colour, label=label(name), **how)
-    for link in scene.links:
-        style = {"lw": 1.6, "ls": "-"} if link.rigid else {"lw": 0.8, "ls": ":"}
-        ax.plot(*scene.ends(-1, link).T, color="0.25", **style)
-    for body in scene.bodies:
-        ax.plot(*body[-1].T, color="0.25", lw=1.6)
-    ax.plot(*scene.points[-1].T, "o", color="C0", ms=6)
+    painter(ax, scene)(-1)
     frame_scene(ax, scene)
     ax.set_title(f"{run.program.system}, {run.program.scheme}")
     if len(scene.names) > 1:

@@ -9,11 +9,7 @@ from symsimpson.errors import InputError
 from symsimpson.support.extras import library
 from symsimpson.support.names import spelled
 
-__all__ = ["axes", "colours", "dotted", "label", "legend", "name_axis"]
-
-#: An axis has its power of ten in its label if its range is at least this part of its values; else
-#: matplotlib writes what its numbers have in common beside it.
-WIDE = 0.01
+__all__ = ["axes", "colours", "label", "legend", "name_axes", "name_axis", "style"]
 
 
 def axes(ax: Any, size: tuple[float, float], **how: Any) -> Any:
@@ -41,6 +37,12 @@ def colours(count: int) -> list[Any]:
     return [turbo(k / (count - 1)) for k in range(count)]
 
 
+def style(joined: bool, count: int, width: float) -> dict[str, Any]:
+    """Return the style of a curve, or of so many states that no line connects."""
+    dots = {"ls": "none", "marker": ".", "ms": 2.5 if count > 300 else 5}
+    return {"lw": width} if joined else dots
+
+
 def label(name: Any) -> str:
     """Return a name as matplotlib writes it as it is.
 
@@ -50,26 +52,19 @@ def label(name: Any) -> str:
     return f" {text}" if text.startswith("_") else text
 
 
-def dotted(count: int) -> dict[str, Any]:
-    """Return the style of so many states that no line connects."""
-    return {"ls": "none", "marker": ".", "ms": 2.5 if count > 300 else 5}
-
-
 def name_axis(ax: Any, axis: str, name: Any, unit: str | None = None) -> None:
     """Label the axis "x", "y" or "z" with a name and a unit, after all is drawn.
 
     The label has the power of ten of large and small numbers, which matplotlib puts in a corner.
     """
-    ticker = library("matplotlib.ticker", "a figure", "plot")
-    scale = getattr(ax, f"{axis}axis")
-    limits = getattr(ax, f"get_{axis}lim")()
-    largest = max(map(abs, limits))
+    matplotlib = library("matplotlib", "a figure", "plot")
+    formatter = library("matplotlib.ticker", "a figure", "plot").ScalarFormatter()
+    scale, parts = getattr(ax, f"{axis}axis"), [label(unit)] if unit else []
+    largest = max(map(abs, getattr(ax, f"get_{axis}lim")()))
     power = math.floor(math.log10(largest)) if 0 < largest < math.inf else 0
-    least, most = library("matplotlib", "a figure", "plot").rcParams["axes.formatter.limits"]
-    moved = not least < power < most and abs(limits[1] - limits[0]) > WIDE * largest
-    parts = [label(unit)] if unit else []
-    if isinstance(scale.get_major_formatter(), ticker.ScalarFormatter):
-        formatter = ticker.ScalarFormatter()
+    least, most = matplotlib.rcParams["axes.formatter.limits"]
+    moved = not least < power < most
+    if isinstance(scale.get_major_formatter(), type(formatter)):
         if moved:
             parts.insert(0, f"$10^{{{power}}}$")
             formatter.set_useOffset(False)
@@ -78,6 +73,15 @@ def name_axis(ax: Any, axis: str, name: Any, unit: str | None = None) -> None:
         scale.offsetText.set_visible(not moved)
     shown = [label(name), f"[{' '.join(parts)}]"] if parts else [label(name)]
     getattr(ax, f"set_{axis}label")(" ".join(filter(str.strip, shown)))
+
+
+def name_axes(ax: Any, program: Any, x: Any, y: Any) -> Any:
+    """Name two quantities with their units, and the system above a grid, after all is drawn."""
+    for axis, name in (("x", x), ("y", y)):
+        name_axis(ax, axis, name, program.units.get(spelled(name)))
+    ax.set_title(f"{program.system}, {program.scheme}")
+    ax.grid(lw=0.4, alpha=0.6)
+    return ax
 
 
 def legend(ax: Any) -> None:

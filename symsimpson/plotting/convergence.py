@@ -64,23 +64,7 @@ def slope_triangle(
     top = y * (to / x) ** order
     ax.plot([x, to, to, x], [y, y, top, y], lw=0.8, color=color)
     middle = float(np.sqrt(x * to))
-    ax.annotate(
-        "1",
-        (middle, y),
-        (0, -2),
-        textcoords="offset points",
-        ha="center",
-        va="top",
-        fontsize=8,
-        color=color,
-    )
-    ax.annotate(
-        str(order),
-        (to, float(np.sqrt(y * top))),
-        (3, 0),
-        textcoords="offset points",
-        ha="left",
-        va="center",
-        fontsize=8,
-        color=color,
-    )
+    side = (to, float(np.sqrt(y * top)))
+    how: dict[str, Any] = {"textcoords": "offset points", "fontsize": 8, "color": color}
+    ax.annotate("1", (middle, y), (0, -2), ha="center", va="top", **how)
+    ax.annotate(str(order), side, (3, 0), ha="left", va="center", **how)

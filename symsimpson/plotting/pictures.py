@@ -11,12 +11,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from symsimpson.plotting.axes import dotted, name_axis
+import numpy as np
+
+from symsimpson.plotting.axes import name_axis
 from symsimpson.plotting.scene import Film, Scene
 from symsimpson.support.extras import library
 from symsimpson.support.progress import Progress
 
-__all__ = ["DOTS", "KINDS", "film_in_plane", "frame_scene", "write_film"]
+__all__ = ["KINDS", "film_in_plane", "frame_scene", "painter", "write_film"]
 
 #: Kinds of files, and what writes them.
 KINDS = {".gif": "pillow", ".mp4": "ffmpeg", ".png": "one frame"}
@@ -63,9 +65,8 @@ def write_film(shown: Film, path: Path, kind: str, frame: int) -> None:
     film = library("matplotlib.animation", "an animation", "plot")
     if kind == ".mp4" and not film.writers.is_available("ffmpeg"):
         ffmpeg = library("imageio_ffmpeg", "an .mp4 file", "film")
-        library("matplotlib", "an animation", "plot").rcParams["animation.ffmpeg_path"] = (
-            ffmpeg.get_ffmpeg_exe()
-        )
+        settings = library("matplotlib", "an animation", "plot").rcParams
+        settings["animation.ffmpeg_path"] = ffmpeg.get_ffmpeg_exe()
     with _moving(shown) as animation:
         if kind == ".png":
             animation._func(frame)
@@ -102,23 +103,28 @@ def _moving(shown: Film) -> Iterator[Any]:
         ax = figure.add_axes((0.16, 0.12, 0.8, 0.8), **space)
         frame_scene(ax, scene)
         ax.grid(lw=0.4, alpha=0.6)
-        draw, every = _painter(ax, scene, shown.t, shown.title), 1000 / shown.fps
-        animation = film.FuncAnimation(
-            figure, draw, frames=len(shown.t), interval=every, blit=False
-        )
+        nothing, caption = np.empty((len(scene.middle), 0)), ax.set_title("", fontsize=10)
+        trails = [ax.plot(*nothing, lw=0.9, color="C1", alpha=0.6)[0] for _ in scene.names]
+        paint = painter(ax, scene)
+
+        def draw(frame: int) -> list[Any]:
+            for k, trail in enumerate(trails):
+                _put(trail, scene.trail(frame, k))
+            caption.set_text(f"{shown.title}: t = {float(shown.t[frame]):.2f}")
+            return paint(frame)
+
+        every, frames = 1000 / shown.fps, len(shown.t)
+        animation = film.FuncAnimation(figure, draw, frames=frames, interval=every, blit=False)
         animation._draw_was_started = True  # a single frame needs no film
         yield animation
 
 
-def _painter(ax: Any, scene: Scene, t: Any, title: str) -> Callable[[int], list[Any]]:
-    """Return what draws a frame."""
-    nothing: list[Any] = [[]] * len(scene.middle)
-    caption = ax.set_title("", fontsize=10)
-    trail_style = {"lw": 0.9} if scene.joined else dotted(len(scene.fine))
-    trails = [ax.plot(*nothing, color="C1", alpha=0.6, **trail_style)[0] for _ in scene.names]
+def painter(ax: Any, scene: Scene) -> Callable[[int], list[Any]]:
+    """Return what draws the links, bodies and points of a frame."""
+    nothing = np.empty((len(scene.middle), 0))
+    rigid, loose = {"lw": 2, "ls": "-"}, {"lw": 0.8, "ls": ":"}
     lines = [
-        ax.plot(*nothing, color="0.25", lw=2.2 if x.rigid else 0.8, ls="-" if x.rigid else ":")[0]
-        for x in scene.links
+        ax.plot(*nothing, color="0.25", **(rigid if x.rigid else loose))[0] for x in scene.links
     ]
     bodies = [
         ax.plot(*nothing, color="C0", lw=1.6)[0]
@@ -126,26 +132,25 @@ def _painter(ax: Any, scene: Scene, t: Any, title: str) -> Callable[[int], list[
         else ax.fill([], [], color="C0", alpha=0.4)[0]
         for _ in scene.bodies
     ]
-    (dots,) = ax.plot(*nothing, "o", ms=9, color="C0")
-
-    def put(line: Any, points: Any) -> None:
-        (line.set_data_3d if scene.spatial else line.set_data)(*points.T)
+    (dots,) = ax.plot(*nothing, "o", ms=7, color="C0")
 
     def draw(frame: int) -> list[Any]:
-        for k, trail in enumerate(trails):
-            put(trail, scene.trail(frame, k))
         for line, link in zip(lines, scene.links, strict=True):
-            put(line, scene.ends(frame, link))
+            _put(line, scene.ends(frame, link))
         for shape, body in zip(bodies, scene.bodies, strict=True):
-            if scene.spatial:
-                put(shape, body[frame])
-            else:
-                shape.set_xy(body[frame])
-        put(dots, scene.points[frame])
-        caption.set_text(f"{title}: t = {float(t[frame]):.2f}")
-        return [*trails, dots, caption]
+            _put(shape, body[frame])
+        _put(dots, scene.points[frame])
+        return [*lines, *bodies, dots]
 
     return draw
+
+
+def _put(shape: Any, points: Any) -> None:
+    """Move a polygon, or a line in the plane or in space, to points."""
+    if hasattr(shape, "set_xy"):
+        shape.set_xy(points)
+    else:
+        getattr(shape, "set_data_3d", shape.set_data)(*points.T)
 
 
 def _smaller(frame: re.Match[str]) -> str:

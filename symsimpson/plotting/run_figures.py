@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from itertools import cycle
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from symsimpson.errors import InputError
-from symsimpson.plotting.axes import axes, colours, dotted, label, legend, name_axis
-from symsimpson.plotting.curve import MOST, curve_of, envelope, sample
-from symsimpson.program.input_values import read_count
-from symsimpson.support.names import counted, shortened, spelled
+from symsimpson.plotting.axes import axes, colours, label, legend, name_axes, name_axis, style
+from symsimpson.plotting.curve import curve_of
+from symsimpson.support.names import counted, in_a_row, shortened, spelled
 
 __all__ = ["plot", "plot_energy", "plot_exponents", "plot_members", "plot_phase", "plot_section"]
 
 #: Quantities whose largest values differ by more than this factor have panels of their own.
 APART = 30
-#: Numbers below this part of others are rounding.
-ROUNDING = 1e-9
-#: Up to LINES share a panel; if there are more, FEW do, in colours that are easily told apart.
-LINES, FEW = 12, 10
-#: So many coordinates are drawn unless names are given.
-SHOWN = 60
+#: Changes below this part of others are rounding, and coordinates below NOISE of others.
+ROUNDING, NOISE = 1e-9, 1e-12
 #: What bands show of an ensemble.
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
@@ -36,8 +30,8 @@ def read_names(given: Any, default: Sequence[Any]) -> list[Any]:
     """
     if given is None:
         return list(default)
-    wanted = [given] if is_name(given) or not isinstance(given, Iterable) else list(given)
-    if not all(map(is_name, wanted)):
+    wanted = list(in_a_row(given))
+    if not all(isinstance(x, str) or hasattr(x, "free_symbols") for x in wanted):
         raise InputError(
             f"{shortened(given)} is given to be drawn, which is no name of a quantity.\nPass names "
             "or symbols, as plot('q1', 'energy'); matplotlib draws arrays: plt.plot(run.t, "
@@ -46,122 +40,84 @@ def read_names(given: Any, default: Sequence[Any]) -> list[Any]:
     return wanted or list(default)
 
 
-def is_name(given: Any) -> bool:
-    """Return whether something may name a quantity: a text, a symbol, a function of time."""
-    return isinstance(given, str) or hasattr(given, "free_symbols")
-
-
 def plot(some: Any, names: Any = None, *, connected: bool = True, ax: Any = None) -> Any:
     """Draw quantities over time: all coordinates, unless some are named."""
     wanted = [spelled(name) for name in read_names(names, some.program.coordinates)]
-    units, steady = some.program.units, {"energy", *some.program.invariants}
-    title = f"{some.program.system}, {some.program.scheme}"
-    if names is None and len(wanted) > SHOWN:
-        title += f": {SHOWN} of {len(wanted)} coordinates"
-        wanted = wanted[:SHOWN]
+    program, units = some.program, some.program.units
     # the energy at a state between others says little of that at these
-    moving = [name for name in wanted if name not in steady]
+    moving = [name for name in wanted if name not in ("energy", *program.invariants)]
     curve = curve_of(some, lambda states: [states[name] for name in moving], connected)
     drawn = {name: curve.states if name in moving else curve.knots for name in wanted}
     values = {name: states[name] for name, states in drawn.items()}
-    groups = panels_of(values, units) if ax is None else [list(values)]
+    groups = [list(values)] if ax is not None else panels_of(values, units, program.coordinates)
     size = (7, 3.5 if len(groups) == 1 else 1.2 + 1.6 * len(groups))
-    panels = np.ravel(
-        axes(ax, size, **({"nrows": len(groups), "sharex": True} if ax is None else {}))
-    )
-    hues = cycle(colours(len(values) if ax or len(values) <= LINES else FEW))
+    shared = {"nrows": len(groups), "sharex": True} if ax is None else {}
+    panels, hues = np.ravel(axes(ax, size, **shared)), iter(colours(len(values)))
     for panel, group in zip(panels, groups, strict=True):
         for name in group:
-            joined, how = connected and (curve.connected or name in steady), {"label": label(name)}
-            draw_over_time(panel, drawn[name].t, values[name], joined, color=next(hues), **how)
-        panel.grid(lw=0.4, alpha=0.6)
-        shared = {units.get(name) for name in group}
-        unit = shared.pop() if len(shared) == 1 else None
-        name_axis(panel, "y", group[0] if len(group) == 1 else "", unit)
+            t, count = drawn[name].t, math.prod(np.shape(values[name])[1:])
+            joined = connected and (curve.connected or name not in moving)
+            columns = np.reshape(values[name], (len(t), count))
+            how = style(joined, len(t), 1.2) | {"label": label(name), "color": next(hues)}
+            panel.plot(t, columns, **how)
+        name_axes(panel, program, "", group[0] if len(group) == 1 else "")
         if len(group) > 1:
+            unit = {units.get(name) for name in group}
+            name_axis(panel, "y", "", unit.pop() if len(unit) == 1 else None)
             legend(panel)
-    panels[0].set_title(title)
+    for panel in panels[1:]:
+        panel.set_title("")
     name_axis(panels[-1], "x", "t", units.get("t"))
     return panels[0]
 
 
-def draw_over_time(ax: Any, t: Any, values: Any, joined: bool, **how: Any) -> None:
-    """Draw a line, or dots, of a quantity that has a number or several at each time."""
-    how = {"lw": 1.2, **how} if joined else {**dotted(len(t)), **how}
-    for column in np.reshape(values, (len(t), math.prod(np.shape(values)[1:]))).T:
-        few = sample(len(t), MOST)
-        ax.plot(*(envelope(t, column) if joined else (t[few], column[few])), **how)
-
-
-def panels_of(values: Mapping[str, Any], units: Mapping[str, str]) -> list[list[str]]:
+def panels_of(
+    values: Mapping[str, Any], units: Mapping[str, str], coordinates: Sequence[str]
+) -> list[list[str]]:
     """Return names for panels, one above the other.
 
-    Lengths say nothing beside angles, and small numbers nothing beside large ones.
+    Lengths say nothing beside angles, and small numbers nothing beside large ones. Coordinates that
+    are 0 up to rounding stand beside others.
     """
-    groups: list[list[str]] = []
-    for unit in dict.fromkeys(map(units.get, values)):
-        sizes = {}
-        for name, column in values.items():
-            if units.get(name) == unit:
-                y = np.abs(np.asarray(column, dtype=np.float64))
-                sizes[name] = y.max(where=np.isfinite(y), initial=0.0)
-        largest = max(sizes.values())  # what is 0 up to rounding may stand anywhere
-        sizes = {name: x if x > ROUNDING * largest else largest for name, x in sizes.items()}
-        least = np.inf
-        for name in sorted(sizes, key=sizes.__getitem__):
-            if not groups or sizes[name] > APART * least or least == np.inf:
-                groups.append([])
-                least = sizes[name]
-            groups[-1].append(name)
-    order, most = list(values).index, LINES if len(values) <= LINES else FEW
-    groups = sorted((sorted(group, key=order) for group in groups), key=lambda x: order(x[0]))
-    parts = [np.array_split(group, -(-len(group) // most)) for group in groups]
-    return [part.tolist() for group in parts for part in group]
+    finite = {k: np.nan_to_num(np.asarray(x, float), posinf=0, neginf=0) for k, x in values.items()}
+    sizes = {name: np.abs(x).max(initial=0.0) for name, x in finite.items()}
+    panels: list[list[str]] = []
+    for name in sorted(sizes, key=sizes.__getitem__, reverse=True):
+        for panel in panels:
+            ratio = sizes[name] / (sizes[panel[0]] or 1.0)
+            least = NOISE if {name, panel[0]} <= {*coordinates} else 0
+            if units.get(panel[0]) == units.get(name) and not least < ratio < 1 / APART:
+                panel.append(name)
+                break
+        else:
+            panels.append([name])
+    order = list(values).index
+    return sorted((sorted(panel, key=order) for panel in panels), key=lambda x: order(x[0]))
 
 
-def members_drawn(count: int, members: Any, most: Any) -> Any:
-    """Return numbers of members to draw, spread over all if they are counted; None for bands.
-
-    Raises InputError if there are no such members.
-    """
-    if np.ndim(members):
-        if np.size(members) and np.isin(members, np.arange(-count, count)).all():
-            return np.asarray(members, dtype=np.int64)
-        raise InputError(
-            f"members={shortened(members)} are none of {counted(count, 'member')}.\n"
-            "Pass how many to draw, or their numbers, from 0 on."
-        )
-    given = {"most": most, "members": members}
-    wanted = [read_count(name, x, 1) for name, x in given.items() if x is not None]
-    return np.linspace(0, count - 1, min(count, *wanted)).astype(np.int64) if wanted else None
-
-
-def plot_members(many: Any, name: Any, some: Any, *, ax: Any = None) -> Any:
+def plot_members(many: Any, name: Any, most: int | None = None, *, ax: Any = None) -> Any:
     """Draw how a quantity of all members is spread, over time or at the end, or lines of some."""
     (name,) = read_names(None if name is None else [name], many.program.coordinates[:1])
     values, program = np.asarray(many[name], dtype=np.float64), many.program
-    ax, shown, unit = axes(ax, (7, 3.5)), len(many), program.units.get(spelled(name))
-    if some is None and np.ndim(many.t) == 2:  # each has times of its own
-        some = members_drawn(len(many), 100, None)
+    ax, shown = axes(ax, (7, 3.5)), len(many)
     if values.ndim == 1:
         last = values[np.isfinite(values)]
         shown = len(last)
         ax.hist(last, bins=min(60, max(5, int(len(last) ** 0.5))))
-        ax.set_ylabel("members")
-        name_axis(ax, "x", f"{spelled(name)} at the end", unit)
+        name_axes(ax, program, "", "members")
+        name_axis(ax, "x", f"{spelled(name)} at the end", program.units.get(spelled(name)))
     else:
-        if some is None:
+        if most is None and np.ndim(many.t) == 1:
             draw_bands(ax, many.t, values)
-        else:
-            shown, how = len(some), {"lw": 0.8, "alpha": max(0.15, min(1.0, 8 / len(some)))}
-            joined = curve_of(many[int(some[0])], lambda states: [states[name]]).connected
-            times = np.broadcast_to(many.t, values.shape)
-            for k in some:
-                draw_over_time(ax, times[k], values[k], joined, **how)
-        name_axis(ax, "x", "t", program.units.get("t"))
-        name_axis(ax, "y", name, unit)
-    ax.set_title(f"{program.system}, {program.scheme}: {shown} of {counted(len(many), 'member')}")
-    ax.grid(lw=0.4, alpha=0.6)
+        else:  # each may have times of its own
+            shown = min(shown, most or 100)
+            some = np.linspace(0, len(many) - 1, shown).astype(np.int64)
+            curve = curve_of(many[int(some[0])], lambda states: [states[name]])
+            how = style(curve.connected, len(curve.knots), 0.8)
+            how["alpha"] = max(0.15, min(1.0, 8 / shown))
+            ax.plot(np.broadcast_to(many.t, values.shape)[some].T, values[some].T, **how)
+        name_axes(ax, program, "t", name)
+    ax.set_title(f"{ax.get_title()}: {shown} of {counted(len(many), 'member')}")
     return ax
 
 
@@ -169,7 +125,8 @@ def draw_bands(ax: Any, t: Any, values: Any) -> None:
     """Draw the median of members at each time, and bands that hold half and 90 % of them."""
     some = np.isfinite(values).any(axis=0)  # until the last member failed
     values, t = np.where(np.isfinite(values), values, np.nan)[:, some], t[some]
-    lowest, low, median, high, highest = np.nanquantile(values, QUANTILES, axis=0)
+    quantile = np.nanquantile if np.isnan(values).any() else np.quantile  # three times as fast
+    lowest, low, median, high, highest = quantile(values, QUANTILES, axis=0)
     ax.fill_between(t, lowest, highest, color="C0", alpha=0.2, lw=0, label="5 to 95 %")
     ax.fill_between(t, low, high, color="C0", alpha=0.35, lw=0, label="25 to 75 %")
     ax.plot(t, median, color="C0", lw=1.2, label="median", marker="." if len(t) <= 50 else "")
@@ -182,17 +139,12 @@ def plot_phase(
     """Draw one quantity over another: a momentum over its coordinate, unless others are named."""
     (x,) = read_names(None if x is None else [x], some.program.coordinates[:1])
     (y,) = read_names(None if y is None else [y], [f"p_{spelled(x)}"])
-    program = some.program
-    curve = curve_of(some, lambda states: [states[x], states[y]], connected, thin=True)
+    curve = curve_of(some, lambda states: [states[x], states[y]], connected)
     drawn = curve.states[x], curve.states[y]
     ax = axes(ax, (4.5, 4.5))
     ax.locator_params(axis="x", nbins=6)
-    ax.plot(*drawn, **({"lw": 0.8} if curve.connected else dotted(len(some))))
-    ax.set_title(f"{program.system}, {program.scheme}")
-    for axis, name in (("x", x), ("y", y)):
-        name_axis(ax, axis, name, program.units.get(spelled(name)))
-    ax.grid(lw=0.4, alpha=0.6)
-    return ax
+    ax.plot(*drawn, **style(curve.connected, len(some), 0.8))
+    return name_axes(ax, some.program, x, y)
 
 
 def plot_section(crossings: Any, names: Any = None, *, ax: Any = None) -> Any:
@@ -204,20 +156,18 @@ def plot_section(crossings: Any, names: Any = None, *, ax: Any = None) -> Any:
 
 
 def free_names(crossings: Any) -> tuple[str, ...]:
-    """Return the first coordinate of a section that it does not fix, and its momentum.
+    """Return the first coordinate that a section does not fix, and its momentum.
 
     Changes are compared with how far the system moves meanwhile, which has the same unit.
     """
-    t, q, p, v = (np.asarray(getattr(crossings, x), dtype=np.float64) for x in "tqpv")
+    t, q, v = (np.asarray(getattr(crossings, x), dtype=np.float64) for x in "tqv")
     names = crossings.program.coordinates
     if len(t) > 1:
         size = np.maximum(np.abs(q).max(axis=0), np.abs(v).max(axis=0) * np.ptp(t))
-        free = np.ptp(q, axis=0) > ROUNDING * size
-        free &= np.ptp(p, axis=0) > ROUNDING * np.abs(p).max(axis=0)
-        if free.any():
-            name = names[int(free.argmax())]
-            return name, f"p_{name}"
-    return (f"p_{names[0]}",) if len(names) == 1 else names[:1]
+        free = np.flatnonzero(np.ptp(q, axis=0) > ROUNDING * size)
+        if free.size:
+            return names[free[0]], f"p_{names[free[0]]}"
+    return (f"p_{names[0]}",)
 
 
 def plot_energy(run: Any, *, shadow: bool = False, ax: Any = None) -> Any:
@@ -227,33 +177,29 @@ def plot_energy(run: Any, *, shadow: bool = False, ax: Any = None) -> Any:
     absolute = not constant and unit is not None
     scale = 1.0 if constant or absolute else run.energy_scale
     change = run.energy_error if constant else run.energy_balance / scale
-    draw_over_time(ax, run.t, change, True, lw=0.8, label="energy" if shadow else None)
+    ax.plot(run.t, change, lw=0.8, label="energy" if shadow else None)
     if shadow:
         kept = (run.shadow_energy - run.shadow_energy[0]) / run.energy_scale
-        draw_over_time(ax, run.t, kept, True, lw=0.8, label="shadow energy")
+        ax.plot(run.t, kept, lw=0.8, label="shadow energy")
         legend(ax)
     shown, relative = "H - H0" if constant else "H - H0 - work", ""
     if not absolute and (run.E0 or run.kinetic_energy.any()):
         relative = "|H0|" if run.energy_scale == abs(run.E0) else "kinetic energy"
-    name_axis(ax, "x", "t", run.program.units.get("t"))
+    name_axes(ax, run.program, "t", "")
     name_axis(ax, "y", f"({shown}) / {relative}" if relative else shown, None if relative else unit)
     what = "energy error" if constant else "energy balance"
-    ax.set_title(f"{what}: {run.program.system}, {run.program.scheme}, h = {float(run.h):g}")
-    ax.grid(lw=0.4, alpha=0.6)
+    ax.set_title(f"{what}: {ax.get_title()}, h = {float(run.h):g}")
     return ax
 
 
 def plot_exponents(chaos: Any, *, ax: Any = None) -> Any:
     """Draw Lyapunov exponents over the time that they were averaged over."""
-    ax = axes(ax, (7, 3))
-    ax.set_prop_cycle(color=colours(chaos.history.shape[1]))
-    for k, history in enumerate(chaos.history.T):
-        ax.plot(chaos.t, history, lw=0.8, label=f"exponent {k + 1}")
-    program = chaos.trajectory.program
-    unit = program.units.get("t")
-    name_axis(ax, "x", "t", unit)
-    name_axis(ax, "y", "exponent", f"1/{unit}" if unit else "1 / time")
-    ax.set_title(f"{program.system}, {program.scheme}")
+    ax, program, count = axes(ax, (7, 3)), chaos.trajectory.program, chaos.history.shape[1]
+    ax.set_prop_cycle(color=colours(count))
+    names = [f"exponent {k + 1}" for k in range(count)]
+    ax.plot(chaos.t, chaos.history, lw=0.8, label=names)
     legend(ax)
-    ax.grid(lw=0.4, alpha=0.6)
+    name_axes(ax, program, "t", "")
+    unit = program.units.get("t")
+    name_axis(ax, "y", "exponent", f"1/{unit}" if unit else "1 / time")
     return ax

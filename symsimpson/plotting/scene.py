@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,8 +19,7 @@ RIGID = 1e-6
 TRAIL = 40
 
 
-@dataclass(frozen=True)
-class Link:
+class Link(NamedTuple):
     """A line that is drawn between two points; -1 is the origin."""
 
     first: int
@@ -29,8 +27,7 @@ class Link:
     rigid: bool
 
 
-@dataclass(frozen=True)
-class Scene:
+class Scene(NamedTuple):
     """Points and bodies over time."""
 
     names: tuple[str, ...]  #: Those of the points.
@@ -43,7 +40,6 @@ class Scene:
     reach: float  #: Nothing is farther from the middle, along an axis.
     stride: int  #: Points in ``fine`` from one frame to the next.
     unit: str  #: That of all positions.
-    joined: bool  #: Whether lines between ``fine`` follow the motion.
 
     @property
     def points(self) -> Floats:
@@ -65,8 +61,7 @@ class Scene:
         return np.array([first, self.points[frame, link.second]])
 
 
-@dataclass(frozen=True)
-class Film:
+class Film(NamedTuple):
     """A scene, the times of its frames, and how they are shown."""
 
     scene: Scene
@@ -77,7 +72,7 @@ class Film:
     dpi: float
 
 
-def scene_of(some: Any, stride: int = 1, *, joined: bool = True) -> Scene:
+def scene_of(some: Any, stride: int = 1) -> Scene:
     """Evaluate the positions that were declared with a system; each ``stride``-th state is a frame.
 
     Raises InputError if there are none.
@@ -93,7 +88,7 @@ def scene_of(some: Any, stride: int = 1, *, joined: bool = True) -> Scene:
     reach = 0.55 * float((high - low).max()) or 1.0
     thinned, middle = tuple(x[::stride] for x in bodies), (low + high) / 2
     unit = unit_of(some.program)
-    return Scene(tuple(points), together, thinned, links, middle, reach, stride, unit, joined)
+    return Scene(tuple(points), together, thinned, links, middle, reach, stride, unit)
 
 
 def places_of(some: Any) -> dict[str, Floats]:
@@ -120,17 +115,12 @@ def places_of(some: Any) -> dict[str, Floats]:
 
 
 def unit_of(program: Any) -> str:
-    """Return the unit of all positions, "" if it is not known or they differ.
-
-    It is that of points by name, or of lengths in their terms: coordinates and factors.
-    """
+    """Return the unit of points, or of factors in them; "" if it is not known or they differ."""
     known, units = program.units, set()
     for name, place in program.declared.positions.items():
-        corners = place if isinstance(place[0], tuple) else [place]
-        terms = [x for corner in corners for axis in corner for x in axis.as_ordered_terms()]
-        factors = [[spelled(x) for x in term.as_ordered_factors()] for term in terms]
-        lengths = [[known[x] for x in row if x in known] for row in factors]
-        units |= {known[name]} if name in known else {" ".join(row) for row in lengths if row}
+        terms = [term for axis in np.ravel(place) for term in axis.as_ordered_terms()]
+        factors = {spelled(x) for term in terms for x in term.as_ordered_factors()}
+        units |= {known[x] for x in ([name] if name in known else factors & set(known))}
     return units.pop() if len(units) == 1 else ""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from symsimpson.plotting.axes import axes, colours
+from symsimpson.plotting.axes import axes, colours, legend
 
 __all__ = ["plot_work_precision"]
 
@@ -34,16 +34,8 @@ def plot_work_precision(record: Any, *, ax: Any = None) -> Any:
         first = points[0].what == "steps" and not name.startswith("rk")
         style = "o-" if first else f"{'sD^v<>+x*'[k % 9]}--"
         errors, times = zip(*line, strict=True)
-        ax.loglog(
-            errors,
-            times,
-            style,
-            ms=3.5,
-            lw=1.8 if first else 1.0,
-            label=name,
-            color=colour,
-            alpha=1.0 if first else 0.75,
-        )
+        how = {"lw": 1.8} if first else {"lw": 1.0, "alpha": 0.75}
+        ax.loglog(errors, times, style, ms=3.5, label=name, color=colour, **how)
     ax.invert_xaxis()
     ax.set(
         xlabel="error of the state at the end",
@@ -51,5 +43,5 @@ def plot_work_precision(record: Any, *, ax: Any = None) -> Any:
         title=f"{record.system}, t = {record.t_end:g}",
     )
     ax.grid(which="major", lw=0.4, alpha=0.6)
-    ax.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.01, 0.5))
+    legend(ax)
     return ax

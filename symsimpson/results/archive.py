@@ -79,9 +79,8 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
             with xarray.open_dataset(where, engine="netcdf4", decode_times=False) as opened:
                 dataset = opened.load()
         else:
-            dataset = xarray.open_zarr(
-                where, chunks=None, consolidated=False, decode_times=False
-            ).load()
+            how = {"chunks": None, "consolidated": False, "decode_times": False}
+            dataset = xarray.open_zarr(where, **how).load()
     except Exception as error:  # whatever a damaged file makes the libraries raise
         raise StorageError(
             f"{where}: the file cannot be read: {str(error)[:200]}.\n"
@@ -143,9 +142,8 @@ def _trajectory(dataset: Any, program: Program) -> Trajectory:
     whole = steps // every + 1 if every > 0 else 0
     exact = t[0] * (not retimed) + h * every * np.arange(whole)
     grid = (tau if retimed else t)[:whole]
-    if not np.abs(grid - exact).max(initial=0) <= 16 * np.finfo(float).eps * np.abs(exact).max(
-        initial=0
-    ):
+    rounding = 16 * np.finfo(float).eps * np.abs(exact).max(initial=0)
+    if not np.abs(grid - exact).max(initial=0) <= rounding:
         raise ValueError("times are not steps apart")
     if retimed and not (np.diff(t) * h > 0).all():
         raise ValueError("times do not go on")

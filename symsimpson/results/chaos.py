@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from symsimpson.plotting import run_figures
+from symsimpson.results import html
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.support.array_types import Floats
 
@@ -70,14 +72,9 @@ class Chaos:
         InputError
             If matplotlib is not installed.
         """
-        from symsimpson.plotting.run_figures import plot_exponents
+        return run_figures.plot_exponents(self, ax=ax)
 
-        return plot_exponents(self, ax=ax)
-
-    def _repr_html_(self) -> str:
-        from symsimpson.results.html import chaos
-
-        return chaos(self)
+    _repr_html_ = html.chaos
 
     def __repr__(self) -> str:
         exponents = ", ".join(f"{x:.4g}" for x in self.exponents)

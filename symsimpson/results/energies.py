@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.plotting import run_figures
 from symsimpson.results.states import States
 from symsimpson.results.stored import Stored
 
@@ -76,7 +77,7 @@ class Energies(Stored):
                 "before version 0.3.\nTake the run again, or store states on the way: every=100."
             )
         t, (q, p) = self.begun
-        return self._others(np.array([t]), q[None], p[None])
+        return self.with_states(np.array([t]), q[None], p[None])
 
     @cached_property
     def _given(self) -> Any:
@@ -189,6 +190,4 @@ class Energies(Stored):
         >>> run.plot_energy().get_ylabel()
         '(H - H0) / |H0| [$10^{-5}$]'
         """
-        from symsimpson.plotting.run_figures import plot_energy
-
-        return plot_energy(self, shadow=shadow, ax=ax)
+        return run_figures.plot_energy(self, shadow=shadow, ax=ax)

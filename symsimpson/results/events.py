@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.module.interface import ZERO
+from symsimpson.plotting import run_figures
 from symsimpson.program.evaluating import watching
 from symsimpson.program.input_values import whole_number
 from symsimpson.program.observed import Observed, read_expression, refuse_constant
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
+from symsimpson.results import html
 from symsimpson.results.interpolate import DenseOutput
 from symsimpson.results.states import States
 from symsimpson.results.stored import Stored
@@ -107,14 +109,9 @@ class Events(States):
         >>> ax.get_xlabel(), ax.get_ylabel()
         ('q2', 'p_q2')
         """
-        from symsimpson.plotting.run_figures import plot_section
+        return run_figures.plot_section(self, (names, *more) if more else names, ax=ax)
 
-        return plot_section(self, (names, *more) if more else names, ax=ax)
-
-    def _repr_html_(self) -> str:
-        from symsimpson.results.html import events
-
-        return events(self)
+    _repr_html_ = html.events
 
     def _further(self) -> dict[str, Any]:
         return {"direction": (("time",), self.direction)}

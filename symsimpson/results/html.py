@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from typing import Any
 
 import numpy as np
@@ -12,17 +13,7 @@ from symsimpson.results.outcome import iterations_a_step
 from symsimpson.support.markup import Markup, box, curves, facts, scatter
 from symsimpson.support.names import counted
 
-__all__ = [
-    "chaos",
-    "dense",
-    "ensemble",
-    "events",
-    "solution",
-    "states",
-    "stepper",
-    "trajectory",
-    "verdict",
-]
+__all__ = ["chaos", "ensemble", "events", "solution", "states", "stepper", "trajectory", "verdict"]
 
 #: More coordinates than this are no picture each.
 DRAWN = 6
@@ -39,21 +30,17 @@ def stepper(program: Program) -> str:
         if program.header.by_stages:
             solved = f"iterated over {program.header.layout['NODES']} stages; else {solved}"
     lines = program.source.count("\n")
-    return box(
-        f"Stepper of {program.system}",
-        facts(
-            [
-                ("scheme", f"{program.scheme}, order {program.order}"),
-                ("coordinates", ", ".join(program.coordinates)),
-                ("parameters", values or "none"),
-                ("invariants", ", ".join(program.invariants) or "none declared"),
-                ("a step", solved),
-                ("Newton unknowns", unknowns or "none"),
-                ("module", f"{lines} lines; print(stepper.source) shows them"),
-                ("compiled code", program.kernels.location),
-            ]
-        ),
-    )
+    rows = [
+        ("scheme", f"{program.scheme}, order {program.order}"),
+        ("coordinates", ", ".join(program.coordinates)),
+        ("parameters", values or "none"),
+        ("invariants", ", ".join(program.invariants) or "none declared"),
+        ("a step", solved),
+        ("Newton unknowns", unknowns or "none"),
+        ("module", f"{lines} lines; print(stepper.source) shows them"),
+        ("compiled code", program.kernels.location),
+    ]
+    return box(f"Stepper of {program.system}", facts(rows))
 
 
 def states(some: Any) -> str:
@@ -155,14 +142,6 @@ def chaos(result: Any) -> str:
     return box(f"Lyapunov exponents of {result.trajectory.program.system}", facts(rows))
 
 
-def dense(output: Any) -> str:
-    """Show what the states between those of a run are."""
-    calls = "sol(t) gives positions and momenta, shape (2 n,) or (2 n, m)"
-    return box(repr(output), facts([("call", calls)]))
-
-
 def verdict(text: str, good: bool) -> Markup:
     """Return a text in green or red."""
-    import html
-
     return Markup(f'<span style="color: {GOOD if good else BAD}">{html.escape(text)}</span>')

@@ -17,6 +17,7 @@ from symsimpson.stepping.arrival import states_at
 from symsimpson.stepping.driving import at_places, places, since
 from symsimpson.stepping.parts import Parts, steps_from
 from symsimpson.support.array_types import Floats, Reals
+from symsimpson.support.markup import box
 
 __all__ = ["DenseOutput"]
 
@@ -138,9 +139,7 @@ class DenseOutput:
         return f"DenseOutput({run.program.system}, {run.program.scheme}: t from {times})"
 
     def _repr_html_(self) -> str:
-        from symsimpson.results.html import dense
-
-        return dense(self)
+        return box(repr(self))
 
     def after(
         self, start: NDArray[np.int64], later: Reals

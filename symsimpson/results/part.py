@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from symsimpson.results.states import States
 from symsimpson.results.stored import Stored
 from symsimpson.support.array_types import Ints
+from symsimpson.support.names import public_names
 
 if TYPE_CHECKING:
     from symsimpson.plotting.animate import Animation
@@ -77,7 +78,7 @@ class Part(States):
 
     def __dir__(self) -> list[str]:
         """Return public names, with rows of the run."""
-        return sorted({*super().__dir__(), *ROWS, *WHOLE[:1]})
+        return [*{*public_names(self), *ROWS, "sol"}]
 
     def __getitem__(self, key: Any) -> Any:
         """Return a quantity by its name, shape (N,), or some of the states."""

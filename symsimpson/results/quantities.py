@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Any, NoReturn, cast
 
@@ -39,12 +40,18 @@ class Quantities:
         """Return a quantity of the table; its numbers, if there are several, on the last axis."""
         quantity = QUANTITIES[name]
         assert quantity.kernel is not None
-        shown = quantity.shown(self.program.names)
-        if not shown:
-            return np.zeros((*np.shape(self.q)[:-1], 0))
-        kernel = quantity.kernel(self.program.header)
-        values = self._evaluated(kernel, quantity.block, len(shown), driven=quantity.driven)
+        kernel, count = (
+            quantity.kernel(self.program.header),
+            len(quantity.shown(self.program.names)),
+        )
+        values = self._rows(kernel, quantity.block, count, driven=quantity.driven)
         return values if quantity.axis else values[..., 0]
+
+    def _rows(self, kernel: str, block: str, count: int, *, driven: bool = False) -> NDArray[Any]:
+        """Return a block of rows at all states; without rows, nothing is evaluated."""
+        if not count:
+            return np.zeros((*np.shape(self.q)[:-1], 0))
+        return self._evaluated(kernel, block, count, driven=driven)
 
     @cached_property
     def v(self) -> NDArray[Any]:
@@ -110,16 +117,14 @@ class Quantities:
     def constraint_error(self) -> NDArray[Any]:
         """phi(q) as it is written, shape (..., m): rounding alone."""
         header = self.program.header
-        rolling = len(header.velocity_constraints)
-        return self._held("CONSTRAINT")[..., : len(header.constraints) - rolling]
+        rolling, count = len(header.velocity_constraints), len(header.constraints)
+        return self._rows("multipliers", "CONSTRAINT", count)[..., : count - rolling]
 
     @cached_property
     def velocity_constraint_error(self) -> NDArray[Any]:
         """A v - b of velocity constraints as they are written, shape (..., m): rounding alone."""
         count = len(self.program.header.velocity_constraints)
-        if not count:
-            return np.zeros((*np.shape(self.q)[:-1], 0))
-        return self._evaluated("multipliers", "RATE", count)
+        return self._rows("multipliers", "RATE", count)
 
     @cached_property
     def constraint_forces(self) -> NDArray[Any]:
@@ -128,13 +133,6 @@ class Quantities:
             return 0 * np.asarray(self.q)
         block, count = "CONSTRAINT_FORCE", self.program.n
         return -self._evaluated("multipliers", block, count, driven=True)
-
-    def _held(self, block: str) -> NDArray[Any]:
-        """Return a block of what constraints have, a row for each."""
-        held = self.program.header.constraints
-        if not held:
-            return np.zeros((*np.shape(self.q)[:-1], 0))
-        return self._evaluated("multipliers", block, len(held))
 
     def _slopes(self) -> NDArray[Any]:
         """Return Phi = dphi/dq, shape (..., m, n)."""
@@ -188,6 +186,10 @@ class Quantities:
         every += [*names.invariants.shown, *self._own_names(), *positions, "t"]
         return every + [quantity.name for quantity in SCALARS]
 
+    def __iter__(self: Any) -> Iterator[Any]:
+        """Iterate over states, or members of an ensemble, as ``self[k]`` gives them."""
+        return (self[k] for k in range(len(self)))
+
     def __array__(self, dtype: Any = None, copy: Any = None) -> NoReturn:
         """Raise InputError: NumPy would look for an array in states of states."""
         raise InputError(
@@ -195,9 +197,7 @@ class Quantities:
             "quantity by its name, as ['energy']."
         )
 
-    def __dir__(self) -> list[str]:
-        """Return public names: without those that start with _, and fields that no repr shows."""
-        return public_names(self, super().__dir__())
+    __dir__ = public_names
 
     def _columns(self) -> dict[str, NDArray[Any]]:
         """Return numbers of stored quantities, invariants and points by name, as tables do."""

@@ -78,7 +78,7 @@ class Actions(Events):
     @property
     def after(self) -> States:
         """The states after the actions."""
-        return self._others(self.t, self.q_after, self.p_after)
+        return self.with_states(self.t, self.q_after, self.p_after)
 
     def _further(self) -> dict[str, Any]:
         numbers = {
@@ -114,22 +114,8 @@ def actions_of(run: Any, name: str) -> Actions:
 
 def energies_given(run: Any) -> Floats:
     """Return the energy that events gave up to each stored state of a run."""
-    program, values = run.program, run.parameter_values
-    t, step = (
-        np.array([getattr(record, name) for record in run.records]) for name in ("t", "step")
-    )
-    sides = (("q", "p"), ("q_after", "p_after"))
-    before, behind = (
-        States(
-            t=t,
-            q=np.array([getattr(record, q) for record in run.records]),
-            p=np.array([getattr(record, p) for record in run.records]),
-            program=program,
-            parameter_values=values,
-            driven=None,
-        )
-        for q, p in sides
-    )
+    _, t, step, q, p, q_after, p_after, *_ = map(np.array, zip(*run.records, strict=True))
+    before, behind = run.with_states(t, q, p), run.with_states(t, q_after, p_after)
     stays = (before.q == behind.q).all(axis=1)  # and V, which may be NaN at the zero of a root
     moved, pushed = behind.energy - before.energy, behind.kinetic_energy - before.kinetic_energy
     total = np.concatenate([[0.0], np.cumsum(np.where(stays, pushed, moved))])

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, UnknownNameError
-from symsimpson.module.quantity import QUANTITIES, SCALARS
+from symsimpson.module.quantity import QUANTITIES
 from symsimpson.module.quantity import VECTORS as WITH_COORDINATES
+from symsimpson.plotting import run_figures
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.outcome import Outcome
@@ -122,9 +123,6 @@ class Sampled(WithEvents, Outcome, States):
     error_estimate: float | None = None
     tau: Floats | None = field(default=None, repr=False)
 
-    def _arrays(self) -> dict[str, NDArray[Any]]:
-        return {name: getattr(self, name) for name in ("t", *VECTORS, *(x.name for x in SCALARS))}
-
     def _about(self) -> dict[str, Any]:
         return super()._about() | self._outcome()
 
@@ -196,9 +194,7 @@ class Saved(WithEvents, Outcome):
     reduced_values: tuple[tuple[str, float], ...] = field(default=(), repr=False)
     error_estimate: float | None = None
 
-    def __dir__(self) -> list[str]:
-        """Return public names."""
-        return public_names(self, super().__dir__())
+    __dir__ = public_names
 
     def _ipython_key_completions_(self) -> list[str]:
         return ["t", *self.values]
@@ -240,10 +236,10 @@ class Saved(WithEvents, Outcome):
         >>> kept.plot().get_ylabel()
         'theta'
         """
-        from symsimpson.plotting.run_figures import plot
-
         single = [name for name, values in self.values.items() if values.ndim == 1]
-        return plot(self, (names, *more) if more else single if names is None else names, ax=ax)
+        return run_figures.plot(
+            self, (names, *more) if more else single if names is None else names, ax=ax
+        )
 
     def to_pandas(self) -> Any:
         """Return a ``pandas.DataFrame`` of the quantities, with the times as index.

@@ -1,19 +1,16 @@
-"""Trajectories to files: netCDF and Zarr, by way of xarray, and tables."""
+"""Trajectories as datasets of xarray, for netCDF and Zarr."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import os
 from typing import Any
 
 import numpy as np
 
-from symsimpson.module.quantity import SCALARS, VECTORS
 from symsimpson.results.stored import Stored
-from symsimpson.results.tables import write
 
-__all__ = ["EVENTS", "RECORDED", "digest_of", "save"]
+__all__ = ["EVENTS", "RECORDED", "dataset_of", "digest_of"]
 
 #: Before the names of what was recorded, in files.
 RECORDED = "recorded_"
@@ -21,18 +18,7 @@ RECORDED = "recorded_"
 EVENTS = "acted"
 
 
-def save(run: Stored, path: str | os.PathLike[str]) -> None:
-    """Write a trajectory to a file that it can be read from again, or a table of its states."""
-
-    def arrays() -> dict[str, Any]:
-        stored = (quantity.name for quantity in (*VECTORS, *SCALARS))
-        columns = {name: getattr(run, name) for name in ("t", *stored)}
-        return columns | {f"point_{name}": x for name, x in run.points.items()}
-
-    write(path, "trajectory", arrays, run._table, lambda: _dataset(run), trajectory=run)
-
-
-def _dataset(run: Stored) -> Any:
+def dataset_of(run: Stored) -> Any:
     """Return an ``xarray.Dataset`` from which the trajectory can be made again."""
     dataset = run.to_xarray()
     text = np.frombuffer(run.program.source.encode(), dtype=np.uint8)  # long, for an attribute
@@ -66,12 +52,8 @@ def _dataset(run: Stored) -> Any:
 
 def _of_events(run: Stored) -> str:
     """Return what events did, as JSON."""
-    about = {
-        "names": run.event_names,
-        "ended_by": run.ended_by,
-        "records": [x.as_json for x in run.records],
-    }
-    return json.dumps(about)
+    records = [x.as_json for x in run.records]
+    return json.dumps({"names": run.event_names, "ended_by": run.ended_by, "records": records})
 
 
 def digest_of(run: Stored) -> str:

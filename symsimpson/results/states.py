@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, overload
 
@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.module.quantity import SCALARS, VECTORS
+from symsimpson.plotting import run_figures
 from symsimpson.program.program import Program
 from symsimpson.program.workspace import NO_INPUTS
+from symsimpson.results import html
 from symsimpson.results.quantities import Quantities
 from symsimpson.results.tables import dataframe
 from symsimpson.stepping.driving import Driven, inputs_there
@@ -42,12 +44,8 @@ def with_units(data: Any, units: Mapping[str, str]) -> Any:
     if "t" in units and "time" in data.variables:  # members may have one state each, or own times
         data["time"].attrs["units"] = units["t"]
     for name, column in data.variables.items():
-        key = (
-            column.attrs.get("long_name", name)
-            if name.startswith(("invariant_", "quantity_"))
-            else name
-        )
-        key = key.removeprefix("point_")
+        named = name.startswith(("invariant_", "quantity_"))
+        key = column.attrs.get("long_name", name) if named else name.removeprefix("point_")
         if key in units and name != "coord":
             data[name].attrs["units"] = units[key]
     for name, prefix in ((vector.name, vector.prefix) for vector in VECTORS):
@@ -70,6 +68,12 @@ def _kind_of(key: Any) -> str:
 def attribute_name(name: str, identifier: str) -> str:
     """Return a name if attributes of files may have it, else the name in the module."""
     return name if re.fullmatch(r"[^/\x00-\x1f\x7f]*[^/\s\x00-\x1f\x7f]", name) else identifier
+
+
+def about_program(program: Program) -> dict[str, Any]:
+    """Return attributes of a dataset: system, scheme, order and digest."""
+    names = {x: getattr(program, x) for x in ("system", "scheme", "order")}
+    return names | {"digest": program.header.digest}
 
 
 @explaining()
@@ -160,10 +164,10 @@ class States(Quantities):
             if not -len(self) <= number < len(self):
                 raise IndexError(f"there is no state {number}: there are {len(self)}, from 0 on")
             some = [number]
-        return self._others(self.t[some], self.q[some], self.p[some])
+        return self.with_states(self.t[some], self.q[some], self.p[some])
 
-    def _others(self, t: NDArray[Any], q: NDArray[Any], p: NDArray[Any]) -> States:
-        """Return other states of the same run."""
+    def with_states(self, t: NDArray[Any], q: NDArray[Any], p: NDArray[Any]) -> States:
+        """Return other states of the same system, with the same parameters."""
         program, values = self.program, self.parameter_values
         return States(t=t, q=q, p=p, program=program, parameter_values=values, driven=self.driven)
 
@@ -172,16 +176,8 @@ class States(Quantities):
         """Whether states follow one another, so that lines may connect them."""
         return True
 
-    def with_states(self, t: Any, q: Any, p: Any) -> States:
-        """Return given states of the same system, with the same parameters."""
-        return self._others(np.asarray(t), np.asarray(q), np.asarray(p))
-
     def __getstate__(self) -> dict[str, Any]:
         return {f.name: getattr(self, f.name) for f in fields(self)}  # without what was computed
-
-    def __iter__(self) -> Iterator[States]:
-        """Iterate over the states, each as ``run[k]`` gives it."""
-        return (self[k] for k in range(len(self)))
 
     def plot(self, names: str | Sequence[str] | None = None, *more: str, ax: Any = None) -> Any:
         """Draw quantities over time.
@@ -192,7 +188,7 @@ class States(Quantities):
         Parameters
         ----------
         names : str or sequence of str, optional
-            As in ``run["q1"]``; all coordinates, up to 60, unless given.
+            As in ``run["q1"]``; all coordinates unless given.
         *more : str
             Further ones.
         ax : matplotlib axes, optional
@@ -216,16 +212,13 @@ class States(Quantities):
         >>> run.plot("theta", "energy").get_xlabel()
         't'
         """
-        from symsimpson.plotting.run_figures import plot
-
         wanted = (names, *more) if more else names
-        return plot(self, wanted, connected=self._connected, ax=ax)
+        return run_figures.plot(self, wanted, connected=self._connected, ax=ax)
 
     def plot_phase(self, x: str | None = None, y: str | None = None, *, ax: Any = None) -> Any:
         """Draw one quantity over another, as a curve like that of :meth:`plot`.
 
-        Both axes have scales of their own, as units differ. Call ``ax.set_aspect("equal")`` for
-        two quantities of the same unit.
+        Call ``ax.set_aspect("equal")`` for two quantities of the same unit.
 
         Parameters
         ----------
@@ -250,9 +243,7 @@ class States(Quantities):
         >>> run.plot_phase("theta", "v_theta").get_ylabel()
         'v_theta'
         """
-        from symsimpson.plotting.run_figures import plot_phase
-
-        return plot_phase(self, x, y, connected=self._connected, ax=ax)
+        return run_figures.plot_phase(self, x, y, connected=self._connected, ax=ax)
 
     def plot_path(self, *, ax: Any = None) -> Any:
         """Draw the paths of the system's ``positions``, into ``ax`` if given; returns the axes.
@@ -295,6 +286,9 @@ class States(Quantities):
         """
         return dataframe(self._table(), "t", self._about(), self.program.units)
 
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        return {x: getattr(self, x) for x in ("t", *(y.name for y in (*VECTORS, *SCALARS)))}
+
     def _table(self) -> dict[str, NDArray[Any]]:
         return {"t": self.t, **self._columns()}
 
@@ -314,15 +308,10 @@ class States(Quantities):
         ('time', 'coord')
         """
         xarray = library("xarray", "to_xarray", "data")
-        variables: dict[str, Any] = {
-            quantity.name: (
-                ("time", "coord")[: 1 + bool(quantity.axis)],
-                getattr(self, quantity.name),
-                about,
-            )
-            for quantity in (*VECTORS, *SCALARS)
-            for about in [{"long_name": quantity.doc}]
-        }
+        variables = dict[str, Any]()
+        for x in (*VECTORS, *SCALARS):
+            places = ("time", "coord")[: 1 + bool(x.axis)]
+            variables[x.name] = places, getattr(self, x.name), {"long_name": x.doc}
         for k, (name, values) in enumerate(self.invariants.items()):
             variables[f"invariant_{k}"] = (("time",), values, {"long_name": name})
         for k, (name, place) in enumerate(self.points.items()):
@@ -339,18 +328,10 @@ class States(Quantities):
 
     def _about(self) -> dict[str, Any]:
         """Return attributes of a dataset: system, scheme, order, digest and parameters."""
-        program = self.program
-        return {
-            "system": program.system,
-            "scheme": program.scheme,
-            "order": program.order,
-            "digest": program.header.digest,
-            **{
-                f"parameter {attribute_name(name, identifier)}": float(value)
-                for (name, value), identifier in zip(
-                    self.parameters.items(), program.names.parameters.own, strict=True
-                )
-            },
+        names = zip(self.parameters.items(), self.program.names.parameters.own, strict=True)
+        return about_program(self.program) | {
+            f"parameter {attribute_name(name, identifier)}": float(value)
+            for (name, value), identifier in names
         }
 
     def _where(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
@@ -368,10 +349,7 @@ class States(Quantities):
     def __len__(self) -> int:
         return self.t.size
 
-    def _repr_html_(self) -> str:
-        from symsimpson.results.html import states
-
-        return states(self)
+    _repr_html_ = html.states
 
     def __repr__(self) -> str:
         times = counted(len(self), "state")

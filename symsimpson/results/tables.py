@@ -81,25 +81,12 @@ def write(
 ) -> None:
     """Write a result into a file of the kind that its ending says.
 
-    Parameters
-    ----------
-    path, what
-        The file, and what is in it, for messages.
-    arrays : callable
-        Gives arrays of any shape, for .npz; what has many digits is refused.
-    table : callable
-        Gives columns, for .csv and .parquet.
-    dataset : callable
-        Gives an ``xarray.Dataset``, for netCDF (.nc) and stores of Zarr.
-    trajectory : Trajectory, optional
-        Carried by errors, so that it is not lost.
+    Messages say ``what`` is in it. ``arrays`` of any shape go to .npz, the columns of ``table`` to
+    .csv and .parquet, and an ``xarray.Dataset`` to netCDF (.nc) and to Zarr, with all metadata in
+    one place if ``consolidated``. Errors carry the ``trajectory``, so that it is not lost.
 
-    Raises
-    ------
-    InputError
-        If the name ends otherwise, a library is missing, or numbers have many digits.
-    StorageError
-        If the file cannot be written.
+    Raises InputError if the name ends otherwise, a library is missing, or numbers have many
+    digits, and StorageError if the file cannot be written.
     """
     place = read_path(f"the {what}'s file", path)
     kind = check_kind(place)

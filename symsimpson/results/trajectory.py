@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,9 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_array
 from symsimpson.program.status import Status
+from symsimpson.results import html
 from symsimpson.results.differentiated import Differentiated
 from symsimpson.results.energies import Energies
 from symsimpson.results.states import OF_RUNS, States
+from symsimpson.results.tables import write
 from symsimpson.support.calling import explaining
 from symsimpson.support.names import counted, did_you_mean
 
@@ -176,7 +178,7 @@ class Trajectory(Energies, Differentiated):
         with numbers.working():
             times = np.atleast_1d(numbers.result(read_array("t", t, numbers)))
         q, p = self.sol.states(times)
-        return self._others(times, q, p)
+        return self.with_states(times, q, p)
 
     def events(self, expression: Any, *, direction: int = 0, wrap: Any = ()) -> Events:
         """Find the zeros of an expression along the run, to rounding error.
@@ -302,9 +304,13 @@ class Trajectory(Energies, Differentiated):
         >>> ss.open_trajectory(path).steps
         50
         """
-        from symsimpson.results.saving import save
+        from symsimpson.results.saving import dataset_of
 
-        save(self, path)
+        dataset = partial(dataset_of, self)
+        write(path, "trajectory", self._arrays, self._table, dataset, trajectory=self)
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        return super()._arrays() | {f"point_{name}": x for name, x in self.points.items()}
 
     def _further(self) -> dict[str, Any]:
         further = {"newton_iterations": (("time",), self.newton_iterations)}
@@ -315,10 +321,7 @@ class Trajectory(Energies, Differentiated):
     def _about(self) -> dict[str, Any]:
         return super()._about() | self._outcome()
 
-    def _repr_html_(self) -> str:
-        from symsimpson.results.html import trajectory
-
-        return trajectory(self)
+    _repr_html_ = html.trajectory
 
     def __repr__(self) -> str:
         program = self.program

@@ -35,15 +35,9 @@ def _powers_at(run: Stored, *, arriving: bool = False) -> Reals:
 
     With the inputs of the step that begins at a state, or of the one that arrives there.
     """
-    return evaluate(
-        run.program,
-        "power",
-        "POWER",
-        run.program.header.powers,
-        (run.t, run.q, run.p),
-        run.parameter_values,
-        inputs_there(run.program, run.driven, run.t, arriving=arriving),
-    )
+    program, states, values = run.program, (run.t, run.q, run.p), run.parameter_values
+    inputs = inputs_there(program, run.driven, run.t, arriving=arriving)
+    return evaluate(program, "power", "POWER", program.header.powers, states, values, inputs)
 
 
 def named_parts(program: Program, parts: Reals) -> dict[str, Reals]:

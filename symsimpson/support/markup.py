@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import html
 import re
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -31,36 +32,35 @@ def box(title: str, *parts: str) -> str:
 
 def facts(pairs: Sequence[tuple[str, object]]) -> str:
     """Lay out names and what they are; a part that is markup already is given as ``Markup``."""
-    rows = "".join(
-        f"<tr><th{LEFT}>{html.escape(name)}</th><td{LEFT}>{_cell(value)}</td></tr>"
-        for name, value in pairs
-    )
-    return f"<table><tbody>{rows}</tbody></table>"
+    return f"<table><tbody>{''.join(map(_row, pairs))}</tbody></table>"
+
+
+def _row(cells: Sequence[object], names: int = 1) -> str:
+    """Lay out cells, the first of which are names."""
+    tags = ["th"] * names + ["td"] * (len(cells) - names)
+    shown = zip(tags, map(_cell, cells), strict=True)
+    return f"<tr>{''.join(f'<{tag}{LEFT}>{cell}</{tag}>' for tag, cell in shown)}</tr>"
 
 
 def fields_given(title: str, value: Any) -> str:
     """Put the fields of a dataclass that differ from their defaults under a title."""
     pairs = []
     for field in dataclasses.fields(value):
-        given, factory = getattr(value, field.name), field.default_factory
-        if given is not field.default and (not isinstance(factory, type) or given != factory()):
-            if isinstance(given, Mapping):
-                given = ", ".join(f"{key} = {x}" for key, x in given.items())
-            text = str(getattr(given, "name", given))
-            pairs.append((field.name, text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."))
+        given = getattr(value, field.name)
+        if isinstance(given, Mapping):
+            given = ", ".join(f"{key} = {x}" for key, x in given.items()) or field.default
+        if given is not field.default:
+            pairs.append(
+                (field.name, textwrap.shorten(str(getattr(given, "name", given)), LONGEST))
+            )
     return box(title, facts(pairs))
 
 
 def table(rows: Sequence[Sequence[object]]) -> str:
     """Lay out rows, the first of which is their head."""
     head, *body = rows
-    first = "".join(f"<th{LEFT}>{_cell(cell)}</th>" for cell in head)
-    rest = "".join(
-        f"<tr><th{LEFT}>{_cell(row[0])}</th>"
-        f"{''.join(f'<td{LEFT}>{_cell(cell)}</td>' for cell in row[1:])}</tr>"
-        for row in body
-    )
-    return f"<table><thead><tr>{first}</tr></thead><tbody>{rest}</tbody></table>"
+    lines = "".join(map(_row, body))
+    return f"<table><thead>{_row(head, len(head))}</thead><tbody>{lines}</tbody></table>"
 
 
 class Markup(str):
@@ -73,48 +73,37 @@ def _cell(value: object) -> str:
 
 def curves(x: Reals, columns: Sequence[Reals]) -> Markup:
     """Draw columns over x in one picture, each in its colour."""
-    stride = max(1, -(-len(x) // POINTS))
-    x = np.asarray(x[::stride], dtype=float)
-    ys = [np.asarray(column[::stride], dtype=float) for column in columns]
-    place = _Frame(x, np.concatenate(ys) if ys else x)
+    some = slice(None, None, max(1, -(-len(x) // POINTS)))
+    across, rows = _scaled(x[some], WIDTH), [column[some] for column in columns]
+    drawn = [_points(across, y) for y in HEIGHT - _scaled(rows, HEIGHT)]
     lines = "".join(
-        f'<polyline fill="none" stroke="{COLOURS[k % len(COLOURS)]}" points="{place(x, y)}"/>'
-        for k, y in enumerate(ys)
+        f'<polyline fill="none" stroke="{COLOURS[k % len(COLOURS)]}" points="{points}"/>'
+        for k, points in enumerate(drawn)
     )
     return _picture(lines)
 
 
 def scatter(x: Reals, y: Reals) -> Markup:
     """Draw points."""
-    stride = max(1, -(-len(x) // (4 * POINTS)))
-    x, y = (np.asarray(values[::stride], dtype=float) for values in (x, y))
-    points = _Frame(x, y)(x, y).split()
+    some = slice(None, None, max(1, -(-len(x) // (4 * POINTS))))
     dots = "".join(
         '<circle cx="{}" cy="{}" r="0.9" fill="{}"/>'.format(*point.split(","), COLOURS[0])
-        for point in points
+        for point in _points(_scaled(x[some], WIDTH), HEIGHT - _scaled(y[some], HEIGHT)).split()
     )
     return _picture(dots)
 
 
-class _Frame:
-    """Where points of finite numbers lie in a picture."""
+def _scaled(given: Any, size: float) -> Any:
+    """Return where numbers lie along a picture of some size, within its margins."""
+    values = np.asarray(given, dtype=float)
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+    return MARGIN + (values - low) / ((high - low) or 1.0) * (size - 2 * MARGIN)
 
-    def __init__(self, x: Reals, y: Reals) -> None:
-        self._x, self._y = (self._range(values) for values in (x, y))
 
-    @staticmethod
-    def _range(values: Reals) -> tuple[float, float]:
-        finite = values[np.isfinite(values)]
-        if not finite.size:
-            return 0.0, 1.0
-        low, high = float(finite.min()), float(finite.max())
-        return low, (high - low) or 1.0
-
-    def __call__(self, x: Reals, y: Reals) -> str:
-        finite = np.isfinite(x) & np.isfinite(y)
-        across = MARGIN + (x[finite] - self._x[0]) / self._x[1] * (WIDTH - 2 * MARGIN)
-        down = HEIGHT - MARGIN - (y[finite] - self._y[0]) / self._y[1] * (HEIGHT - 2 * MARGIN)
-        return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(across, down, strict=True))
+def _points(across: Any, down: Any) -> str:
+    finite = np.isfinite(across) & np.isfinite(down)
+    return " ".join(f"{x:.1f},{y:.1f}" for x, y in zip(across[finite], down[finite], strict=True))
 
 
 def _picture(content: str) -> Markup:

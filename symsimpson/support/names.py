@@ -55,10 +55,10 @@ def shortened(value: object) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def public_names(value: Any, names: Iterable[str]) -> list[str]:
-    """Return names of attributes for users: no fields of a dataclass that its repr leaves out."""
-    internal = {x.name for x in getattr(value, "__dataclass_fields__", {}).values() if not x.repr}
-    return sorted(name for name in names if not name.startswith("_") and name not in internal)
+def public_names(value: Any) -> list[str]:
+    """Return names of attributes for ``dir``: no private ones, no fields that no repr shows."""
+    internal = {x.name for x in value.__dataclass_fields__.values() if not x.repr}
+    return [x for x in object.__dir__(value) if not x.startswith("_") and x not in internal]
 
 
 def counted(count: int, what: str) -> str:

@@ -17,6 +17,12 @@ def run_of(name, **options):
     return stepper.integrate(**stepper.reference_state, **given)
 
 
+@pytest.fixture(scope="module")
+def run():
+    return run_of("double_pendulum", h=0.1, steps=10)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "links"),
     sweep(
@@ -32,8 +38,7 @@ def test_what_keeps_its_distance_is_linked(name, links):
     assert scene_of(run_of(name)).links == links
 
 
-def test_points_are_where_they_were_declared():
-    run = run_of("double_pendulum")
+def test_points_are_where_they_were_declared(run):
     scene = scene_of(run)
     l1, l2 = run.parameters["l1"], run.parameters["l2"]
     x = l1 * np.sin(run["q1"]) + l2 * np.sin(run["q2"])
@@ -41,6 +46,7 @@ def test_points_are_where_they_were_declared():
     assert (np.abs(scene.points - scene.middle) <= scene.reach).all()
 
 
+@pytest.mark.slow
 def test_a_body_turns_with_the_top():
     run = run_of("lagrange_top")
     scene = scene_of(run)
@@ -67,6 +73,7 @@ def test_films_need_nothing_from_elsewhere(tmp_path, name):
     assert shown.count('"') == 8  # the page is escaped within its own
 
 
+@pytest.mark.slow
 def test_length_of_a_film():
     run = run_of("double_pendulum", h=0.01, steps=300)
     assert run.animate().frames == 60
@@ -78,11 +85,12 @@ def test_length_of_a_film():
     "options",
     [{"fps": 0}, {"fps": 1000}, {"fps": None}, {"seconds": -1}, {"seconds": 1e9}, {"seconds": "2"}],
 )
-def test_films_that_are_none(options):
+def test_films_that_are_none(run, options):
     with pytest.raises(ss.InputError, match="make no film"):
-        run_of("double_pendulum").animate(**options)
+        run.animate(**options)
 
 
+@pytest.mark.slow
 def test_systems_without_positions(tmp_path):
     (x,) = ss.coordinates("x")
     m = sp.Symbol("m", positive=True)
@@ -98,6 +106,7 @@ def test_systems_without_positions(tmp_path):
         loaded.plot_path()
 
 
+@pytest.mark.slow
 def test_points_in_one_dimension_and_bad_ones():
     (x,) = ss.coordinates("x")
     given = {"coordinates": (x,), "kinetic": x.diff() ** 2 / 2, "potential": x**2, "parameters": {}}
@@ -112,6 +121,7 @@ def test_points_in_one_dimension_and_bad_ones():
             ss.MechanicalSystem("line", **given, positions={"mass": bad})
 
 
+@pytest.mark.slow
 def test_a_film_has_its_own_layout(recwarn):
     plt = pytest.importorskip("matplotlib.pyplot")
     run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
@@ -122,6 +132,7 @@ def test_a_film_has_its_own_layout(recwarn):
     assert page.count("\n") < 1000
 
 
+@pytest.mark.slow
 def test_points_that_move_with_the_time(tmp_path):
     """A pivot that is shaken by hand is drawn, filmed, and where it is at each time."""
     import sympy as sp
@@ -157,6 +168,7 @@ def test_points_that_move_with_the_time(tmp_path):
 BEGINS = {".gif": b"GIF89a", ".png": b"\x89PNG", ".mp4": b"\x00\x00\x00"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", BEGINS)
 @pytest.mark.parametrize("name", sweep(["double_pendulum", "lagrange_top"]))
 def test_files_are_what_their_ending_says(tmp_path, name, kind):
@@ -168,6 +180,7 @@ def test_files_are_what_their_ending_says(tmp_path, name, kind):
     assert [one.name for one in tmp_path.iterdir()] == [written.name]
 
 
+@pytest.mark.slow
 def test_a_gif_has_all_frames(tmp_path):
     image = pytest.importorskip("PIL.Image")
     film = run_of("double_pendulum").animate(fps=5)
@@ -178,7 +191,7 @@ def test_a_gif_has_all_frames(tmp_path):
 @pytest.mark.parametrize(
     ("name", "frame"), [("film.txt", 0), ("film", 0), ("film.png", 99), ("film.png", "last")]
 )
-def test_other_endings_and_frames_are_refused(tmp_path, name, frame):
+def test_other_endings_and_frames_are_refused(run, tmp_path, name, frame):
     with pytest.raises(ss.InputError, match=r"\.html, \.gif, \.mp4 or \.png"):
-        run_of("double_pendulum").animate(fps=5).save(tmp_path / name, frame=frame)
+        run.animate(fps=5).save(tmp_path / name, frame=frame)
     assert not list(tmp_path.iterdir())

@@ -15,6 +15,7 @@ def run():
     return stepper.integrate([0.8, 1.0], p0=[0, 0], h=0.01, t_end=2.0)
 
 
+@pytest.mark.slow
 def test_no_two_of_many_coordinates_have_one_colour():
     stepper = ss.compile(ss.systems.n_pendulum(12), "midpoint")
     many = stepper.integrate([0.1] * 12, v0=[0] * 12, h=0.01, steps=3)
@@ -82,6 +83,7 @@ def test_titles_tell_how_many_members_are_drawn():
     assert sum(bar.get_height() for bar in bars.patches) == 4
 
 
+@pytest.mark.slow
 def test_phase_plane_and_sections(run):
     ax = run.plot_phase()
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("q1", "p_q1")
@@ -101,6 +103,7 @@ def test_energy(run):
     assert free.integrate(**free.reference_state, h=0.01, steps=5).plot_energy().get_xlabel() == "t"
 
 
+@pytest.mark.slow
 def test_energies_are_labelled_by_the_scale_that_they_are_relative_to():
     pendulum = ss.compile(ss.systems.pendulum())
     level = pendulum.integrate([np.pi / 2], v0=[0.0], h=0.1, steps=50)  # H0 is 1e-16
@@ -111,6 +114,7 @@ def test_energies_are_labelled_by_the_scale_that_they_are_relative_to():
     assert rest.plot_energy().get_ylabel() == "H - H0"
 
 
+@pytest.mark.slow
 def test_paths(run):
     ax = run.plot_path()
     paths = {line.get_label(): line for line in ax.lines[:2]}
@@ -135,6 +139,7 @@ def test_without_matplotlib(run, monkeypatch):
         run.plot()
 
 
+@pytest.mark.slow
 def test_names_one_by_one_and_symbols(run):
     q1, q2 = ss.systems.double_pendulum().coordinates
     ax = run.plot("q1", q2, q1.diff())

@@ -159,7 +159,7 @@ def test_points_by_name():
 
 def test_members_are_drawn():
     plt = pytest.importorskip("matplotlib.pyplot")
-    ax = many_of().plot("energy", members=3)
+    ax = many_of().plot("energy", most=3)
     assert len(ax.lines) == 3
     assert many_of(None).plot().get_ylabel() == "members"
     plt.close("all")
