@@ -43,7 +43,7 @@ CHUNK_SECONDS = 0.5
 CHUNK_BYTES = 2**26
 #: Arrays that are written chunk by chunk, beside reductions and what is recorded.
 WRITTEN = ("q", "p", "variations", "status", "steps", "newton_iterations")
-#: Held by whoever sets options of zarr, which are those of the whole process.
+#: Options of zarr belong to the process: one thread at a time sets them.
 _options = threading.Lock()
 
 
@@ -101,7 +101,7 @@ class Store:
             yield chunk
 
     def mend(self) -> None:
-        """Write what is given anew, where some of it is damaged or gone."""
+        """Write initial states, parameters and axes again if a chunk is missing or damaged."""
         given, template = _given(self.program, self.task)
         for name, array in self.whole.arrays():
             if name not in self.results:
@@ -249,7 +249,7 @@ def _create(place: str, program: Program, task: Task, asked: dict[str, Any]) -> 
 
 
 def _given(program: Program, task: Task) -> tuple[dict[str, Any], Any]:
-    """Return what a store holds of each member from the start, and a dataset of one member."""
+    """Return the given arrays of all members by name, and a dataset of one member."""
     first_task = task.part(slice(0, 1))
     results = Results(first_task, program.header).columns()
     given = {"q0": task.q0, task.given: task.other0, "member": np.arange(task.members)}

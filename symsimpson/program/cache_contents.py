@@ -59,7 +59,7 @@ def usage(folder: Path) -> tuple[int, int]:
 
 
 def _ours(folder: Path) -> Iterator[Path]:
-    """Return entries, those that are being built or were left behind, and answers."""
+    """Return entries, folders in which entries are built, and answers."""
     for path in folder.iterdir():
         if path.is_dir() and not path.is_symlink():
             if path.name in KINDS:
