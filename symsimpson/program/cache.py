@@ -38,13 +38,13 @@ from symsimpson.support.garbage import rarely_collected
 from symsimpson.support.progress import waiting
 from symsimpson.support.signals import undisturbed
 
-__all__ = ["BUILDING", "MODULE", "cache_folder", "compiled", "location", "lock_file"]
+__all__ = ["BUILDING", "DIGESTS", "MODULE", "cache_folder", "compiled", "location", "lock_file"]
 
 Result = TypeVar("Result")
 LOG = logging.getLogger(__name__)
 
 _VARIABLE = "SYMSIMPSON_CACHE_DIR"
-_DIGESTS = "digests.json"
+DIGESTS = "digests.json"
 #: How folders begin in which entries are built, and names of modules in them.
 BUILDING, MODULE = ".building-", "symsimpson_compiled_"
 _results: dict[str, object] = {}
@@ -246,7 +246,7 @@ def _build(folder: Path, key: str, text: str, use: Callable[[ModuleType, bool], 
         path = building / f"{name}.py"
         path.write_text(text, encoding="utf-8")
         result = _import(path, name, use)
-        (building / _DIGESTS).write_text(json.dumps(_digests(building)), encoding="utf-8")
+        (building / DIGESTS).write_text(json.dumps(_digests(building)), encoding="utf-8")
         with contextlib.suppress(OSError):  # another process was first
             building.rename(entry)
         LOG.info("compiled %s in %.2f s", entry, time.perf_counter() - start)
@@ -259,7 +259,7 @@ def _digests(entry: Path) -> dict[str, str]:
     return {
         str(path.relative_to(entry)): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(entry.rglob("*"))
-        if path.is_file() and path.name != _DIGESTS and path.suffix != ".pyc"
+        if path.is_file() and path.name != DIGESTS and path.suffix != ".pyc"
     }
 
 
@@ -267,7 +267,7 @@ def _intact(entry: Path) -> bool:
     try:
         if entry.is_symlink() or any(path.is_symlink() for path in entry.rglob("*")):
             return False
-        expected = json.loads((entry / _DIGESTS).read_text(encoding="utf-8"))
+        expected = json.loads((entry / DIGESTS).read_text(encoding="utf-8"))
         return bool(expected) and expected == _digests(entry)
     except (OSError, ValueError):
         return False

@@ -11,7 +11,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from symsimpson.program.answers import KINDS
-from symsimpson.program.cache import BUILDING, MODULE, cache_folder, lock_file
+from symsimpson.program.cache import BUILDING, DIGESTS, MODULE, cache_folder, lock_file
 
 __all__ = ["clear_cache", "usage"]
 
@@ -63,16 +63,19 @@ def _ours(folder: Path) -> Iterator[Path]:
     for path in folder.iterdir():
         if path.is_dir() and not path.is_symlink():
             if path.name in KINDS:
-                yield from (x for x in path.iterdir() if ANSWER.fullmatch(x.name))
+                yield from (x for x in path.glob("*.json") if ANSWER.fullmatch(x.name))
             elif _keys(path):
                 yield path
 
 
 def _keys(path: Path) -> list[str]:
-    """Return the keys of the entries that a folder is, or in which they are built; else none."""
+    """Return keys of the entries in a folder; none if it holds anything else."""
+    files = [x.name for x in path.rglob("*") if not x.is_dir()]
+    if not all(x.startswith(MODULE) or x == DIGESTS for x in files):
+        return []
     if path.name.startswith(BUILDING):
-        return [x.stem.removeprefix(MODULE) for x in path.rglob(f"{MODULE}*.py")]
-    known = ENTRY.fullmatch(path.name) and any(path.rglob(f"{MODULE}{path.name}*"))
+        return [x[len(MODULE) : -len(".py")] for x in files if x.endswith(".py")]
+    known = ENTRY.fullmatch(path.name) and any(x.startswith(MODULE + path.name) for x in files)
     return [path.name] if known else []
 
 
@@ -85,7 +88,7 @@ def _bytes(path: Path) -> int:
 
 
 def _removed(folder: Path, path: Path) -> int:
-    """Remove a file or a folder, unless another process builds it; return its size."""
+    """Remove a file or a folder, unless another process builds it; return the bytes removed."""
     size, keys = _bytes(path), _keys(path) if path.name.startswith(BUILDING) else []
     try:
         with contextlib.ExitStack() as stack:
