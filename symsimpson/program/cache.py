@@ -115,6 +115,8 @@ def _without_cache(folder: Path, why: str) -> None:
 @cache
 def _machine() -> str:
     """Name everything besides its text that compiled code depends on."""
+    idle = {f"NUMBA_{name}" for name in _IDLE}
+    settings = {x: y for x, y in os.environ.items() if x.startswith("NUMBA_") and x not in idle}
     parts = (
         sys.version,
         numba.__version__,
@@ -123,19 +125,9 @@ def _machine() -> str:
         llvm.get_process_triple(),
         llvm.get_host_cpu_name(),
         str(llvm.get_host_cpu_features().flatten()),
-        *_settings(),
+        *sorted(f"{name}={value}" for name, value in settings.items()),
     )
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
-
-
-def _settings() -> list[str]:
-    """Return what the environment tells numba and LLVM, in which code may differ."""
-    idle = {f"NUMBA_{name}" for name in _IDLE}
-    return sorted(
-        f"{name}={value}"
-        for name, value in os.environ.items()
-        if name.startswith("NUMBA_") and name not in idle
-    )
 
 
 def compiled(
@@ -225,11 +217,9 @@ def lock_file(folder: Path, key: str) -> Path:
 def _alone(folder: Path, key: str) -> Iterator[None]:
     """Let one process at a time make an entry; the system frees the lock of one that died."""
     lock = FileLock(lock_file(folder, key), timeout=LONGEST)
-    try:
+    # without the lock both make it, and one is kept
+    with contextlib.suppress(OSError, NotImplementedError, Timeout):
         lock.acquire()
-    except (OSError, NotImplementedError, Timeout):  # then both make it, and one is kept
-        yield
-        return
     try:
         yield
     finally:

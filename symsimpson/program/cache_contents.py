@@ -15,7 +15,7 @@ from symsimpson.program.cache import BUILDING, DIGESTS, MODULE, cache_folder, lo
 
 __all__ = ["clear_cache", "usage"]
 
-ENTRY = re.compile(r".+_[0-9a-f]{32}")
+SOURCE = re.compile(MODULE + r"(.+_[0-9a-f]{32})\.py")
 ANSWER = re.compile(r"\.?[0-9a-f]{64}(\.new)?\.json")
 
 
@@ -55,7 +55,8 @@ def clear_cache() -> int:
 def usage(folder: Path) -> tuple[int, int]:
     """Return the number of compiled entries in a cache folder, and the bytes of all in it."""
     ours = list(_ours(folder))
-    return sum(bool(ENTRY.fullmatch(path.name)) for path in ours), sum(map(_bytes, ours))
+    entries = [path for path in ours if path.is_dir() and not path.name.startswith(BUILDING)]
+    return len(entries), sum(map(_bytes, ours))
 
 
 def _ours(folder: Path) -> Iterator[Path]:
@@ -64,19 +65,16 @@ def _ours(folder: Path) -> Iterator[Path]:
         if path.is_dir() and not path.is_symlink():
             if path.name in KINDS:
                 yield from (x for x in path.glob("*.json") if ANSWER.fullmatch(x.name))
-            elif _keys(path):
+            elif path.name in _keys(path) or (path.name.startswith(BUILDING) and _keys(path)):
                 yield path
 
 
 def _keys(path: Path) -> list[str]:
     """Return keys of the entries in a folder; none if it holds anything else."""
-    files = [x.name for x in path.rglob("*") if not x.is_dir()]
-    if not all(x.startswith(MODULE) or x == DIGESTS for x in files):
+    names = [x.name for x in path.rglob("*") if not x.is_dir()]
+    if not all(x.startswith(MODULE) or x == DIGESTS for x in names):
         return []
-    if path.name.startswith(BUILDING):
-        return [x[len(MODULE) : -len(".py")] for x in files if x.endswith(".py")]
-    known = ENTRY.fullmatch(path.name) and any(x.startswith(MODULE + path.name) for x in files)
-    return [path.name] if known else []
+    return [match[1] for x in names if (match := SOURCE.fullmatch(x))]
 
 
 def _bytes(path: Path) -> int:

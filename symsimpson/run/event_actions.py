@@ -75,13 +75,9 @@ class EventActions:
         """Return the expressions of events at a state."""
         return self.row(t, state)[: len(self._events.events)]
 
-    def is_impact(self, k: int) -> bool:
-        """Return whether an event is an impact."""
-        return bool(self.impacts[k])
-
     def loses(self, k: int, before: State, behind: State, t: float) -> bool:
         """Return whether an event is an impact that left a slower rate than there was."""
-        if not self.is_impact(k):
+        if not self.impacts[k]:
             return False
         rates = [abs(self.row(t, state)[self.rate(k)]) for state in (before, behind)]
         return bool(rates[1] < (1 - 1e-9) * rates[0])
@@ -100,7 +96,7 @@ class EventActions:
     def may_all_hit(self, t: float, state: State, events: Sequence[int]) -> bool:
         """Return whether all of some events are impacts that may act on a state."""
         row = self.row(t, state)
-        return all(self.is_impact(k) and self.allowed(row, k) for k in events)
+        return all(self.impacts[k] and self.allowed(row, k) for k in events)
 
     def sizes(self, row: Floats, q: Floats) -> Floats:
         """Return the sizes of terms of which expressions are made, to tell what rounding is."""
@@ -148,7 +144,7 @@ class EventActions:
 
         It is where they are lowest, with all that is asked for there.
         """
-        lowest: dict[int, tuple[float, Floats]] = {}
+        lowest, size = dict[int, tuple[float, Floats]](), LOWEST * abs(span)
         for k, place in enumerate(self._events.rate):
             if place is None or min(first[k], last[k]) <= small[k]:
                 continue
@@ -156,17 +152,10 @@ class EventActions:
             down, up = span * rates[0], span * rates[1]
             low = lowest_of_cubic.py_func(*ends, down, up) if down < 0 < up else np.inf
             if low < NEAR * min(ends):
-                x = self._still(row, place, span, rates)
+                x = ridders(lambda x, at=place: float(row(x)[at]), 0.0, span, rates, size)
                 if x == x and (there := row(x))[k] < -small[k]:
                     lowest[k] = x, there
         return lowest
-
-    @staticmethod
-    def _still(
-        row: Callable[[float], Floats], place: int, span: float, rates: tuple[float, float]
-    ) -> float:
-        """Return where from 0 to a span a rate is zero, between ends of both signs."""
-        return ridders(lambda x: float(row(x)[place]), 0.0, span, rates, LOWEST * abs(span))
 
     def root(
         self,
@@ -217,12 +206,12 @@ class EventActions:
         Yields the number of each, the states before and behind it, and its impulse.
         """
         for k in events:
-            if not self.is_impact(k):
+            if not self.impacts[k]:
                 before, state = state, self._changed(t, state, k)
                 yield k, before, state, 0.0
                 if self.failed:
                     return
-        forced = {k for k in events if self.is_impact(k)}
+        forced = {k for k in events if self.impacts[k]}
         for _ in range(MOST_MAPS):
             row = self.row(t, state)
             touch = self.touching(row[: len(small)], small)

@@ -302,7 +302,7 @@ class EventRun(Run):
         row, small, given = self._actions.row(t, state), self.sides.small, state
         allowed = [k for k in events if self._actions.allowed(row, k)]
         for k in events:  # an impact leads back to its side, unless it is not allowed
-            if not (k in allowed and self._actions.is_impact(k)):
+            if not (k in allowed and self._actions.impacts[k]):
                 self.sides.side[k] = -self.sides.side[k]
         done = list(self._actions.acted(t, state, allowed, small))
         several = len({k for k, *_, impulse in done if impulse}) > 1
@@ -310,8 +310,8 @@ class EventRun(Run):
             state = behind
             if self._saltation is not None:
                 self._saltation.act(t, before, k, step)
-            direction = -1 if self._actions.is_impact(k) else int(self.sides.side[k])
-            together = several and self._actions.is_impact(k)
+            direction = -1 if self._actions.impacts[k] else int(self.sides.side[k])
+            together = several and bool(self._actions.impacts[k])
             self.records.append(Record(k, t, step, *before, *behind, direction, impulse, together))
             if self._actions.loses(k, before, behind, t):
                 times.setdefault(k, []).append(t)
@@ -325,7 +325,12 @@ class EventRun(Run):
             return None
         if state is not given:
             self._look_ahead(t, step, state)
-        return None if self._accumulates(times) else state
+        limit = accumulation(times, abs(float(self.h)))
+        if limit is not None:
+            k, about = limit
+            why = f"{self._events.names[k]!r} acts ever faster up to t={about!r}. "
+            return self._fail(Status.EVENTS_ACCUMULATE, why)
+        return state
 
     @property
     def _worked(self) -> Floats:
@@ -348,15 +353,6 @@ class EventRun(Run):
         ahead = self._actions.values(t + size, soon) if status is Status.SUCCESS else 0 * values
         fresh = self.sides.of(values, self.sides.small_at(t, state), np.sign(ahead))
         self.sides.side[:] = np.where(self._actions.impacts, self.sides.side, fresh)
-
-    def _accumulates(self, times: Times) -> bool:
-        """Return whether impacts follow each other ever faster: the run ends."""
-        limit = accumulation(times, abs(float(self.h)))
-        if limit is not None:
-            k, about = limit
-            why = f"{self._events.names[k]!r} acts ever faster up to t={about!r}. "
-            self._fail(Status.EVENTS_ACCUMULATE, why)
-        return limit is not None
 
     def _look_for_end(self) -> bool:
         """Look whether an event has ended the run."""

@@ -180,15 +180,6 @@ def read_brief_request(program: Program, request: Request) -> BriefRequest | Non
     return BriefRequest(values, q, other, v0 is not None, every or 0)
 
 
-def read_plain_steps(request: Request) -> Times:
-    """Read h, which was looked at before, t0 and the number of steps; quickly if t0 is 0."""
-    h, steps, t0 = request.h, request.steps, request.t0
-    if request.t_end is None and type(h) is type(t0) is float and t0 == 0 and type(steps) is int:
-        return h, t0, steps
-    h, steps, t0 = read_steps(request, FLOAT64)
-    return h, t0, steps
-
-
 def brief_run(program: Program, request: Request) -> Trajectory | None:
     """Run, and return what it has come to; None if it is not short, or something came up."""
     asked, retimed = read_brief_request(program, request), program.header.retimed
@@ -209,7 +200,10 @@ def _of_steps(
     program: Program, runner: BriefRunner, asked: BriefRequest, request: Request
 ) -> Trajectory | None:
     """Take a given number of steps."""
-    h, t0, steps = times = read_plain_steps(request)
+    h, steps, t0 = request.h, request.steps, request.t0
+    plain = request.t_end is None and type(h) is type(t0) is float and type(steps) is int
+    if not plain or t0 != 0:  # h was looked at before
+        h, steps, t0 = read_steps(request, FLOAT64)
     if not 0 < steps * program.header.rows <= MOST_ROWS:
         return None
     every, n = asked.every, program.n
@@ -224,7 +218,7 @@ def _of_steps(
         return None
     stored = room(last, n) if every else runner.sampled
     end = np.empty((4, n))
-    count = runner.run(asked, times, stride, few, stored, end)
+    count = runner.run(asked, (h, t0, steps), stride, few, stored, end)
     if count < 0 or (watched and not findings.regular_between(values, end[2], end[3])):
         return None
     begun = None

@@ -8,10 +8,10 @@ import numpy as np
 
 from symsimpson.errors import ResolutionWarning
 from symsimpson.program.program import Program
-from symsimpson.program.status import Status
+from symsimpson.program.status import REGULAR, Status
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.ended import out_of_domain
-from symsimpson.run.folds import ended_after, first_states, look_at_folds, unknown_values
+from symsimpson.run.folds import UNSOLVED, ended_after, first_states, look_at_folds, unknown_values
 from symsimpson.run.resolution import Sampled, energies_at, look_at_energy
 from symsimpson.stepping.kept import KeptStates
 from symsimpson.stepping.run import Run
@@ -20,15 +20,8 @@ from symsimpson.support.calling import warn
 
 __all__ = ["verdict"]
 
-#: Failures that a singular point of the coordinates explains, where the run has come to one.
-AT_POLES = (
-    Status.NOT_CONVERGED,
-    Status.DIVERGED,
-    Status.STEP_TOO_LARGE,
-    Status.SINGULAR_JACOBIAN,
-    Status.NOT_FINITE,
-)
-
+#: What to do where a motion was not resolved.
+FINER = "Take a smaller h, or a scheme of higher order."
 #: So many runs may show that a motion goes where there are singular points.
 TRIES = 3
 
@@ -97,26 +90,24 @@ def _unresolved(
     """Return what was not resolved, in words, or nothing."""
     tools, system, h = program.tools, program.declared, float(run.h)
     plain = run.W.dtype == np.float64 and not run.header.retimed
-    unknown = plain and trajectory.every == 1 and not _stays_regular(program, trajectory)
+    unknown = plain and trajectory.every == 1
+    if unknown and program.header.autonomous and not program.inputs:
+        values, bounds = trajectory.parameter_values, _bounds(trajectory)
+        unknown = not program.findings.regular_between(values, *bounds)
     if tools is not None and system is not None and unknown:
         passed = tools.unresolved_pole(program, system, trajectory)
-        if passed is not None and not passed[2]:
-            return (
-                f"about t={passed[0]:g} the motion passes {passed[1]}, where its inertia is small, "
-                f"faster than steps of h={h:g} resolve: finer steps lead elsewhere, and the states "
-                "after it are unreliable.\nTake a smaller h, or a scheme of higher order."
-            )
         if passed is not None:
+            when, where, singular = passed
+            what, cure = f"{where}, where its inertia is small", FINER
+            if singular:
+                what, cure = f"a singular point of the coordinates, near {where}", REGULAR
             return (
-                f"about t={passed[0]:g} the motion passes a singular point of the coordinates, "
-                f"near {passed[1]}, faster than steps of h={h:g} resolve: finer steps lead "
-                "elsewhere, and the states after it are unreliable.\nUse coordinates that are "
-                "regular there, such as Cartesian ones held by a constraint (see the guide to "
-                "constraints); a smaller h helps only where the passage is wide enough."
+                f"about t={when:g} the motion passes {what}, faster than steps of h={h:g} resolve: "
+                f"finer steps lead elsewhere, and the states after it are unreliable.\n{cure}"
             )
         inputs = np.asarray(trajectory.input_values)[0, 0, 0]
-        values = [*map(float, trajectory.parameter_values), *map(float, inputs)]
-        jumped = tools.kink_passed(system, trajectory.t, trajectory.q, values)
+        numbers = [*map(float, trajectory.parameter_values), *map(float, inputs)]
+        jumped = tools.kink_passed(system, trajectory.t, trajectory.q, numbers)
         if jumped is not None:
             return (
                 f"about t={jumped[0]:g} the motion passes {jumped[1]}, where the force or V jumps: "
@@ -145,16 +136,8 @@ def _unresolved(
         f"from about t={float(since):g} on the {energy} is off by {off:.0%} of the kinetic "
         f"energy{scale} and does not come back. A fast part of the motion, such as a close "
         f"encounter or a fast oscillation, was not resolved with h={h:g}; the states after it are "
-        f"unreliable{but}.\n"
-        "Take a smaller h, or a scheme of higher order."
+        f"unreliable{but}.\n{FINER}"
     )
-
-
-def _stays_regular(program: Program, trajectory: Trajectory) -> bool:
-    """Return whether a run is known to stay where coordinates have no singular points or kinks."""
-    fixed = program.header.autonomous and not program.inputs
-    values = trajectory.parameter_values
-    return fixed and program.findings.regular_between(values, *_bounds(trajectory))
 
 
 def _bounds(trajectory: Trajectory) -> tuple[Reals, Reals]:
@@ -187,7 +170,7 @@ def _remember_box(program: Program, trajectory: Trajectory) -> None:
 def _at_pole(program: Program, trajectory: Trajectory) -> Trajectory:
     """Say so where a run failed at a singular point of the coordinates."""
     tools, system = program.tools, program.declared
-    if trajectory.status not in AT_POLES or tools is None or system is None:
+    if trajectory.status not in UNSOLVED or tools is None or system is None:
         return trajectory
     where = tools.at_pole(system, trajectory)
     if not where:
