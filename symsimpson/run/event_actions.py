@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -145,6 +146,10 @@ class EventActions:
         It is where they are lowest, with all that is asked for there.
         """
         lowest, size = dict[int, tuple[float, Floats]](), LOWEST * abs(span)
+
+        def rate(place: int, x: float) -> float:
+            return float(row(x)[place])
+
         for k, place in enumerate(self._events.rate):
             if place is None or min(first[k], last[k]) <= small[k]:
                 continue
@@ -152,7 +157,7 @@ class EventActions:
             down, up = span * rates[0], span * rates[1]
             low = lowest_of_cubic.py_func(*ends, down, up) if down < 0 < up else np.inf
             if low < NEAR * min(ends):
-                x = ridders(lambda x, at=place: float(row(x)[at]), 0.0, span, rates, size)
+                x = ridders(partial(rate, place), 0.0, span, rates, size)
                 if x == x and (there := row(x))[k] < -small[k]:
                     lowest[k] = x, there
         return lowest
