@@ -12,24 +12,22 @@ from symsimpson.support.extras import library
 
 __all__ = ["WholeChunks"]
 
-
 decompress = library("numcodecs.zstd", "store=", "data").decompress  # a part of zarr
 
 
 class WholeChunks(WrapperStore[Any]):
-    """A Zarr store whose chunks are there and whole, except those of results not computed yet.
+    """A Zarr store whose chunks are there and whole.
 
-    ``results`` names the arrays that are written chunk by chunk; ``done`` has the numbers of the
-    chunks of members that were computed.
+    Chunks may be missing that are ``waiting`` to be computed: names of arrays, and numbers.
     """
 
-    def __init__(self, store: Any, results: Container[str] = (), done: Container[int] = ()) -> None:
+    def __init__(self, store: Any, waiting: Container[tuple[str, int]] = ()) -> None:
         super().__init__(store)
-        self.results, self.done = results, done
+        self.waiting = waiting
 
     def with_read_only(self, read_only: bool = False) -> WholeChunks:
         """Return the same store for reading only, or for writing, too."""
-        return type(self)(self._store.with_read_only(read_only), self.results, self.done)
+        return type(self)(self._store.with_read_only(read_only), self.waiting)
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
         """Return what is stored under a key.
@@ -40,16 +38,14 @@ class WholeChunks(WrapperStore[Any]):
         name, _, place = key.partition("/c/")
         if not place:  # of metadata there need not be any
             return content
-        if content is None:
-            if name in self.results and int(place.partition("/")[0]) not in self.done:
-                return None
-            problem = "is missing"
-        else:
-            try:
+        problem = "is missing"
+        try:
+            if content is not None:
                 decompress(content.to_bytes())
+            if content is not None or (name, int(place.partition("/")[0])) in self.waiting:
                 return content
-            except (RuntimeError, ValueError) as error:
-                problem = f"is damaged ({error})"
+        except (RuntimeError, ValueError) as error:
+            problem = f"is damaged ({error})"
         raise StorageError(
             f"{self._store}: the chunk {key} of the store {problem}.\n"
             "Repeat the call that began the store: it computes what is missing."

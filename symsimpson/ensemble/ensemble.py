@@ -234,8 +234,7 @@ class Ensemble(Quantities, Differentiated):
         if self.store is not None:
             how = {"chunks": None, "consolidated": False, "decode_times": False}
             data = xarray.open_zarr(self.q.store, **how).set_coords(list(coordinates))
-            data.attrs = self._about()
-            return data.drop_encoding()
+            return data.drop_encoding().drop_attrs(deep=False).assign_attrs(self._about())
         dims = ("member", "time", "coord") if self.q.ndim == 3 else ("member", "coord")
         variables: dict[str, Any] = {"q": (dims, self.q), "p": (dims, self.p)}
         if self.variations is not None:

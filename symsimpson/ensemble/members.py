@@ -82,6 +82,10 @@ def read_task(
     for k, name in enumerate(program.parameters):
         values[:, k] = columns[name]
     q, other = project_start(program, q, other, second, values, t0)
+    tangents = None
+    if request.carried is not None:  # behind them those of what is varied, which begin at 0
+        varied = len(program.header.varied_by or ())
+        tangents = np.pad(read_tangents(program, request.carried), ((0, 0), (0, varied)))
     return Task(
         q,
         other,
@@ -96,21 +100,12 @@ def read_task(
         progress,
         lanes,
         retimed,
-        tangents=None if request.carried is None else _columns(program, request.carried),
+        tangents=tangents,
         t_end=end,
         record=read_record(program, request.record),
         reductions=reductions,
         run_events=run_events,
         note=step_taken(request, h, count, FLOAT64),
-    )
-
-
-def _columns(program: Program, tangents: Any) -> Floats:
-    """Return variations of the state, and behind them those of what is varied, which begin at 0."""
-    varied = len(program.header.varied_by or ())
-    state_columns = read_tangents(program, tangents)
-    return np.ascontiguousarray(
-        np.concatenate([state_columns, np.zeros((len(state_columns), varied))], axis=1)
     )
 
 

@@ -11,12 +11,10 @@ import hashlib
 import json
 import logging
 import os
-import threading
 import warnings
-from collections.abc import Container, Iterator
+from collections.abc import Container, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -41,10 +39,6 @@ LOG = logging.getLogger(__name__)
 #: Seconds of one thread's work in a chunk, and bytes of states that it has at most.
 CHUNK_SECONDS = 0.5
 CHUNK_BYTES = 2**26
-#: Arrays that are written chunk by chunk, beside reductions and what is recorded.
-WRITTEN = ("q", "p", "variations", "status", "steps", "newton_iterations")
-#: Held by whoever sets options of zarr, which are those of the whole process.
-_options = threading.Lock()
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,24 +46,16 @@ class Store:
     """An ensemble on disk."""
 
     path: str
-    group: Any  #: Of zarr, as it is.
+    group: Any  #: Of zarr.
     program: Program
     task: Task
     chunk: int  #: Members of a chunk.
-    done: set[int] = field(default_factory=set)  #: Chunks that were computed.
+    given: Mapping[str, Any]  #: Initial states, parameters and axes; the other arrays are results.
 
-    @cached_property
-    def whole(self) -> Any:
-        """The group as it is read: a chunk that is missing or damaged raises StorageError."""
-        return whole_group(self.group, self.results, self.done)
-
-    @cached_property
-    def results(self) -> frozenset[str]:
+    @property
+    def results(self) -> set[str]:
         """Names of the arrays that are written chunk by chunk."""
-        reduced, _ = names_in_dataset([r.name for r in self.task.reductions], ())
-        written = (*WRITTEN, *reduced.values())
-        names = self.group.array_keys()
-        return frozenset(x for x in names if x in written or x.startswith(RECORDED))
+        return {*self.group.array_keys()} - {*self.given}
 
     @property
     def chunks(self) -> int:
@@ -87,38 +73,35 @@ class Store:
 
     def missing(self) -> Iterator[int]:
         """Return the chunks that are not done, or of which something is damaged or gone."""
+        whole = whole_group(self.group)
         for chunk in range(self.chunks):
             members = self.members(chunk)
             try:
-                if (self.whole["status"][members] != Status.INTERRUPTED).all():
-                    self.done.add(chunk)
+                if (self.group["status"][members] != Status.INTERRUPTED).all():
                     for name in self.results:
-                        self.whole[name][members]
+                        whole[name][members]
                     continue
             except (OSError, ValueError, RuntimeError, StorageError) as error:
-                self.done.discard(chunk)
                 LOG.info("%s: chunk %d is computed again: %s", self.path, chunk, error)
             yield chunk
 
     def mend(self) -> None:
-        """Write what is given anew, where some of it is damaged or gone."""
-        given, template = _given(self.program, self.task)
-        for name, array in self.whole.arrays():
-            if name not in self.results:
-                try:
-                    array[:]
-                except StorageError:
-                    values = given.get(name, template.get(name))
-                    self.group[name][:] = np.asarray(values, array.dtype)
+        """Write initial states, parameters and axes again if a chunk is missing or damaged."""
+        whole = whole_group(self.group)
+        for name, values in self.given.items():
+            try:
+                whole[name][:]
+            except StorageError:
+                self.group[name][:] = values
 
     def ensemble(self) -> Ensemble:
         """Return what is in the store; states stay on disk."""
-        group, task, program = self.whole, self.task, self.program
+        task, program = self.task, self.program
         reduced, _ = names_in_dataset([r.name for r in task.reductions], program.parameters)
         with said(self.path, "read"):
             status = self.group["status"][:]
-            ended = (status[self.members(k)] != Status.INTERRUPTED for k in range(self.chunks))
-            self.done.update(k for k, every in enumerate(ended) if every.all())
+            waiting = np.unique(np.flatnonzero(status == Status.INTERRUPTED) // self.chunk).tolist()
+            group = whole_group(self.group, {(x, k) for x in self.results for k in waiting})
             steps, iterations = (group[x][:] for x in ("steps", "newton_iterations"))
             watched = {name: group[stored][:] for name, stored in reduced.items()}
         return ensemble_of(
@@ -136,13 +119,16 @@ class Store:
         )
 
 
-def whole_group(group: Any, results: Container[str] = (), done: Container[int] = ()) -> Any:
-    """Return a group that raises StorageError for chunks that are missing or damaged."""
+def whole_group(group: Any, waiting: Container[tuple[str, int]] = ()) -> Any:
+    """Return a group that raises StorageError for chunks that are missing or damaged.
+
+    Chunks may be missing that are ``waiting`` to be computed: names of arrays, and numbers.
+    """
     import zarr
 
     from symsimpson.ensemble.chunks import WholeChunks
 
-    return zarr.open_group(WholeChunks(group.store, results, done), mode="r+")
+    return zarr.open_group(WholeChunks(group.store, waiting), mode="r+")
 
 
 def members_of(chunk: int, size: int, members: int) -> slice:
@@ -168,11 +154,8 @@ def open_store(path: object, program: Program, task: Task) -> Store:
         try:
             group = zarr.open_group(place, mode="r")
         except FileNotFoundError:
-            if (
-                "://" not in place
-                and os.path.exists(place)
-                and (os.path.isfile(place) or os.listdir(place))
-            ):
+            here = "://" not in place and os.path.exists(place)
+            if here and (os.path.isfile(place) or os.listdir(place)):
                 raise _other(place, "holds something that is no ensemble") from None
             return _create(place, program, task, asked)
         attributes: dict[str, Any] = dict(group.attrs)
@@ -183,8 +166,8 @@ def open_store(path: object, program: Program, task: Task) -> Store:
         differing = [key for key in asked if attributes["asked"].get(key) != asked[key]]
         if differing:
             raise _other(place, f"holds another ensemble: {', '.join(differing)} differ")
-        opened = zarr.open_group(place, mode="r+")
-        store = Store(place, opened, program, task, attributes["chunk"])
+        opened, (given, _) = zarr.open_group(place, mode="r+"), _given(program, task)
+        store = Store(place, opened, program, task, attributes["chunk"], given)
         store.mend()
         return store
 
@@ -234,10 +217,9 @@ def _create(place: str, program: Program, task: Task, asked: dict[str, Any]) -> 
             attributes=dict(variable.attrs),
             compressors=[ZstdCodec(level=0, checksum=True)],
             fill_value="" if text else int(Status.INTERRUPTED) if integers else np.nan,
-            config={"write_empty_chunks": True},
         )
-        if name in given or variable.dims[0] != "member":
-            array[:] = given.get(name, variable.values.astype(object) if text else variable.values)
+        if name in given:
+            write_all(array)[:] = given[name]
     with warnings.catch_warnings():  # zarr warns that other readers may pass over it
         warnings.simplefilter("ignore")
         group = zarr.consolidate_metadata(place)
@@ -245,18 +227,21 @@ def _create(place: str, program: Program, task: Task, asked: dict[str, Any]) -> 
     coordinates = " ".join(name for name in template.coords if name not in template.dims)
     last = {"coordinates": coordinates} if coordinates else {}
     group.attrs.update(last | {"source": program.source, "asked": asked})
-    return Store(place, group, program, task, chunk)
+    return Store(place, group, program, task, chunk, given)
 
 
 def _given(program: Program, task: Task) -> tuple[dict[str, Any], Any]:
-    """Return what a store holds of each member from the start, and a dataset of one member."""
+    """Return the given arrays of all members and the axes by name, and a dataset of one member."""
     first_task = task.part(slice(0, 1))
     results = Results(first_task, program.header).columns()
-    given = {"q0": task.q0, task.given: task.other0, "member": np.arange(task.members)}
+    template = ensemble_of(program, first_task, **results).to_xarray()
+    given = {x: v.values for x, v in template.variables.items() if v.dims[0] != "member"}
+    given = {x: v if v.dtype.kind in "if" else v.astype(object) for x, v in given.items()}
+    given |= {"q0": task.q0, task.given: task.other0, "member": np.arange(task.members)}
     identifiers = program.names.parameters.own
     _, names = names_in_dataset([r.name for r in task.reductions], identifiers)
     given |= {names[name]: task.parameters[:, k] for k, name in enumerate(identifiers)}
-    return given, ensemble_of(program, first_task, **results).to_xarray()
+    return given, template
 
 
 def _chunk(program: Program, task: Task) -> int:
@@ -285,10 +270,13 @@ def run_missing(store: Store) -> bool:
     return False
 
 
+def write_all(array: Any) -> Any:
+    """Return an array that writes chunks of NaN, too; without them, they would look lost."""
+    return array.with_config({"write_empty_chunks": True})
+
+
 def write_chunk(path: str, group: Any, members: slice, ensemble: Ensemble) -> None:
     """Write what some members came to, statuses last."""
-    import zarr
-
     names, _ = names_in_dataset(ensemble.reduced, ensemble.parameters)
     columns = {"q": ensemble.q, "p": ensemble.p}
     columns |= {f"{RECORDED}{name}": rows for name, rows in ensemble.recorded.items()}
@@ -298,11 +286,8 @@ def write_chunk(path: str, group: Any, members: slice, ensemble: Ensemble) -> No
     columns |= {"steps": ensemble.steps, "newton_iterations": ensemble.newton_iterations}
     columns |= {"status": ensemble.status}
     with said(path, "written"):
-        # zarr leaves out chunks of NaN, which then look as if they were lost
-        with _options, zarr.config.set({"array.write_empty_chunks": True}):
-            arrays = [group[name] for name in columns]
-        for array, values in zip(arrays, columns.values(), strict=True):
-            array[members] = values
+        for name, values in columns.items():
+            write_all(group[name])[members] = values
 
 
 @contextmanager

@@ -38,13 +38,13 @@ from symsimpson.support.garbage import rarely_collected
 from symsimpson.support.progress import waiting
 from symsimpson.support.signals import undisturbed
 
-__all__ = ["BUILDING", "MODULE", "cache_folder", "compiled", "location", "lock_file"]
+__all__ = ["BUILDING", "DIGESTS", "MODULE", "cache_folder", "compiled", "location", "lock_file"]
 
 Result = TypeVar("Result")
 LOG = logging.getLogger(__name__)
 
 _VARIABLE = "SYMSIMPSON_CACHE_DIR"
-_DIGESTS = "digests.json"
+DIGESTS = "digests.json"
 #: How folders begin in which entries are built, and names of modules in them.
 BUILDING, MODULE = ".building-", "symsimpson_compiled_"
 _results: dict[str, object] = {}
@@ -115,6 +115,8 @@ def _without_cache(folder: Path, why: str) -> None:
 @cache
 def _machine() -> str:
     """Name everything besides its text that compiled code depends on."""
+    idle = {f"NUMBA_{name}" for name in _IDLE}
+    settings = {x: y for x, y in os.environ.items() if x.startswith("NUMBA_") and x not in idle}
     parts = (
         sys.version,
         numba.__version__,
@@ -123,19 +125,9 @@ def _machine() -> str:
         llvm.get_process_triple(),
         llvm.get_host_cpu_name(),
         str(llvm.get_host_cpu_features().flatten()),
-        *_settings(),
+        *sorted(f"{name}={value}" for name, value in settings.items()),
     )
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
-
-
-def _settings() -> list[str]:
-    """Return what the environment tells numba and LLVM, in which code may differ."""
-    idle = {f"NUMBA_{name}" for name in _IDLE}
-    return sorted(
-        f"{name}={value}"
-        for name, value in os.environ.items()
-        if name.startswith("NUMBA_") and name not in idle
-    )
 
 
 def compiled(
@@ -225,11 +217,9 @@ def lock_file(folder: Path, key: str) -> Path:
 def _alone(folder: Path, key: str) -> Iterator[None]:
     """Let one process at a time make an entry; the system frees the lock of one that died."""
     lock = FileLock(lock_file(folder, key), timeout=LONGEST)
-    try:
+    # without the lock both make it, and one is kept
+    with contextlib.suppress(OSError, NotImplementedError, Timeout):
         lock.acquire()
-    except (OSError, NotImplementedError, Timeout):  # then both make it, and one is kept
-        yield
-        return
     try:
         yield
     finally:
@@ -246,7 +236,7 @@ def _build(folder: Path, key: str, text: str, use: Callable[[ModuleType, bool], 
         path = building / f"{name}.py"
         path.write_text(text, encoding="utf-8")
         result = _import(path, name, use)
-        (building / _DIGESTS).write_text(json.dumps(_digests(building)), encoding="utf-8")
+        (building / DIGESTS).write_text(json.dumps(_digests(building)), encoding="utf-8")
         with contextlib.suppress(OSError):  # another process was first
             building.rename(entry)
         LOG.info("compiled %s in %.2f s", entry, time.perf_counter() - start)
@@ -259,7 +249,7 @@ def _digests(entry: Path) -> dict[str, str]:
     return {
         str(path.relative_to(entry)): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(entry.rglob("*"))
-        if path.is_file() and path.name != _DIGESTS and path.suffix != ".pyc"
+        if path.is_file() and path.name != DIGESTS and path.suffix != ".pyc"
     }
 
 
@@ -267,7 +257,7 @@ def _intact(entry: Path) -> bool:
     try:
         if entry.is_symlink() or any(path.is_symlink() for path in entry.rglob("*")):
             return False
-        expected = json.loads((entry / _DIGESTS).read_text(encoding="utf-8"))
+        expected = json.loads((entry / DIGESTS).read_text(encoding="utf-8"))
         return bool(expected) and expected == _digests(entry)
     except (OSError, ValueError):
         return False

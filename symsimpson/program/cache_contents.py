@@ -11,11 +11,11 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from symsimpson.program.answers import KINDS
-from symsimpson.program.cache import BUILDING, MODULE, cache_folder, lock_file
+from symsimpson.program.cache import BUILDING, DIGESTS, MODULE, cache_folder, lock_file
 
 __all__ = ["clear_cache", "usage"]
 
-ENTRY = re.compile(r".+_[0-9a-f]{32}")
+SOURCE = re.compile(MODULE + r"(.+_[0-9a-f]{32})\.py")
 ANSWER = re.compile(r"\.?[0-9a-f]{64}(\.new)?\.json")
 
 
@@ -55,25 +55,26 @@ def clear_cache() -> int:
 def usage(folder: Path) -> tuple[int, int]:
     """Return the number of compiled entries in a cache folder, and the bytes of all in it."""
     ours = list(_ours(folder))
-    return sum(bool(ENTRY.fullmatch(path.name)) for path in ours), sum(map(_bytes, ours))
+    entries = [path for path in ours if path.is_dir() and not path.name.startswith(BUILDING)]
+    return len(entries), sum(map(_bytes, ours))
 
 
 def _ours(folder: Path) -> Iterator[Path]:
-    """Return entries, those that are being built or were left behind, and answers."""
+    """Return entries, folders in which entries are built, and answers."""
     for path in folder.iterdir():
         if path.is_dir() and not path.is_symlink():
             if path.name in KINDS:
-                yield from (x for x in path.iterdir() if ANSWER.fullmatch(x.name))
-            elif _keys(path):
+                yield from (x for x in path.glob("*.json") if ANSWER.fullmatch(x.name))
+            elif path.name in _keys(path) or (path.name.startswith(BUILDING) and _keys(path)):
                 yield path
 
 
 def _keys(path: Path) -> list[str]:
-    """Return the keys of the entries that a folder is, or in which they are built; else none."""
-    if path.name.startswith(BUILDING):
-        return [x.stem.removeprefix(MODULE) for x in path.rglob(f"{MODULE}*.py")]
-    known = ENTRY.fullmatch(path.name) and any(path.rglob(f"{MODULE}{path.name}*"))
-    return [path.name] if known else []
+    """Return keys of the entries in a folder; none if it holds anything else."""
+    names = [x.name for x in path.rglob("*") if not x.is_dir()]
+    if not all(x.startswith(MODULE) or x == DIGESTS for x in names):
+        return []
+    return [match[1] for x in names if (match := SOURCE.fullmatch(x))]
 
 
 def _bytes(path: Path) -> int:
@@ -85,7 +86,7 @@ def _bytes(path: Path) -> int:
 
 
 def _removed(folder: Path, path: Path) -> int:
-    """Remove a file or a folder, unless another process builds it; return its size."""
+    """Remove a file or a folder, unless another process builds it; return the bytes removed."""
     size, keys = _bytes(path), _keys(path) if path.name.startswith(BUILDING) else []
     try:
         with contextlib.ExitStack() as stack:

@@ -116,15 +116,12 @@ class Kernels(KernelSets):
                 setattr(module, f"walk_{name}", walking(text, name, self._lanes, bits))
             return _compiled(module, some, keep)
 
-        def by_numba(module: ModuleType, keep: bool) -> tuple[list[Any], dict[str, int]]:
-            return _compiled(module, some, keep)
-
         start = time.perf_counter()
         try:
             pointers = compiled(self._cache_key(text), label, compile_kernels, stubs(text, some))[1]
         except (NumbaError, GenerationError) as error:
             not_walked.append(f"{label}: {str(error)[-400:]}")
-            pointers = compiled(text, label, by_numba)[1]
+            pointers = compiled(text, label, lambda module, keep: _compiled(module, some, keep))[1]
         self.seconds += time.perf_counter() - start
         return [pointers[name] if name else 0 for name in names]
 

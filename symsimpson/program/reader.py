@@ -111,23 +111,17 @@ class Reader:
 
         Those are the module's own; ``text`` is what was written of the expression.
         """
-        identifiers = {"q": self._header.coordinates, "a": self._header.parameters}
-        known = {"t": "t", "pi": self._known["pi"]} | {
-            scalar.name: scalar.symbol for scalar in SCALARS
-        }
-        for kind in "qpva":
-            before = f"{kind}_" if kind in "pv" else ""
-            names = identifiers.get(kind, self._header.coordinates)
-            known |= {f"{before}{name}": f"{kind}_{i}" for i, name in enumerate(names)}
+        coordinates = [*enumerate(self._header.coordinates)]
+        parameters = enumerate(self._header.parameters)
+        own = {f"q_{i}": name for i, name in coordinates}
+        own |= {f"{kind}_{i}": f"{kind}_{name}" for kind in "pv" for i, name in coordinates}
+        own |= {f"a_{i}": name for i, name in parameters}
+        known = {"t": "t", "pi": self._known["pi"]}
+        known |= {scalar.name: scalar.symbol for scalar in SCALARS}
+        known |= {name: symbol for symbol, name in own.items()}
         if all(known.get(name) == self._known[name] for name in self._used):
             return str(expression)
-
-        def name(match: re.Match[str]) -> str:
-            kind, place = match[1], int(match[2])
-            before = f"{kind}_" if kind in "pv" else ""
-            return before + identifiers.get(kind, self._header.coordinates)[place]
-
-        return re.sub(r"\b([qpva])_(\d+)\b", name, text)
+        return re.sub(r"\b[qpva]_\d+\b", lambda match: own[match[0]], text)
 
     def _named_plainly(self, expression: Any) -> Any:
         """Let plain symbols stand for all symbols, coordinates and velocities of an expression."""
@@ -162,6 +156,9 @@ class Reader:
         """Return a plain name that stands for a known one."""
         if _plain(name):
             return name
+        for plain, original in self._standing.items():
+            if original == name:
+                return plain
         plain = f"symbol_{len(self._standing)}_"
         while plain in self._known:
             plain += "_"
@@ -177,24 +174,13 @@ class Reader:
         strange = sorted(filter(_strange, self._known), key=len, reverse=True)
         if not strange:
             return text
-        # a name that begins or ends with a letter is no part of a longer word
-        edges = {True: (r"(?<!\w)", r"(?!\w)"), False: ("", "")}
-        word = re.compile(r"\w")
-        pattern = "|".join(
-            edges[bool(word.match(name[0]))][0]
-            + re.escape(name)
-            + edges[bool(word.match(name[-1]))][1]
-            for name in strange
-        )
-        plain_names: dict[str, str] = {}
 
-        def stand_in(match: re.Match[str]) -> str:
-            name = match[0]
-            if name not in plain_names:
-                plain_names[name] = self._stand_in(name)
-            return f" {plain_names[name]} "
+        def whole(name: str) -> str:  # one that begins or ends with a letter is no part of a word
+            first, last = (r"\b" if re.match(r"\w", x) else "" for x in (name[0], name[-1]))
+            return first + re.escape(name) + last
 
-        return re.sub(pattern, stand_in, text)
+        pattern = "|".join(map(whole, strange))
+        return re.sub(pattern, lambda match: f" {self._stand_in(match[0])} ", text)
 
     def read(self, text: str, most: int = LONGEST) -> str:
         """Read a text of no more than so many characters."""

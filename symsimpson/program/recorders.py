@@ -131,10 +131,5 @@ def driver_layout(header: Header, recorders: Sequence[Recorder]) -> Ints:
             numbers[DRIVER_LAYOUT["GROWN"]] = entry.first
             numbers[DRIVER_LAYOUT["RENEWED"]] = entry.renewed
             numbers[DRIVER_LAYOUT["RENEWAL"]] = entry.renewal
-    stored = [
-        number
-        for recorder in recorders
-        if recorder.rows
-        for number in (recorder.first, recorder.rows)
-    ]
+    stored = [number for x in recorders if x.rows for number in (x.first, x.rows)]
     return np.array([*numbers, *stored], dtype=np.int64)

@@ -6,7 +6,7 @@ from enum import IntEnum
 
 from symsimpson.module import interface
 
-__all__ = ["Status"]
+__all__ = ["REGULAR", "Status"]
 
 
 class Status(IntEnum):
@@ -46,6 +46,11 @@ _TO_INFINITY = (
     "Where smaller steps end at the same time, the motion runs to infinity: look at the sign of "
     "the potential."
 )
+#: What to do about a singular point of the coordinates.
+REGULAR = (
+    "Use coordinates that are regular there, such as Cartesian ones held by a constraint (see the "
+    "guide to constraints); a smaller h helps only where the passage is wide enough."
+)
 _MESSAGES = {
     Status.SUCCESS: "The run reached its end.",
     Status.INTERRUPTED: "The run was interrupted; what was computed is kept.",
@@ -73,9 +78,7 @@ _MESSAGES = {
     ),
     Status.COORDINATE_SINGULARITY: (
         "The motion passes a singular point of the coordinates (a pole of spherical angles, say) "
-        "faster than the step resolves: its direction behind that point would be lost. Use "
-        "coordinates that are regular there, such as Cartesian ones held by a constraint (see the "
-        "guide to constraints); a smaller h helps only where the passage is wide enough."
+        f"faster than the step resolves: its direction behind that point would be lost. {REGULAR}"
     ),
     Status.SINGULAR_CONSTRAINTS: (
         "One of them follows from the others there, so the constraint forces are not determined, "

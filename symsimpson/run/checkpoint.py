@@ -203,18 +203,13 @@ class Checkpoint(Keeper):
     def _go_on(self) -> None:
         """Put the run where the file says, if it is asked for the same."""
         record = read_record(self.path)
-        old, given = record.asked.get("inputs"), self._asked.get("inputs")
-        if old != given and {**record.asked, "inputs": given} == self._asked:
-            raise InputError(
-                f"{self.path} holds a run with other inputs.\nPass those that it began with: "
-                "symsimpson.resume(path, inputs=...)."
-            )
-        old, given = record.asked.get("events"), self._asked.get("events")
-        if old != given and {**record.asked, "events": given} == {"events": None, **self._asked}:
-            raise InputError(
-                f"{self.path} holds a run with {'other' if old else 'no'} events.\nPass those that "
-                "it began with: symsimpson.resume(path, events=[...])."
-            )
+        for key, example in (("inputs", "inputs=..."), ("events", "events=[...]")):
+            old, given = record.asked.get(key), self._asked.get(key)
+            if old != given and {**record.asked, key: given} == {key: None, **self._asked}:
+                raise InputError(
+                    f"{self.path} holds a run with {'no' if old is None else 'other'} {key}.\nPass "
+                    f"those that it began with: symsimpson.resume(path, {example})."
+                )
         if record.asked != self._asked:
             raise InputError(
                 f"{self.path} holds another run.\nGo on with that one by symsimpson.resume, delete "

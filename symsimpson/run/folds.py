@@ -22,6 +22,7 @@ from symsimpson.support.calling import warn
 
 __all__ = [
     "SINGULAR",
+    "UNSOLVED",
     "close",
     "ended_after",
     "first_states",
@@ -34,12 +35,12 @@ __all__ = [
 BY_STATE = ("t", "q", "p", "newton_iterations", "tau_values", "variations")
 #: Where they are less independent than this, constraints follow from one another.
 SINGULAR = DEPENDENT**0.5
-#: Failures of a step that constraints explain which are no more independent than ``NEAR``, and
-#: would not be at all ``AHEAD`` steps later.
+#: Failures of a step that a singular point of the coordinates may explain, or constraints.
 UNSOLVED = (
     *(Status.NOT_CONVERGED, Status.DIVERGED, Status.STEP_TOO_LARGE),
     *(Status.SINGULAR_JACOBIAN, Status.NOT_FINITE),
 )
+#: Constraints do that are no more independent than so much, and not at all so many steps later.
 NEAR, AHEAD = 0.1, 4
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
+
+from numpy.typing import ArrayLike
 
 from symsimpson.errors import InputError
 from symsimpson.module.quantity import velocities_by
@@ -67,26 +70,24 @@ class ControlLoop:
         numbers = program.numbers
         nodes, count = len(program.header.input_places), len(program.inputs)
         with numbers.working():
-            # one step's inputs: the driver takes them for all steps, and they change in between
+            # of the last step: the driver takes them for all steps, and they change in between
             self._inputs = numbers.zeros((1, 1, nodes or 1, count))
             # its end is not known: what is zero where a step ends acts in the next one
             endless = replace(spec, steps=MOST_STEPS)
-            #: Inputs of the last step that was taken.
-            self._last_inputs = numbers.zeros((1, 1, 1, count))
             self._run = started(program, endless, 0, 1, self._inputs)
             #: Whether a step is that of compiled code, in which nobody hears Ctrl-C.
             self._at_once = numbers.compiled and spec.run_events is None
 
     def __reduce__(self) -> tuple[Any, ...]:
         run = self._run
-        state = run.position(), run.W[:, 0].copy(), self._last_inputs
+        state = run.position(), run.W[:, 0].copy(), self._inputs
         return ControlLoop, (self.program, self._spec), state
 
     def __setstate__(self, state: tuple[Any, Reals, Reals]) -> None:
-        *place, self._last_inputs = state
-        self._run.put_back(*place)  # it goes on to the same bits
+        position, column, self._inputs[:] = state
+        self._run.put_back(position, column)  # it goes on to the same bits
 
-    def step(self, u: Any = None) -> None:
+    def step(self, u: ArrayLike | Mapping[Any, ArrayLike] | None = None) -> None:
         """Take a step.
 
         Parameters
@@ -112,23 +113,22 @@ class ControlLoop:
             )
         with numbers.working():
             given = read_driving(program, of_a_step(u), run.h, 1, run.now)
-            self._inputs[:] = given
-            before = run.step
             if run.arrived:
                 raise InputError(f"the loop is at its end: {run.reason}\nBegin another one.")
+            before, last, self._inputs[:] = run.step, self._inputs.copy(), given
             here = None if program.header.real_everywhere else (run.position(), run.W[:, 0].copy())
             with NOTHING if self._at_once else undisturbed():
                 run.advance(before + 1)
-                taken, last = run.alive or run.arrived, self._last_inputs
-                if taken:
-                    self._last_inputs = given
+                taken = run.alive or run.arrived
+                if not taken:
+                    self._inputs[:] = last
             if not taken:
                 ended = self._trajectory(before + 1)
                 raise_failure(run, ended, ended)
             if here is not None and self._has_no_energy():
                 about = out_of_domain(program, run, run.now, before + 1)
                 run.put_back(*here)
-                self._last_inputs = last
+                self._inputs[:] = last
                 ended = replace(self._trajectory(before + 1), **about)
                 raise_failure(run, ended, ended)
 
@@ -166,9 +166,7 @@ class ControlLoop:
     def t(self) -> Any:
         """The time after the last step."""
         run = self._run
-        if run.end_within is not None:
-            return self.program.numbers.single(run.end_within[0])
-        return self.program.numbers.single(run.now)
+        return self.program.numbers.single(run.end_within[0] if run.end_within else run.now)
 
     @property
     def q(self) -> Reals:
@@ -211,7 +209,7 @@ class ControlLoop:
         with numbers.working():
             t, q, p = map(result, self._here())
             setting = single(run.t0), single(run.h), self.steps, self.ended_by
-            inputs = driven(result(self._last_inputs), *setting)
+            inputs = driven(result(self._inputs), *setting)
             values = result(run.parameters)
         return States(t=t, q=q, p=p, program=program, parameter_values=values, driven=inputs)
 

@@ -118,11 +118,6 @@ class Sampled:
         """
         return replace(self, work=parts.sum(axis=1)[self.places])
 
-    def with_exchange(self, parts: Floats) -> Sampled:
-        """Return them with what went in and out by the work of each force."""
-        moved = abs(np.diff(parts, axis=0, prepend=0)).sum(axis=1).cumsum()
-        return replace(self, exchanged=moved[self.places])
-
     @property
     def first_not_real(self) -> int | None:
         """The place of the first state at which the energy is no finite number."""
@@ -311,7 +306,8 @@ def _without_work(
             parts = parts_of_work(states)
     elif stride > 1:  # what is done between states far apart is not known
         parts = np.nan * parts
-    return seen.with_work(parts).with_exchange(parts)
+    moved = abs(np.diff(parts, axis=0, prepend=0)).sum(axis=1).cumsum()  # went in and out
+    return replace(seen.with_work(parts), exchanged=moved[seen.places])
 
 
 def _unrounded(

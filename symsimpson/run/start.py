@@ -34,40 +34,16 @@ def started(
     are those of the request unless given. Raises InputError if the states do not fit into memory,
     M(q0) is not positive definite, the energy has no value there, or time does not advance.
     """
-    run = _new_run(program, spec, stride, stored, inputs, recorders)
-    _begin(program, run, spec)
-    if spec.steps:
-        _warn_of_step(program, run, spec)
-    return run
-
-
-def _new_run(
-    program: Program,
-    spec: RunSpec,
-    stride: int,
-    stored: int,
-    inputs: Reals | None,
-    recorders: Sequence[Recorder],
-) -> Run:
-    """Make a run that stores each ``stride``-th state and has room for ``stored`` of them."""
     given = spec.inputs if inputs is None else inputs
     asked = tuple(recorders) or recorders_for(program, spec)
     try:
         if spec.run_events is not None:
             from symsimpson.run.event_run import EventRun  # few runs need it
 
-            return EventRun(program, spec, spec.run_events, stride, stored, given, asked)
-        return Run(
-            program,
-            spec.parameters,
-            spec.h,
-            spec.t0,
-            stride,
-            stored,
-            program.kernels.fallbacks,
-            given,
-            asked,
-        )
+            run: Run = EventRun(program, spec, spec.run_events, stride, stored, given, asked)
+        else:
+            how = spec.parameters, spec.h, spec.t0, stride, stored, program.kernels.fallbacks
+            run = Run(program, *how, given, asked)
     except InputError:
         raise
     except (MemoryError, ValueError):
@@ -76,6 +52,10 @@ def _new_run(
             "Store fewer: every=1000, or every=None for the last state only; or keep them on disk: "
             "checkpoint='run.ckpt'."
         ) from None
+    _begin(program, run, spec)
+    if spec.steps:
+        _warn_of_step(program, run, spec)
+    return run
 
 
 def recorders_for(program: Program, spec: RunSpec) -> tuple[Recorder, ...]:

@@ -138,10 +138,6 @@ class _Derivatives:
         joined[:, size:] = joined[:, size:] + more[:, size:]
         return joined
 
-    def _slopes(self, z: Reals) -> dict[str, Any]:
-        """Return the derivatives of H, of the rate and of p at a state."""
-        return {name: value[0] for name, value in self._here(z).invariants.items()}
-
     def _here(self, z: Reals) -> Trajectory:
         """Return a run of no steps."""
         asked = self._asked(z, self.run.h, 0)
@@ -154,7 +150,8 @@ class _Derivatives:
     def _start(self, z: Reals) -> Reals:
         """Return what each variation changes at the start: state, then parameters."""
         n, count = self.n, len(self.names)
-        given, slopes = self.wanted.shape[1], self._slopes(z)
+        given = self.wanted.shape[1]
+        slopes = {name: value[0] for name, value in self._here(z).invariants.items()}
         start = np.zeros((2 * n + 2 + self.others, given + count), dtype=z.dtype)
         start[:n, :given], start[n + 1 : 2 * n + 1, :given] = self.wanted[:n], self.wanted[n:]
         for j in range(count):

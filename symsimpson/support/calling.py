@@ -48,8 +48,6 @@ ELSEWHERE = {
     "v": "v0",
     "p": "p0",
 }
-#: What several values of an argument are called, where it takes them as one list.
-SEVERAL = {"u": "inputs", "t": "times"}
 #: What times are called, told to who asks for another name of one of them.
 TIMES = {
     "h": "the step is h=",
@@ -180,16 +178,13 @@ def _problem(
         short = name.rpartition(".")[2]
         if not arguments:
             return f"{said}Call it without any: {short}()."
-        arrays = all(key in SEVERAL or "ArrayLike" in str(known[key].annotation) for key in placed)
-        lists = ""
-        if placed and arrays and all(hasattr(x, "__float__") for x in given[int(method) :]):
-            several = ", ".join("abcdefgh"[: max(2, count // len(placed))])
-            call = f"{short}([{several}])" if not others else f"{placed[0]}=[{several}]"
-            lists = f"Pass several {SEVERAL.get(placed[0], 'numbers')} as one list: {call}."
+        several, numbers = "", all(hasattr(x, "__float__") for x in given[int(method) :])
+        if numbers and placed and "ArrayLike" in str(known[placed[0]].annotation):
+            several = f" Pass several numbers as one list: {placed[0]}=[a, b]."
         if not others:
-            return said + (lists or "Leave out what is behind.")
+            return said + (several.lstrip() or "Leave out what is behind.")
         every = ", ".join([*placed, *(f"{key}=..." for key in others)])
-        return f"{said}Name the others: {short}({every}). {lists}".rstrip()
+        return f"{said}Name the others: {short}({every}).{several}"
     needed = [key for key in arguments if known[key].default is inspect.Parameter.empty]
     filled = {*placed[:count], *named}
     missing = [

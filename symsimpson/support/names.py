@@ -168,9 +168,8 @@ class Named:
     def unknown(self, key: Any) -> str:
         """Say that there is no such thing, and which there are."""
         name = spelled(key)
-        short = name if len(name) <= 60 else name[:57] + "..."
         return (
-            f"there is no {self.what} {short!r}.{did_you_mean(name, self.shown)}\n"
+            f"there is no {self.what} {shortened(name)}.{did_you_mean(name, self.shown)}\n"
             f"The system has {', '.join(self.shown) or 'none'}."
         )
 
@@ -187,12 +186,6 @@ class Named:
             return None
         return self.places.get(name.removeprefix(prefix))
 
-    def _place_by_use(self, what: str, key: Any) -> int | None:
-        """Return the place of the coordinate whose velocity or momentum a key of v0 or p0 names."""
-        if what == "v0":
-            return self.place_of_velocity(key)
-        return self._place_behind("p_", key) if what == "p0" else None
-
     def in_order(self, what: str, given: Any) -> Any:
         """Return values that are given by name as a list in order; all others as they are.
 
@@ -205,7 +198,9 @@ class Named:
             return given
         values: dict[int, Any] = {}
         for key, value in given.items():
-            place = self._place_by_use(what, key)
+            place = self.place_of_velocity(key) if what == "v0" else None
+            if what == "p0":
+                place = self._place_behind("p_", key)
             if place is None:
                 try:
                     place = self.found(key)

@@ -13,7 +13,6 @@ import time
 import warnings
 from collections.abc import Iterator
 from contextvars import ContextVar
-from types import TracebackType
 from typing import Any
 
 from symsimpson.errors import InputError
@@ -149,12 +148,7 @@ class Progress:
     def __enter__(self) -> Progress:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *problem: object) -> None:
         if self._bar is not None:
             if self._at_once:
                 self._bar.refresh()
@@ -184,4 +178,4 @@ class Watcher:
     def close(self) -> None:
         """Take the bar away."""
         if self._bar is not None:
-            self._bar.__exit__(None, None, None)
+            self._bar.__exit__()

@@ -6,6 +6,7 @@ import pickle
 import shutil
 import signal
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -33,14 +34,21 @@ GIVEN = {
 }
 
 
-@pytest.fixture(scope="module")
-def stepper():
-    return ss.compile(ss.systems.double_pendulum())
+@cache
+def stepper_and_whole(slow):
+    """Return a stepper, and the ensemble that it computes; of slow tests both are compiled."""
+    stepper = ss.compile(ss.systems.double_pendulum())
+    return stepper, stepper.ensemble(ANGLES, **GIVEN)
 
 
-@pytest.fixture(scope="module")
-def whole(stepper):
-    return stepper.ensemble(ANGLES, **GIVEN)
+@pytest.fixture
+def stepper(request):
+    return stepper_and_whole(request.node.get_closest_marker("slow") is not None)[0]
+
+
+@pytest.fixture
+def whole(request):
+    return stepper_and_whole(request.node.get_closest_marker("slow") is not None)[1]
 
 
 @pytest.fixture(autouse=True)

@@ -37,6 +37,8 @@ def test_what_the_package_wrote_is_removed_and_nothing_else(folder):
         f"folder_{'0' * 32}/data.txt",
         f"blobs/{'0' * 64}.json",
         ".building-mine/plan.txt",
+        f"symsimpson_{'1' * 32}/symsimpson_compiled_symsimpson_{'1' * 32}.py",
+        f"symsimpson_{'1' * 32}/notes.txt",
         f"{KEY[:-1]}0/symsimpson_compiled_other.py",
     ]
     for name in others:

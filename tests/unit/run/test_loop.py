@@ -121,5 +121,49 @@ def test_a_loop_does_not_say_that_its_inputs_were_zero():
 
 def test_several_inputs_are_one_list():
     loop = ss.compile(rod(**PUSHED)).start(**BOTTOM)
-    with pytest.raises(ss.InputError, match=r"Pass several inputs as one list: step\(\[a, b\]\)"):
+    with pytest.raises(ss.InputError, match=r"Pass several numbers as one list: u=\[a, b\]"):
         loop.step(1.0, 2.0)
+
+
+@pytest.mark.slow
+def test_a_leg_lands_by_a_projection_of_its_momentum_and_stands():
+    """The state after the impact ends the run; in stance the foot is not accelerated."""
+    z, a = ss.coordinates("z a")
+    foot = z - sp.cos(a)
+    about = {
+        "coordinates": (z, a),
+        "kinetic": 3 * z.diff() ** 2 + sp.cos(a) ** 2 * a.diff() ** 2 + foot.diff(ss.time) ** 2 / 2,
+        "potential": 9.81 * (6 * z + foot) + 40 * (a - 0.6) ** 2,
+        "forces": {a: -u},
+        "inputs": (u,),
+        "parameters": {},
+    }
+    flight = ss.MechanicalSystem("flight", **about)
+    stance = ss.MechanicalSystem("stance", **about, constraints=[foot])
+    landing = ss.Event(foot, name="landing", action=ss.Impact(0), terminal=True)
+    given = {"h": 1e-3, "events": [landing], "inputs": {"u": 0.5}}
+    run = ss.compile(flight).integrate([0.9, 0.6], v0=[-2.0, 0.4], steps=100, **given)
+    (q,), (v,) = run.events("landing").q, run.events("landing").v
+    there = dict(zip((z, a), q, strict=True))
+    M = np.array(flight.mass_matrix.subs(there), dtype=float)
+    J = np.array([[1.0, np.sin(q[1])]])
+    onto = np.linalg.solve(M, J.T) @ np.linalg.inv(J @ np.linalg.solve(M, J.T))
+    assert np.abs(run.v[-1] - (v - onto @ (J @ v))).max() < 1e-13
+    assert np.abs(run.v[-1] - stance.consistent(q, v)[1]).max() < 1e-12
+    assert abs(J @ v) > 0.5
+
+    loop = ss.compile(stance).start(run.q[-1], v0=run.v[-1], h=1e-3)
+    loop.step(2.0)
+    (force,) = -loop.multipliers
+    assert np.abs(loop.constraint_forces - force * np.array([1.0, np.sin(loop.q[1])])).max() < 1e-12
+    # the same by the equations of motion: M q'' = f + J^T force, J q'' = -J' v
+    (angle, rate), (z_rate, _) = (loop.q[1], loop.v[1]), loop.v
+    there = {a: angle, z: loop.q[0]}
+    M = np.array(flight.mass_matrix.subs(there), dtype=float)
+    J = np.array([1.0, np.sin(angle)])
+    bend = np.sin(angle) * np.cos(angle) * rate**2
+    along_a = bend - 9.81 * np.sin(angle) - 80 * (angle - 0.6) - 2.0
+    f = [-9.81 * 7 - np.cos(angle) * rate**2, along_a]
+    free = J @ np.linalg.solve(M, f) + np.cos(angle) * rate**2
+    assert abs(force + free / (J @ np.linalg.solve(M, J))) < 1e-9 * abs(force)
+    assert z_rate == pytest.approx(-np.sin(angle) * rate)
