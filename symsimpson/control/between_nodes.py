@@ -10,14 +10,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.control.point_functions import PointFunctions, lagrange, lagrange_slopes
 from symsimpson.graph.nodes import ZERO
+from symsimpson.support.array_types import Floats
 
 __all__ = ["balanced"]
 
-Floats = NDArray[np.float64]
 #: With so many more nodes of Gauss, sums over nodes in the equations of steps may change by this
 #: part of what forces do. Measured: motions that no finer step has come to 0.06 to 0.9, ten steps
 #: of a swing-up to 0.01 to 0.03, a single switch in three steps to 0.04.

@@ -11,8 +11,9 @@ from symsimpson.control.functions_of_time import finite_values_at, functions_of,
 from symsimpson.control.layout import Layout
 from symsimpson.control.point_functions import PointFunctions
 from symsimpson.control.problem_parts import read_mapping
+from symsimpson.control.reading import Reading
 from symsimpson.control.result import ControlResult
-from symsimpson.control.scaling import sizes_at
+from symsimpson.control.scaling import sizes_at, violations
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_reals
 from symsimpson.results.trajectory import Trajectory
@@ -34,53 +35,23 @@ def initial_point(layout: Layout, guess: Any) -> Floats:
     Without a guess, straight lines between the ends. Raises InputError if the guess has other names
     or shapes, or momenta are not finite.
     """
-    read, N = layout.read, layout.steps
+    read, grid = layout.read, layout.grid
     low, high = read.duration
-    functions: dict[str, Any] = {}
-    whole = float(np.sqrt(low * high))
-    values = [np.sqrt(a * b) if 0 < a < b < np.inf else (a + b) / 2 for a, b in read.found_bounds]
-    values = [
-        x if np.isfinite(x) else read.values[i] for x, i in zip(values, read.found, strict=True)
-    ]
-    if isinstance(guess, Trajectory):
-        guess = functions_of(guess)
-    if isinstance(guess, ControlResult):
-        functions = guess.functions
-        strange = [name for name in functions if name not in (*read.names, *read.inputs)]
-        if strange:
-            raise InputError(
-                f"guess is a result of {guess.layout.read.system.name}, with {', '.join(strange)}; "
-                f"{read.system.name} has {', '.join((*read.names, *read.inputs))}.\nPass those "
-                "that belong to one another by name: {name: result.functions[other]}."
-            )
-        whole = guess.duration
-        unknowns = guess.unknowns
-        values = [unknowns.get(name, x) for name, x in zip(read.found_names, values, strict=True)]
-    elif guess is not None:
-        how = (
-            "another result, a run, or a mapping from names to functions of the time, numbers, or "
-            "arrays over equal times"
-        )
-        given = {name: value for name, _, value in read_mapping("guess", guess, how)}
-        allowed = {*read.names, *read.inputs, "duration", *read.found_names}
-        for name in given:
-            if name not in allowed:
-                raise InputError(
-                    f"guess names {name!r}.{did_you_mean(name, sorted(allowed))}\n"
-                    f"It has values of {', '.join(sorted(allowed))}."
-                )
-        whole = _number("duration", given.pop("duration", whole))
-        if whole <= 0:
-            raise InputError(f"guess['duration'] is {whole:g}.\nPass a positive number.")
-        pairs = zip(read.found_names, values, strict=True)
-        values = [_number(name, given.pop(name, x)) for name, x in pairs]
-        functions = {
-            name: read_function(f"guess[{name!r}]", value, whole) for name, value in given.items()
-        }
+    given = _read_guess(read, guess)
+    whole = _number("duration", given.pop("duration", np.sqrt(low * high)))
+    if whole <= 0:
+        raise InputError(f"guess['duration'] is {whole:g}.\nPass a positive number.")
+    values = []
+    for name, i, (a, b) in zip(read.found_names, read.found, read.found_bounds, strict=True):
+        middle = np.sqrt(a * b) if 0 < a < b < np.inf else (a + b) / 2
+        middle = middle if np.isfinite(middle) else read.values[i]
+        values.append(_number(name, given.pop(name, middle)))
+    functions = {
+        name: read_function(f"guess[{name!r}]", value, whole) for name, value in given.items()
+    }
     whole = min(max(whole, low), high)
     x = np.zeros(layout.size)
-    grid = layout.grid
-    sizes = np.full(len(grid.steps), whole / N)
+    sizes = np.full(len(grid.steps), whole / layout.steps)
     if isinstance(guess, ControlResult) and len(guess.layout.grid.steps) == len(grid.steps):
         durations = guess.layout.sizes(guess.x) * guess.layout.grid.steps
         sizes = whole * durations / durations.sum() / grid.steps
@@ -110,6 +81,35 @@ def initial_point(layout: Layout, guess: Any) -> Floats:
     return x
 
 
+def _read_guess(read: Reading, guess: Any) -> dict[str, Any]:
+    """Return what a guess gives, by names of coordinates, inputs, parameters, and "duration"."""
+    if isinstance(guess, ControlResult):
+        functions = guess.functions
+        strange = [name for name in functions if name not in (*read.names, *read.inputs)]
+        if strange:
+            raise InputError(
+                f"guess is a result of {guess.layout.read.system.name}, with {', '.join(strange)}; "
+                f"{read.system.name} has {', '.join((*read.names, *read.inputs))}.\nPass those "
+                "that belong to one another by name: {name: result.functions[other]}."
+            )
+        unknowns = {name: x for name, x in guess.unknowns.items() if name in read.found_names}
+        return {**functions, **unknowns, "duration": guess.duration}
+    how = (
+        "another result, a run, or a mapping from names to functions of the time, numbers, or "
+        "arrays over equal times"
+    )
+    guess = functions_of(guess) if isinstance(guess, Trajectory) else {} if guess is None else guess
+    given = {name: value for name, _, value in read_mapping("guess", guess, how)}
+    allowed = {*read.names, *read.inputs, "duration", *read.found_names}
+    for name in given:
+        if name not in allowed:
+            raise InputError(
+                f"guess names {name!r}.{did_you_mean(name, sorted(allowed))}\n"
+                f"It has values of {', '.join(sorted(allowed))}."
+            )
+    return given
+
+
 def _with_momenta(layout: Layout, x: Floats) -> Floats:
     """Put the path of a guess onto its constraints, and give it its own momenta."""
     read, x, known, sizes = layout.read, x.copy(), layout.parameter_values(x), layout.sizes(x)
@@ -133,12 +133,10 @@ def violation(layout: Layout, x: Floats, among: Any = None) -> float:
     It is infinite where the path jumps to another branch of the constraints, or something has no
     value. ``among`` chooses rows.
     """
-    programme, low, high = layout.programme
-    (cost, rows), sizes = programme.values(x), sizes_at(layout, x)[1]
-    if not (np.isfinite([cost, *rows]).all() and resolved(layout, x, layout.parameter_values(x))):
+    cost, off = layout.programme[0].values(x)[0], violations(layout, x)
+    if not (np.isfinite([cost, *off]).all() and resolved(layout, x, layout.parameter_values(x))):
         return np.inf
-    off = np.maximum(np.maximum(low - rows, rows - high), 0.0) / sizes
-    beside = np.setdiff1d(np.arange(len(rows)), layout.step_rows - 1) if among is None else among
+    beside = np.setdiff1d(np.arange(len(off)), layout.step_rows - 1) if among is None else among
     return float(off[beside].sum())
 
 

@@ -80,10 +80,10 @@ def run_ipopt(
     class Part(ca.Callback):  # type: ignore[name-defined]
         """A function of casadi that calls one of ours."""
 
-        def __init__(self, name: str, takes: Any, gives: Any, function: Any, opts: Any) -> None:
+        def __init__(self, name: str, takes: Any, gives: Any, function: Any) -> None:
             super().__init__()
             self.takes, self.gives, self.function = takes, gives, function
-            self.construct(name, opts)
+            self.construct(name, {})
 
         def get_n_in(self) -> int:
             return len(self.takes)
@@ -110,14 +110,8 @@ def run_ipopt(
             spent += perf_counter() - begin
             return 0
 
-    def values(x: Floats, p: Floats) -> tuple[Any, ...]:
-        return programme.values(x)
-
-    def gradient(x: Floats, p: Floats) -> tuple[Any, ...]:
-        return programme.values(x)[0], programme.slopes(x)[0]
-
-    def slopes(x: Floats, p: Floats) -> tuple[Any, ...]:
-        return programme.values(x)[1], programme.slopes(x)[1]
+    def values_and_slopes(x: Floats, k: int) -> tuple[Any, Any]:
+        return programme.values(x)[k], programme.slopes(x)[k]
 
     def curved(x: Floats, p: Floats, cost: Floats, multipliers: Floats) -> tuple[Any, ...]:
         return (programme.curvatures(x, float(cost[0]), multipliers),)
@@ -144,11 +138,12 @@ def run_ipopt(
             return [int(stopped(float(given[self.of_cost])))]
 
     x = ca.MX.sym("x", size)
-    nlp = Part("nlp", [of_x, none], [scalar, of_g], values, {})
+    at = [of_x, none]
+    nlp = Part("nlp", at, [scalar, of_g], lambda x, p: programme.values(x))
     parts = {
-        "grad_f": Part("grad_f", [of_x, none], [scalar, of_x], gradient, {}),
-        "jac_g": Part("jac_g", [of_x, none], [of_g, jacobian], slopes, {}),
-        "hess_lag": Part("hess_lag", [of_x, none, scalar, of_g], [hessian], curved, {}),
+        "grad_f": Part("grad_f", at, [scalar, of_x], lambda x, p: values_and_slopes(x, 0)),
+        "jac_g": Part("jac_g", at, [of_g, jacobian], lambda x, p: values_and_slopes(x, 1)),
+        "hess_lag": Part("hess_lag", [*at, scalar, of_g], [hessian], curved),
     }
     watching = Watch()
     f, g = nlp(x, ca.MX(0, 1))

@@ -11,16 +11,15 @@ from symsimpson.control.ipopt import Outcome
 from symsimpson.control.layout import Layout
 from symsimpson.control.masses import massive
 from symsimpson.control.result import FOUND, ControlResult
-from symsimpson.control.scaling import sizes_at
+from symsimpson.control.scaling import violations
 
 __all__ = ["result_of"]
 
 
 def result_of(layout: Layout, outcome: Outcome, best: bool) -> ControlResult:
     """Return what a solver came to, and whether it is an optimum by its multipliers."""
-    x, (programme, low, high) = outcome.x, layout.programme
-    cost, rows = programme.values(x)
-    off = np.maximum(np.maximum(low - rows, rows - high), 0.0) / sizes_at(layout, x)[1]
+    x, off = outcome.x, violations(layout, outcome.x)
+    cost, _ = layout.programme[0].values(x)
     worst = int(np.argmax(off)) if off.size else 0
     status = STATUSES.get(outcome.ipopt_status, ControlStatus.RESTORATION_FAILED)
     known = layout.parameter_values(x)

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symsimpson.control.constraint_rows import held_rates
 from symsimpson.control.point_functions import PointFunctions
+from symsimpson.support.array_types import Floats
 
 __all__ = ["massive"]
 
-Floats = NDArray[np.float64]
 #: With diagonals of 1, the mass matrix is singular where an eigenvalue is below this part.
 NOTHING = 1e-9
 #: So much what constraints forbid weighs beside masses.

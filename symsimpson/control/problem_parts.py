@@ -69,17 +69,13 @@ def read_duration(given: Any) -> tuple[float, float]:
     if given is None:
         raise InputError(f"duration is missing: how long the motion is.\nPass {how}.")
     pair = read_pair("duration", given, how)
-    if pair[0] <= 0:
-        fixed = pair[0] == pair[1]
-        raise InputError(
-            f"duration is {given!r}: {'it' if fixed else 'low'} must be above 0, as steps have a "
-            f"size.\nPass {how}."
-        )
-    if pair[1] == math.inf:
-        fixed = pair[0] == pair[1]
-        raise InputError(
-            f"duration is {given!r}: {'it' if fixed else 'high'} must be finite.\nPass {how}."
-        )
+    for side, wrong, right in (
+        ("low", pair[0] <= 0, "above 0, as steps have a size"),
+        ("high", pair[1] == math.inf, "finite"),
+    ):
+        if wrong:
+            subject = "it" if pair[0] == pair[1] else side
+            raise InputError(f"duration is {given!r}: {subject} must be {right}.\nPass {how}.")
     return pair
 
 

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from symsimpson.control import figures
 from symsimpson.control.arcs import arcs_of
@@ -161,37 +161,30 @@ class ControlResult:
         InputError
             If a time lies outside of the motion.
         """
-        values = self._inputs(times_within(t, self.duration))
-        return {name: values[..., j] for j, name in enumerate(self.layout.read.inputs)}
-
-    def _inputs(self, t: Floats) -> Floats:
-        basis, k = self._basis(t, self.layout.c)
-        values: Floats = np.einsum("...i,...im->...m", basis, self.input_values[k])
-        return values
+        times, inputs = times_within(t, self.duration), self.layout.read.inputs
+        return {name: self.functions[name](times) for name in inputs}
 
     @property
     def functions(self) -> dict[str, Any]:
         """Coordinates and inputs as functions of the time, as a guess has them."""
         layout = self.layout
+        groups = (
+            (layout.read.names, layout.places, self.x[layout.points]),
+            (layout.read.inputs, layout.c, self.input_values),
+        )
+        return {
+            name: lambda t, places=places, values=values[..., a]: self._between(places, values, t)
+            for names, places, values in groups
+            for a, name in enumerate(names)
+        }
 
-        def coordinate(a: int) -> Any:
-            def value(t: Floats) -> Floats:
-                basis, k = self._basis(t, layout.places)
-                return np.asarray((basis * self.x[layout.points[:, :, a]][k]).sum(axis=-1))
-
-            return value
-
-        functions = {name: coordinate(a) for a, name in enumerate(layout.read.names)}
-        for j, name in enumerate(layout.read.inputs):
-            functions[name] = lambda t, j=j: self._inputs(t)[..., j]
-        return functions
-
-    def _basis(self, t: Floats, places: Floats) -> tuple[Floats, NDArray[np.int64]]:
-        """Return Lagrange's polynomials of places in steps, at times, and the steps' numbers."""
+    def _between(self, places: Floats, values: Floats, t: Floats) -> Floats:
+        """Return the polynomials of steps through values at places, shape (N, places), at times."""
         ends = self.t
         k = np.clip(np.searchsorted(ends, t, side="right") - 1, 0, self.layout.steps - 1)
         within = (t - ends[k]) / (ends[k + 1] - ends[k])
-        return lagrange(places, np.clip(within, 0.0, 1.0)), k
+        basis = lagrange(places, np.clip(within, 0.0, 1.0))
+        return np.asarray((basis * values[k]).sum(axis=-1))
 
     @cached_property
     def costates(self) -> tuple[Floats, Floats]:
@@ -379,17 +372,7 @@ class ControlResult:
         return figures.iterations(self)
 
     def plot_sparsity(self) -> Any:
-        """Draw the entries of the constraints' Jacobian and of the Lagrangian's Hessian.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-
-        Raises
-        ------
-        InputError
-            If matplotlib is not installed.
-        """
+        """Draw the entries of the constraints' Jacobian and of the Hessian, as a Figure."""
         return figures.sparsity(self)
 
     _repr_html_ = solution

@@ -8,7 +8,7 @@ equations at the guess. So neither the way to a solution nor the solution depend
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,9 +16,9 @@ from scipy import sparse
 
 from symsimpson.control.ipopt import Outcome, Solvable
 from symsimpson.control.layout import Layout
-from symsimpson.support.array_types import Floats, Ints
+from symsimpson.support.array_types import Floats
 
-__all__ = ["Scaled", "cost_size", "scaled", "sizes_at"]
+__all__ = ["Scaled", "cost_size", "scaled", "sizes_at", "violations"]
 
 #: A coordinate that moves by less than this part of what others do, at equal energies, is small
 #: beside them. Motions by less than FINE of the positions are lost in rounding.
@@ -30,29 +30,16 @@ COST, MOMENTUM = 2.0**-7, 2.0**-3
 NOTHING = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
 class Scaled:
     """A programme in units of the sizes of its unknowns, rows and cost."""
 
-    programme: Solvable
-    of_unknowns: Floats
-    of_rows: Floats
-    of_cost: float
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Numbers of rows and of unknowns."""
-        return self.programme.shape
-
-    @property
-    def jacobian_places(self) -> tuple[Ints, Ints]:
-        """Rows and columns of the entries of the Jacobian."""
-        return self.programme.jacobian_places
-
-    @property
-    def hessian_places(self) -> tuple[Ints, Ints]:
-        """Rows and columns of the entries of the Hessian, on and above the diagonal."""
-        return self.programme.hessian_places
+    def __init__(
+        self, programme: Solvable, of_unknowns: Floats, of_rows: Floats, of_cost: float = 1.0
+    ) -> None:
+        self.programme, self.shape = programme, programme.shape
+        self.of_unknowns, self.of_rows, self.of_cost = of_unknowns, of_rows, of_cost
+        self.jacobian_places = programme.jacobian_places
+        self.hessian_places = programme.hessian_places
 
     def values(self, x: Floats) -> tuple[float, Floats]:
         """Return the cost and the rows."""
@@ -82,13 +69,6 @@ class Scaled:
         """Return unknowns in the units of the programme."""
         return x * self.of_unknowns
 
-    def bounds(self, of_unknowns: Any, of_rows: Any) -> tuple[Any, Any]:
-        """Return bounds of unknowns and of rows in these units."""
-        return (
-            tuple(x / self.of_unknowns for x in of_unknowns),
-            tuple(x / self.of_rows for x in of_rows),
-        )
-
     def outcome(self, outcome: Outcome) -> Outcome:
         """Return what a solver came to in the units of the programme."""
         costs = [x * self.of_cost for x in outcome.history.get("obj", [])]
@@ -103,12 +83,11 @@ class Scaled:
 def scaled(programme: Solvable, layout: Layout, x: Floats) -> Scaled:
     """Return the programme of a layout in units of its sizes at a guess."""
     columns, lines = _sizes(programme, layout, x)
-    scaled_form = Scaled(programme, columns, lines, 1.0)
     # a cost that is square in inputs has no slope where they are 0
-    curved = scaled_form.curvatures(x / columns, 1.0, np.zeros(len(lines)))
+    curved = Scaled(programme, columns, lines).curvatures(x / columns, 1.0, np.zeros(len(lines)))
     parts = np.concatenate([programme.slopes(x)[0] * columns, curved])
     whole = np.abs(parts[np.isfinite(parts)]).sum()
-    return replace(scaled_form, of_cost=float(_rounded(whole) * COST))
+    return Scaled(programme, columns, lines, float(_rounded(whole) * COST))
 
 
 def cost_size(layout: Layout, x: Floats) -> float:
@@ -124,6 +103,14 @@ def sizes_at(layout: Layout, x: Floats) -> tuple[Floats, Floats]:
     scales = layout.scales.copy()
     scales[layout.step_rows - 1] /= _rounded(layout.scale * layout.steps)  # which are times
     return of_unknowns, scales * of_rows
+
+
+def violations(layout: Layout, x: Floats) -> Floats:
+    """Return how far rows are outside of their bounds, in units of their sizes."""
+    programme, low, high = layout.programme
+    rows = programme.values(x)[1]
+    off: Floats = np.maximum(np.maximum(low - rows, rows - high), 0.0) / sizes_at(layout, x)[1]
+    return off
 
 
 @np.errstate(all="ignore")  # a search may end far away

@@ -18,7 +18,7 @@ from symsimpson.control.layout import Layout
 from symsimpson.control.optimality import creeping, downhill, optimal
 from symsimpson.control.reading import Reading, read_family
 from symsimpson.control.result import FOUND, SAVED, ControlResult
-from symsimpson.control.scaling import Scaled, cost_size, scaled, sizes_at
+from symsimpson.control.scaling import Scaled, cost_size, scaled, sizes_at, violations
 from symsimpson.control.solution_files import read_solution
 from symsimpson.errors import InputError, ResolutionWarning
 from symsimpson.program.input_values import MOST_STEPS
@@ -76,9 +76,7 @@ def solve(
         if far and result.violation < NEAR and result.status is not ControlStatus.INTERRUPTED:
             again = _solved(layout, result.x, *how, straight=False)
             if again.success:  # in units of its own
-                sums = ("iterations", "seconds", "in_functions")
-                both = {name: getattr(result, name) + getattr(again, name) for name in sums}
-                result = replace(again, **both)
+                result = _with_sums(again, [result, again])
         return result, x0
 
     result, x0 = result_from(Layout(read, scheme, grid), guess)
@@ -125,7 +123,8 @@ def _solved(
         )
     scaled_form = scaled(programme, layout, x0)
     x0 = moved(layout, at_start(layout, x0)) if condensed else x0
-    bounds, limits = scaled_form.bounds(layout.bounds, (low, high))
+    bounds: Any = [*map(scaled_form.inside, layout.bounds)]
+    limits: Any = [x / scaled_form.of_rows for x in (low, high)]
     form: Scaled | Condensed = scaled_form
     begun = scaled_form.inside(x0)
     if condensed:
@@ -191,12 +190,13 @@ def _solved(
             result = min(results, key=lambda trial: trial.cost if trial.success else np.inf)
             if first < most and result.status is ControlStatus.ITERATION_LIMIT:
                 result = search(end, most - first)
-    return replace(
-        result,
-        iterations=sum(outcome.iterations for outcome in outcomes),
-        seconds=sum(outcome.seconds for outcome in outcomes),
-        in_functions=sum(outcome.in_functions for outcome in outcomes),
-    )
+    return _with_sums(result, outcomes)
+
+
+def _with_sums(result: ControlResult, parts: Any) -> ControlResult:
+    """Return a result with the iterations and seconds of all searches."""
+    sums = ("iterations", "seconds", "in_functions")
+    return replace(result, **{name: sum(getattr(part, name) for part in parts) for name in sums})
 
 
 def opened(read: Reading, path: str | os.PathLike[str], scheme: Any) -> ControlResult:
@@ -211,21 +211,15 @@ def opened(read: Reading, path: str | os.PathLike[str], scheme: Any) -> ControlR
     # a damaged number of steps must not ask for more memory than the file has numbers
     if len(grid.steps) == len(read.phases) and grid.count <= len(x):
         layout = Layout(read, galerkin_scheme, grid)
-        programme, low, high = layout.programme
+        programme, *_ = layout.programme
         fits = (len(multipliers), len(x)) == programme.shape
     if fits:
-        cost, rows = programme.values(x)
-        of_unknowns, of_rows = sizes_at(layout, x)
-        violations = [
-            (np.maximum(a - y, y - b) / size).max(initial=0.0)
-            for a, y, b, size in (
-                (low, rows, high, of_rows),
-                (layout.bounds[0], x, layout.bounds[1], of_unknowns),
-            )
-        ]
-        if np.isfinite([cost, *violations]).all():
+        cost, (low, high) = programme.values(x)[0], layout.bounds
+        outside = np.maximum(low - x, x - high) / sizes_at(layout, x)[0]
+        largest = max(violations(layout, x).max(initial=0.0), outside.max(initial=0.0))
+        if np.isfinite([cost, largest]).all():
             off = abs(cost - saved["cost"]) / (abs(cost) or 1.0)
-            fits = off <= ROUNDED and max(violations) <= saved["violation"] + ROUNDED
+            fits = off <= ROUNDED and largest <= saved["violation"] + ROUNDED
         else:  # where the search ended, something had no value
             fits = not np.isfinite(saved["violation"])
     if not fits:

@@ -146,21 +146,28 @@ def read_reals(what: str, given: Any, how: str) -> Floats:
 
 
 def values_at(what: str, function: Callable[[Any], Any], times: Reals) -> Reals:
-    """Evaluate a function at times: in one call, or at each if it takes single numbers alone."""
+    """Evaluate a function at times of any shape, which it gets in one row.
+
+    A function that takes single numbers alone is called at each time. Its errors get a note.
+    """
+    row, shape = times.ravel(), ()
     with contextlib.suppress(Exception):
-        values = np.asarray(function(times))
-        if values.shape == times.shape:
-            return values
+        values = np.asarray(function(row))
+        if (shape := values.shape) == row.shape:
+            return values.reshape(times.shape)
     each = []
-    for t in times.ravel():
+    for t in row:
         try:
             each.append(function(t))
         except Exception as error:
-            error.add_note(f"The function that is passed as {what} raised this at t={t}.")
-            raise
-        if np.shape(each[-1]) != ():
+            if not shape:
+                error.add_note(f"The function that is passed as {what} raised this at t={t}.")
+                raise
+        else:
+            shape = np.shape(each[-1])
+        if shape:
             raise InputError(
-                f"{what}: its function gives shape {np.shape(each[-1])} at a time.\nReturn "
-                "a number for a time, or an array in the shape of the times."
+                f"{what}: its function gives shape {shape} where one number for each time belongs."
+                "\nReturn a number for a time, or an array in the shape of the times."
             )
     return np.array(each).reshape(times.shape)

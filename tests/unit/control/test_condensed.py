@@ -105,10 +105,10 @@ def test_both_forms_have_the_same_solution(name, scheme):
 
 def test_derivatives_are_those_of_its_own_values():
     layout = Layout(crane(duration=(1, 3)).reading, read_family("simpson"), Grid((3,)))
-    programme, *limits = layout.programme
+    programme, *_ = layout.programme
     guess = initial_point(layout, {"u": lambda t: np.sin(3 * t), "duration": 1.7})
     own = scaled(programme, layout, guess)
-    bounds = own.bounds(layout.bounds, limits)[0]
+    bounds = tuple(map(own.inside, layout.bounds))
     start = own.inside(moved(layout, at_start(layout, guess)))
     form = Condensed(
         own, layout, lambda y: own.inside(moved(layout, own.outside(y))), start, bounds

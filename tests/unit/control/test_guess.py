@@ -162,7 +162,7 @@ def test_figures_have_the_units_of_the_system():
         system, cost=a**2 + b**2 + c**2, start={x: 0, y: 0, th: 0}, end={x: 1}, duration=1
     ).solve("simpson", steps=3)
     panels = found.plot().axes
-    labels = ["[m]", "th [rad]", "[N]", "c [N m]"]
+    labels = ["coordinates [m]", "th [rad]", "inputs [N]", "c [N m]"]
     assert [panel.get_ylabel() for panel in panels] == labels
     assert panels[-1].get_xlabel() == "t [s]"
     (searched,) = found.plot_iterations().axes
