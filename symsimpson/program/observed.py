@@ -155,43 +155,38 @@ def read_reductions(
         )
     reductions = []
     for name, pair in given.items():
-        if event_names and (
-            pair in OF_VARIATIONS or (isinstance(pair, tuple) and pair and pair[0] in OF_VARIATIONS)
-        ):
+        kind, of = pair if isinstance(pair, tuple) and len(pair) == 2 else (pair, None)
+        if event_names and kind in OF_VARIATIONS:
             raise InputError(
                 f"reduce[{name!r}] tells how variations grow, which is not measured through events."
                 "\nLeave it out, or the events."
             )
-        alone = isinstance(pair, tuple) and len(pair) == 2 and str(pair[1]) in ("None", "")
-        kind = pair[0] if alone else pair
-        if isinstance(kind, str) and kind in OF_VARIATIONS:
+        if kind in OF_VARIATIONS and str(of) in ("None", ""):
             reductions.append(Reduction("", "0.0", False, name=str(name), kind=kind))
             continue
-        if isinstance(pair, tuple) and len(pair) == 2 and pair[0] == OF_EVENTS:
-            if event_names is not None and str(pair[1]) not in event_names:
+        if kind == OF_EVENTS and of is not None:
+            if event_names is not None and str(of) not in event_names:
                 raise InputError(
-                    f"reduce[{name!r}] counts {str(pair[1])!r}, and no event is called so.\n"
+                    f"reduce[{name!r}] counts {str(of)!r}, and no event is called so.\n"
                     f"Events of this call are {', '.join(event_names) or 'none: pass events='}."
                 )
-            reductions.append(Reduction(str(pair[1]), "0.0", False, name=str(name), kind=OF_EVENTS))
+            reductions.append(Reduction(str(of), "0.0", False, name=str(name), kind=OF_EVENTS))
             continue
-        if not (isinstance(pair, tuple) and len(pair) == 2 and pair[0] in OF_STATES):
+        if kind not in OF_STATES or of is None:
             raise InputError(
                 f"reduce[{name!r}] is {pair!r}.\nPass a pair of one of {', '.join(OF_STATES)} and "
                 "an expression, such as ('max', 'q1') or ('first', 'q1 - 3'); one of "
                 f"{', '.join(OF_VARIATIONS)}; or ('count', name of an event)."
             )
-        if pair[0] == "mean" and program.header.retimed:
+        if kind == "mean" and program.header.retimed:
             raise InputError(
                 f"{program.system} is retimed: the mean over its steps is no mean over the time.\n"
                 "Store states, every=..., and take the mean of them."
             )
         reader = Reader(program, f"reduce[{name!r}]")
-        text = reader.read_any(pair[1])
-        portable = reader.portable(pair[1], text)
-        reductions.append(
-            Reduction(portable, text, reader.energetic, name=str(name), kind=str(pair[0]))
-        )
+        text = reader.read_any(of)
+        portable = reader.portable(of, text)
+        reductions.append(Reduction(portable, text, reader.energetic, name=str(name), kind=kind))
     return tuple(reductions)
 
 

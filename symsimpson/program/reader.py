@@ -178,14 +178,8 @@ class Reader:
         if not strange:
             return text
         # a name that begins or ends with a letter is no part of a longer word
-        edges = {True: (r"(?<!\w)", r"(?!\w)"), False: ("", "")}
-        word = re.compile(r"\w")
-        pattern = "|".join(
-            edges[bool(word.match(name[0]))][0]
-            + re.escape(name)
-            + edges[bool(word.match(name[-1]))][1]
-            for name in strange
-        )
+        edge = r"(?:(?<!\w)|(?!\w))"
+        pattern = f"{edge}(?:{'|'.join(map(re.escape, strange))}){edge}"
         plain_names: dict[str, str] = {}
 
         def stand_in(match: re.Match[str]) -> str:
