@@ -271,7 +271,9 @@ def _equations(s: Subject) -> Iterator[Check]:
     precise, n, d = s.precise, s.n, s.stepper.program.header.degree
     q, p = s.path.q, s.path.p
     share = np.arange(1, d + 1)[:, None] / precise.context.mpf(d)
-    nodes = q[0] + share * (q[1] - q[0])
+    # forces may have one derivative at rest: moving nodes, each coordinate at another speed
+    moving = np.arange(1, n + 1) / precise.context.mpf(2**30 * n) * precise.sizes[:n]
+    nodes = q[0] + share * (q[1] - q[0] + moving)
 
     def evaluate(points: Any) -> tuple[Any, Any]:
         at = At(q[0], points, s.h, precise.parameters, 0)

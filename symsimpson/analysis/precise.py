@@ -26,6 +26,8 @@ __all__ = ["Precise"]
 NEARBY = 1e-3
 #: What moves by a smaller part of what moves most is displaced as if it moved by so much.
 UNMOVED = 1e-12
+#: Large steps need some iterations before corrections shrink quadratically.
+MOST_ITERATIONS = 32
 
 
 class Precise:
@@ -209,9 +211,12 @@ class Precise:
         """
         with self._numbers.working():
             run = self._begun(z, h)
-            for _ in range(8):
-                self._iterate(run)
             rows = run.rows("INCREMENT", self.program.header.degree * self.n)
+            for _ in range(MOST_ITERATIONS):
+                before = rows.copy()
+                self._iterate(run)
+                if max(map(abs, rows - before)) <= self.small**2 * max(map(abs, rows)):
+                    break
             solution = self._numbers.result(rows.copy())
             moves = abs(solution).reshape(-1, self.n).max(axis=0)
             # what turns little beside what moves far is displaced by as little

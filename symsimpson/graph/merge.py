@@ -61,10 +61,8 @@ def merged(graph: Graph, values: Sequence[Value], level: Callable[[int], int]) -
         chosen = {key: min(members, key=order) for key, members in classes.items()}
         return {n: chosen[key] for n, key in key_of.items()}
 
-    def is_sum(n: int) -> int:
-        return graph.nodes[n].kind == "sum"
-
-    done = _rewritten(graph, roots, marks, stays(lambda n: (level(n), is_sum(n), n)))
+    sums_last = stays(lambda n: (level(n), graph.nodes[n].kind == "sum", n))
+    done = _rewritten(graph, roots, marks, sums_last)
     if done is None:  # a product that is made of the sum
         done = _rewritten(graph, roots, marks, stays(lambda n: (level(n), n)))
     assert done is not None

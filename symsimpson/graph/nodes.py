@@ -149,6 +149,12 @@ class Graph:
                     del factors[n]
                     coefficient *= Fraction(parts[0][0]) ** int(e)
                     open_.append((parts[0][1], e))
+                elif kind == "function" and parts[0] == "cosh":  # tanh does not overflow
+                    sinh = self._numbers.get(("function", ("sinh", parts[1])), UNIT)
+                    common = min(e, -factors.get(sinh, 0), key=magnitude)
+                    if e * common > 0:
+                        tanh = self.function("tanh", parts[1])[1]
+                        open_ += [(n, -common), (sinh, common), (tanh, -common)]
         coefficient = exact(coefficient)
         parts = tuple((n, exact(e)) for n, e in sorted(factors.items()))
         if not parts:

@@ -63,10 +63,11 @@ def consistent(
             f"{system.name}: fixed names {', '.join(sorted(unknown))}, but the coordinates are "
             f"{', '.join(names)}."
         )
+    values = read_values("parameters", "parameter", system.parameters, parameters)
     if not (system.constraints or system.velocity_constraints):
         return q, v
     free, start = [i for i, name in enumerate(names) if name not in held], q
-    at = _functions(system, parameters, t)
+    at = _functions(system, values, t)
     m = len(system.constraints)
     _, slopes, mass = at(q)
     metric = _positive(mass, slopes)[np.ix_(free, free)]
@@ -249,11 +250,10 @@ def _nearest(metric: Floats, slopes: Floats, wish: Floats, change: Floats) -> Fl
 
 
 def _functions(
-    system: Declared, given: Mapping[Any, Any] | None, t: float
+    system: Declared, values: Sequence[float], t: float
 ) -> Callable[[Floats], tuple[Floats, Floats, Floats]]:
     """Return phi and behind it b, Phi and behind it A, and M, as a function of q."""
     plain, n = system.plain, system.n
-    values = read_values("parameters", "parameter", system.parameters, given)
     graph, places = plain.graph, plain.numbers(plain.q)
     phi, rows = list(plain.constraints.values()), list(plain.velocity_constraints.values())
     slopes = [x for row in constraints.slopes(graph, phi, places) for x in row]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -61,6 +62,7 @@ def read_energies(
     given: Declared,
 ) -> tuple[Plain, Positions, Mapping[str, sp.Expr]]:
     """Check the energies and read them into a graph."""
+    refuse = partial(fail, name)
     s = Symbols(coordinates, parameters, given.inputs)
 
     def read(what: str, expression: Any, *allowed: Sequence[sp.Symbol]) -> Value:
@@ -83,8 +85,7 @@ def read_energies(
     elif not all(map(Findings(s.graph, left).vanishes, left)):
         leftover = s.graph.add([*s.graph.products(parts.a, s.numbers(s.v)), parts.rest])
         if not parts.M and not any(c for c, _ in parts.a):
-            raise fail(
-                name,
+            raise refuse(
                 f"the kinetic energy {spell(given.kinetic)} contains no velocity.",
                 f"A velocity is the derivative of a coordinate: write {s.back[s.v[0]].expr}.diff() "
                 f"for that of {s.back[s.v[0]].expr}.",
@@ -93,8 +94,7 @@ def read_energies(
         places = zip(s.v, s.numbers(s.q), s.numbers(s.v), strict=True)
         still = [s.back[v].expr for v, q, rate in places if q in there and rate not in moving]
         meant = f"Did you mean {' or '.join(f'{x.func}.diff()' for x in still)}? " if still else ""
-        raise fail(
-            name,
+        raise refuse(
             f"the kinetic energy is not a quadratic form in the velocities: it contains "
             f"{spell(s.restored(leftover))}.",
             f"{meant}Move terms without velocities to the potential (with the opposite sign) and "
@@ -121,8 +121,7 @@ def read_energies(
         if not given.mass_checked:
             check_mass_matrix(name, parts.M, s)
     if gyroscopic.M or not Findings(s.graph, [gyroscopic.rest]).vanishes(gyroscopic.rest):
-        raise fail(
-            name,
+        raise refuse(
             f"the gyroscopic term {spell(given.gyroscopic)} is not linear in the velocities.",
             "It must have the form a(q).v; put the rest into T or V.",
         )
@@ -133,8 +132,7 @@ def read_energies(
     pairs = zip(momenta(*coordinates), s.p, strict=True)
     of_momenta = {user: s.graph.symbol(symbol.name) for user, symbol in pairs}
     for both in s.known.keys() & of_momenta.keys() if given.invariants is not None else ():
-        raise fail(
-            name,
+        raise refuse(
             f"the parameter {both} is the symbol of a momentum, too.",
             "An invariant could mean either. Give the parameter another name.",
         )
@@ -177,8 +175,7 @@ def read_energies(
         taken = {*names, *(str(a) for a in parameters), *invariants}
         # those of a list have numbers for names, which need not be found by them
         if key in taken and not key.removeprefix("lambda_").isdigit():
-            raise fail(
-                name,
+            raise refuse(
                 f"the multiplier of a constraint has the name {key!r}, and so has something else.",
                 f"run[{key!r}] could be either. Give the constraint another name.",
             )

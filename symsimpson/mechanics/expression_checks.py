@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Mapping
+from functools import partial
 from typing import Any
 
 import sympy as sp
@@ -57,9 +58,9 @@ def read_expression(
     ``what`` names it in messages ("kinetic energy"); ``known`` maps the user's coordinates,
     velocities and parameters to symbols of the graph, of which those in ``allowed`` may appear.
     """
+    refuse = partial(fail, system)
     if isinstance(expression, str):
-        raise fail(
-            system,
+        raise refuse(
             f"the {what} is the string {spell(expression)!r}, not an expression.",
             "Text is never evaluated here. Write it with the SymPy symbols themselves, unquoted.",
         )
@@ -68,8 +69,7 @@ def read_expression(
     except (sp.SympifyError, AttributeError, TypeError):
         user = None
     if not isinstance(user, sp.Expr) or user.is_Matrix:
-        raise fail(
-            system,
+        raise refuse(
             f"the {what} is {spell(expression)!r}, not a scalar expression.",
             "Write it with SymPy symbols, functions and numbers; of a 1 by 1 matrix take [0, 0].",
         )
@@ -84,8 +84,7 @@ def read_expression(
     try:
         value = reader(user)
     except ZeroDivisionError:
-        raise fail(
-            system,
+        raise refuse(
             f"the {what} contains a division by zero.",
             "Look for a division by zero or an overflow where the expression is built.",
         ) from None
@@ -174,12 +173,12 @@ def _check_coordinate(
 
 def check_content(system: str, what: str, node: sp.Basic) -> None:
     """Refuse what has no value, no derivative or no real value."""
+    refuse = partial(fail, system)
     if isinstance(node, UNEVALUATED):
         if isinstance(node, sp.Derivative) and isinstance(node.expr, AppliedUndef):
             _check_form(system, what, node.expr)
             order = node.derivative_count
-            raise fail(
-                system,
+            raise refuse(
                 f"the {what} contains {spell(node)}, "
                 + (f"a derivative of order {order}." if order > 1 else "an unknown velocity."),
                 "Energies and forces depend on the declared coordinates and their first "
@@ -187,15 +186,13 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
                 f"a given function of time, put in its expression: L.subs({spell(node.expr)}, "
                 "...).doit().",
             )
-        raise fail(
-            system,
+        raise refuse(
             f"the {what} contains the unevaluated {type(node).__name__} {spell(node)}.",
             "It must be differentiated and compiled. Evaluate it first with .doit().",
         )
     if isinstance(node, AppliedUndef):
         _check_form(system, what, node)
-        raise fail(
-            system,
+        raise refuse(
             f"the {what} contains {spell(node)}, which is neither a declared coordinate nor a "
             "function with a known form.",
             f"Add it to the coordinates. If its values are given to each run, as those of a motor, "
@@ -203,36 +200,32 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
             f"time, put in its expression: .subs({spell(node)}, ...).doit().",
         )
     if node in NOT_FINITE:
-        raise fail(
-            system,
+        raise refuse(
             f"the {what} contains {node}, which is no finite number.",
             "Look for a division by zero or an overflow where the expression is built.",
         )
-    known = _differentiable(node)
+    called = isinstance(node, sp.Function)
+    known = isinstance(node, SMOOTH) if called else not isinstance(node, CASES)
     number = _number(node) if known else None
     if _not_real(node, number):
-        raise fail(
-            system,
+        raise refuse(
             f"the {what} contains {spell(node)}, which is not real.",
             "Energies are real. Look for the root, power or logarithm of a negative number.",
         )
     if number is not None and not abs(number) <= sys.float_info.max:
-        raise fail(
-            system,
+        raise refuse(
             f"the {what} contains the number {spell(node)} = {sp.N(number, 3)}, larger than "
             "doubles can be.",
             "Choose other units, or a smaller factor.",
         )
     if number is not None and not number.is_zero and float(number) == 0:
-        raise fail(
-            system,
+        raise refuse(
             f"the {what} contains the number {spell(node)} = {sp.N(number, 3)}, smaller than "
             "doubles can be.",
             "Choose other units, or a larger factor.",
         )
     if known and not isinstance(node, (*PLAIN, sp.Function)):
-        raise fail(
-            system,
+        raise refuse(
             f"the {what} contains {spell(node)}, a {type(node).__name__}.",
             "Write it with symbols, numbers, sums, products, powers and functions.",
         )
@@ -241,8 +234,7 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
     if _of_time_alone(node):
         name = type(node).__name__
         jumps = isinstance(node, (*CASES, *ROUGH))
-        raise fail(
-            system,
+        raise refuse(
             f"the {what} contains {spell(node)}, a function of time "
             + ("with jumps or corners." if jumps else f"that compiled code does not have: {name}."),
             "A step across a jump loses the order of the scheme, and the equations are "
@@ -253,24 +245,21 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
         )
     if not node.atoms(AppliedUndef):
         of = "parameters" if node.free_symbols else "numbers"
-        raise fail(
-            system,
+        raise refuse(
             f"the {what} contains {spell(node)}, which is made of {of} alone, by a function "
             "that compiled code does not have.",
             "Evaluate it first: replace it by its value, "
             + ("in a parameter of its own." if node.free_symbols else f"{spell(sp.N(node, 17))}."),
         )
     if isinstance(node, CASES):
-        raise fail(
-            system,
+        raise refuse(
             f"the {what} contains {spell(node)}, which is defined by cases.",
             "Newton's method needs two continuous derivatives. Use a smooth expression, as "
             "(x + sqrt(x**2 + eps**2))/2 for Max(x, 0); or a system for each case: a run that "
             "symsimpson.Event(x, terminal=True) ends tells where the other goes on.",
         )
     name = node.func.__name__
-    raise fail(
-        system,
+    raise refuse(
         f"the {what} contains {spell(node)}: "
         + (
             f"the function {name} cannot be differentiated twice."
@@ -298,13 +287,6 @@ def _of_time_alone(node: sp.Basic) -> bool:
     )
 
 
-def _differentiable(node: sp.Basic) -> bool:
-    """Return whether a node can be differentiated twice and compiled, if its arguments can."""
-    if isinstance(node, CASES):
-        return False
-    return not isinstance(node, sp.Function) or isinstance(node, SMOOTH)
-
-
 def _not_real(node: sp.Basic, number: sp.Expr | None) -> bool:
     """Return whether a node is not real, or is not for all exponents that come up."""
     if node is sp.I or (number is not None and number.is_extended_real is False):
@@ -328,10 +310,10 @@ def check_declared(
     system: str, what: str, symbol: sp.Symbol, known: Mapping[sp.Basic, Value]
 ) -> None:
     """Refuse a symbol that was not declared."""
+    refuse = partial(fail, system)
     declared = {str(s): s for s in known if isinstance(s, sp.Symbol)}
     if declared.get(symbol.name) == time:
-        raise fail(
-            system,
+        raise refuse(
             f"the {what} contains a symbol {symbol.name} that is not the time: it has other "
             "assumptions.",
             "SymPy holds them apart. The time is symsimpson.time.",
@@ -339,24 +321,21 @@ def check_declared(
     functions = {x.func.__name__: x for x in known if isinstance(x, AppliedUndef)}
     momentum_of = {f"p_{name}": x for name, x in functions.items()}.get(symbol.name)
     if symbol.name in declared and momentum_of is not None:
-        raise fail(
-            system,
+        raise refuse(
             f"the {what} contains a symbol {symbol.name}, which is not the momentum of that name: "
             "it has other assumptions.",
             f"SymPy holds them apart. Write (p,) = symsimpson.momenta({momentum_of.func.__name__})"
             " and p in its place.",
         )
     if symbol.name in declared:
-        raise fail(
-            system,
+        raise refuse(
             f"two symbols of one name, '{symbol.name}': the {what} contains one, the "
             "parameters another, with different assumptions.",
             "SymPy holds them apart, so the value would not arrive. "
             "Make the symbol once and use it everywhere.",
         )
     if symbol.name in functions:
-        raise fail(
-            system,
+        raise refuse(
             f"the {what} contains a symbol {symbol.name}, which is not the coordinate of that "
             f"name: that is a function of time, {functions[symbol.name]}.",
             "Write the coordinate in its place, as symsimpson.coordinates made it.",
@@ -364,8 +343,7 @@ def check_declared(
     hint = did_you_mean(symbol.name, declared)
     if what == "kinetic energy":
         hint += " A velocity is the derivative of a coordinate, q.diff()."
-    raise fail(
-        system,
+    raise refuse(
         f"the {what} contains the unknown symbol {symbol.name}: it is neither a coordinate "
         f"nor a parameter with a value.{hint}",
         f"Give it a value: parameters={{..., {symbol.name}: 1.0}}, "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import islice
 from math import isqrt
 from typing import Any
@@ -157,11 +158,11 @@ def read_inputs(
 
     Raises ModelError.
     """
+    refuse = partial(fail, name)
     if isinstance(inputs, (sp.Symbol, AppliedUndef)):
         inputs = (inputs,)
     if isinstance(inputs, (str, set, frozenset, Mapping)) or not isinstance(inputs, Iterable):
-        raise fail(
-            name,
+        raise refuse(
             f"the inputs are {spell(inputs)!r}, not a tuple of symbols.",
             "Write u = sympy.Symbol('u') and inputs=(u,): their values are given to each run, in "
             "integrate(..., inputs={'u': values}).",
@@ -171,22 +172,19 @@ def read_inputs(
     for u in (symbols := tuple(inputs)):
         function = isinstance(u, AppliedUndef) and u.args == (time,)
         if not function and (not isinstance(u, sp.Symbol) or u == time):
-            raise fail(
-                name,
+            raise refuse(
                 f"the input {spell(u)!r} is neither a symbol nor a function of time.",
                 "Make it with sympy.Symbol('u') or sympy's dynamicsymbols('u'), and use it in "
                 "the forces.",
             )
         if u.is_real is False or u.is_integer:
-            raise fail(
-                name,
+            raise refuse(
                 f"the input {spell(u)} is declared {'an integer' if u.is_integer else 'not real'}.",
                 "A run may give it any real value. Make it with sympy.Symbol(name, real=True).",
             )
         input_name = u.func.__name__ if function else u.name
         if input_name in taken:
-            raise fail(
-                name,
+            raise refuse(
                 f"two symbols of one name, '{input_name}': an input and {taken[input_name]}.",
                 "Rename one of them.",
             )

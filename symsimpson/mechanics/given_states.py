@@ -37,11 +37,7 @@ def read_values(
     """Read values by symbol or by name, in place of defaults, in their order; raises InputError."""
     table = Named(what, [spelled(key) for key in defaults])
     values = [float(x) for x in defaults.values()]
-    try:
-        by_place = table.by_place(read_mapping(name, given, what[0]))
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from None
-    for place, value in by_place.items():
+    for place, value in table.by_place(read_mapping(name, given, what[0]), name).items():
         try:
             values[place] = np.nan if is_masked(value) else float(value)
         except (TypeError, ValueError, OverflowError):

@@ -7,6 +7,7 @@ import random
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 import mpmath
@@ -165,12 +166,12 @@ def check_mass_matrix(system: str, M: Mapping[tuple[int, int], Value], symbols: 
     Whether it is positive definite depends on q, and is looked at where a run begins. Raises
     ModelError with the coordinate that has no mass, where there is one.
     """
+    refuse = partial(fail, system)
     massive = {i for place in M for i in place}
     for i, (q, v) in enumerate(zip(symbols.q, symbols.v, strict=True)):
         name, velocity = spell(symbols.back[q]), spell(symbols.back[v])
         if i not in massive:
-            raise fail(
-                system,
+            raise refuse(
                 f"the kinetic energy does not depend on {velocity}, so the mass matrix has a "
                 "zero row.",
                 f"A variational step needs an invertible mass matrix. Give {name} a mass "
@@ -179,8 +180,7 @@ def check_mass_matrix(system: str, M: Mapping[tuple[int, int], Value], symbols: 
                 f"{name}.diff(symsimpson.time).",
             )
         if symbols.signs(M.get((i, i), ZERO)) == (-1, True):
-            raise fail(
-                system,
+            raise refuse(
                 f"the kinetic energy is negative for every {velocity}: M is not positive definite.",
                 "Masses are positive. Look at the sign of that term in T, or at the sign that a "
                 "symbol was declared with.",
@@ -191,8 +191,7 @@ def check_mass_matrix(system: str, M: Mapping[tuple[int, int], Value], symbols: 
     ):
         return
     names = ", ".join(spell(symbols.back[q]) for q in symbols.q)
-    raise fail(
-        system,
+    raise refuse(
         "the mass matrix is singular for every configuration: its determinant is zero.",
         "A variational step needs an invertible mass matrix: some combination of the velocities "
         f"of {names} carries no kinetic energy. Give each body its own term, or use fewer "

@@ -164,7 +164,7 @@ def analyse(system: Declared) -> Structure:
                 n**3 - sum(triangle[place] * look.moves(value) for place, value in plain.M.items()),
                 n**3,
             ),
-            "Hess V": (n * n - look.hessian_entries(), n * n),
+            "Hess V": (n * n - sum(map(look.moves, look.slope)), n * n),
         },
         undecided=questions[Dependence.UNDECIDED],
         nearly=questions[Dependence.NEARLY],
@@ -180,14 +180,13 @@ class _Look:
         graph, L = plain.graph, plain.L
         self._plain = plain
         self.q, self.v = plain.numbers(plain.q), plain.numbers(plain.v)
-        self._positions = frozenset(self.q)
         written = (*plain.energies, *plain.f, *plain.held_values)
         self._present = frozenset().union(*(graph.nodes[n].symbols for _, n in written))
         both = gradient(graph, L, [*self.q, *self.v])
         L_q, self.P = both[: len(self.q)], both[len(self.q) :]
         self.F = [graph.add(pair) for pair in zip(L_q, plain.f, strict=True)]
-        self._slope = gradient(graph, plain.V, self.q)
-        values = [*self.F, *self.P, *self._slope, *written]
+        self.slope = gradient(graph, plain.V, self.q)
+        values = [*self.F, *self.P, *self.slope, *written]
         self._findings = Findings(graph, values, before)
 
     def _met(self) -> Iterator[tuple[int, int, Value, int]]:
@@ -218,14 +217,10 @@ class _Look:
         groups += self._plain.bound
         return {(i, k) for group in groups for i in group for k in group if i != k}
 
-    def moves(self, value: Value) -> int:
-        """Count the coordinates that a value depends on."""
-        present = self._plain.graph.nodes[value[1]].symbols & self._positions
+    def moves(self, value: Value, among: Sequence[int] = ()) -> int:
+        """Count the coordinates that a value depends on, or symbols among some."""
+        present = self._plain.graph.nodes[value[1]].symbols & {*(among or self.q)}
         return sum(self._findings.depends(value, x) for x in present)
-
-    def hessian_entries(self) -> int:
-        """Count the second derivatives of V that are not zero."""
-        return sum(map(self.moves, self._slope))
 
     def subsystem(self, group: Sequence[int]) -> Subsystem:
         """Say what the coordinates of a group have and lack."""
@@ -233,13 +228,13 @@ class _Look:
         inside = set(group)
         entries = [value for (i, _), value in plain.M.items() if i in inside]
         constant = not any(self.moves(value) or self._timed(value) for value in entries)
-        rigid = not any(self._dragged(plain.f[i]) for i in group)
+        rigid = not any(self.moves(plain.f[i], self.v) for i in group)
         nodes, own_q = plain.graph.nodes, {self.q[i] for i in group}
         held = any(nodes[n].symbols & own_q for _, n in plain.constraints.values())
         pulled = {i for row in plain.velocity_constraints.values() for i in group if row[i][0]}
         held = held or bool(pulled)
         separable = constant and rigid and all(vanishes(plain.a[i]) for i in group)
-        forces = [self._slope[i] for i in group]
+        forces = [self.slope[i] for i in group]
         x = [self.q[i] for i in group]
         free = not any(plain.f[i][0] for i in group) and not any(map(self._timed, forces))
         return Subsystem(
@@ -269,11 +264,6 @@ class _Look:
         given = (*plain.numbers(plain.u), plain.time)
         findings = Findings(plain.graph, slopes)
         return not any(findings.depends(slope, x) for slope in slopes for x in given)
-
-    def _dragged(self, force: Value) -> bool:
-        """Return whether a force depends on a velocity."""
-        present = self._plain.graph.nodes[force[1]].symbols & set(self.v)
-        return any(self._findings.depends(force, x) for x in present)
 
     def _timed(self, value: Value) -> bool:
         """Return whether the time stands in a value."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -37,12 +38,12 @@ def read_velocity_constraints(
     expression and reads it, and its first argument says what it is. Raises ModelError if one is not
     linear in the velocities, or holds none of them.
     """
+    refuse = partial(fail, name)
     graph, v = symbols.graph, symbols.numbers(symbols.v)
     rows: dict[str, tuple[Value, ...]] = {}
     for key, expression in given.items():
         if key in taken:
-            raise fail(
-                name,
+            raise refuse(
                 f"two constraints are called {key!r}, one of positions and one of velocities.",
                 f"run['lambda_{key}'] could be either. Rename one of them.",
             )
@@ -50,16 +51,14 @@ def read_velocity_constraints(
         driven = graph.nodes[value[1]].symbols & set(symbols.numbers(symbols.u))
         if driven:
             which = next(u for u, (_, n) in symbols.known.items() if n in driven)
-            raise fail(
-                name,
+            raise refuse(
                 f"the velocity constraint {key!r} depends on the input {spell(which)}.",
                 "Inputs have values at nodes, and a constraint holds between them. Prescribe the "
                 "motion by a function of time, or by a parameter.",
             )
         if graph.nodes[value[1]].symbols.isdisjoint(v):
             nothing = Findings(graph, [value]).vanishes(value)
-            raise fail(
-                name,
+            raise refuse(
                 f"the velocity constraint {key!r}, {spell(expression)} = 0, "
                 + ("is true everywhere." if nothing else "contains no velocity."),
                 "It says nothing about the motion. Leave it out."

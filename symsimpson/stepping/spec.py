@@ -63,13 +63,10 @@ class RunSpec:
         """Return the numbers that are the same for all members, for files."""
         numbers = {"h": self.h, "t0": self.t0, "steps": self.steps, "every": self.every}
         numbers |= {} if self.t_end is None else {"t_end": self.t_end}
-        return numbers | ({"inputs": self.digest_of_inputs} if self.inputs.size else {})
-
-    @property
-    def digest_of_inputs(self) -> str:
-        """SHA-256 of the inputs and their shape."""
-        content = repr(self.inputs.shape).encode() + np.ascontiguousarray(self.inputs).tobytes()
-        return hashlib.sha256(content).hexdigest()
+        if self.inputs.size:
+            content = repr(self.inputs.shape).encode() + np.ascontiguousarray(self.inputs).tobytes()
+            numbers["inputs"] = hashlib.sha256(content).hexdigest()
+        return numbers
 
 
 def read_run(program: Program, request: Request) -> RunSpec:

@@ -149,18 +149,22 @@ class Named:
             raise InputError(self.unknown(key))
         return place
 
-    def by_place(self, given: Mapping[Any, Any]) -> dict[int, Any]:
+    def by_place(self, given: Mapping[Any, Any], what: str = "") -> dict[int, Any]:
         """Return values by the places of what their names or symbols mean.
 
         Raises InputError if there is no such thing, or a value is given twice.
         """
         values: dict[int, Any] = {}
+        where = f"{what}: " if what else ""
         for key, value in given.items():
-            place = self.found(key)
+            place = self._place_by_use(what, key)
+            place = self.place(key) if place is None else place
+            if place is None:
+                raise InputError(f"{where}{self.unknown(key)}")
             if place in values:
                 raise InputError(
-                    f"{self.what} {self.shown[place]} is given twice, by name and by symbol.\n"
-                    "Give it once."
+                    f"{where}{self.what} {self.shown[place]} is given twice, by name and by symbol."
+                    "\nGive it once."
                 )
             values[place] = value
         return values
@@ -196,22 +200,7 @@ class Named:
         given = by_name(given)
         if not isinstance(given, Mapping):
             return given
-        values: dict[int, Any] = {}
-        for key, value in given.items():
-            place = self.place_of_velocity(key) if what == "v0" else None
-            if what == "p0":
-                place = self._place_behind("p_", key)
-            if place is None:
-                try:
-                    place = self.found(key)
-                except InputError as error:
-                    raise InputError(f"{what}: {error}") from None
-            if place in values:
-                raise InputError(
-                    f"{what} gives the {self.what} {self.shown[place]} twice, by name and by "
-                    "symbol.\nGive it once."
-                )
-            values[place] = value
+        values = self.by_place(given, what)
         missing = [name for i, name in enumerate(self.shown) if i not in values]
         if missing:
             raise InputError(

@@ -21,6 +21,8 @@ _PLAIN = (
     *(ast.Name, ast.Constant, ast.BinOp, ast.UnaryOp),
     *(ast.operator, ast.unaryop, ast.expr_context),
 )
+#: What follows these statements may be left out.
+LEAVING = (ast.Break, ast.Continue, ast.Return)
 #: Statements at a place of a block; several are calls that are one vector.
 Item = tuple[int, tuple[ast.stmt, ...]]
 
@@ -40,7 +42,11 @@ class _Order:
         self.body, self.text = body, text
         self.calls = {k: name for k, node in enumerate(body) if (name := _called(node, text))}
         self.done: set[int] = set()
-        self.leaves = [k for k, node in enumerate(body) if self.calls and _may_leave(node)]
+        self.leaves = [
+            k
+            for k, node in enumerate(body)
+            if self.calls and any(isinstance(x, LEAVING) for x in ast.walk(node))
+        ]
         if len(self.calls) < 2:
             return
         self.reads = [_read(node) for node in body]
@@ -127,12 +133,6 @@ def _called(node: ast.stmt, text: Text) -> str:
         return ""
     operations = sum(weight(statement, text) for statement in text.functions[name].body)
     return name if operations >= LEAST else ""
-
-
-def _may_leave(node: ast.stmt) -> bool:
-    """Return whether what follows a statement may be left out."""
-    leaving = (ast.Break, ast.Continue, ast.Return)
-    return any(isinstance(part, leaving) for part in ast.walk(node))
 
 
 def _plain(value: ast.expr) -> bool:

@@ -29,6 +29,25 @@ def test_a_jacobian_of_loops_is_that_of_the_unknowns():
     assert subject.jacobian_defect(z, mpmath.mpf("0.05")) < 1e-12
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("h", [0.1, 4.0])
+def test_rows_hold_where_forces_have_one_derivative(h):
+    """Drag in each direction from rest: x rests all the time; large steps take 11 iterations."""
+    x, y = ss.coordinates("x y")
+    vx, vy = x.diff(), y.diff()
+    system = ss.MechanicalSystem(
+        "dropped",
+        coordinates=(x, y),
+        kinetic=(vx**2 + vy**2) / 2,
+        potential=9.81 * y,
+        forces={"drag": {x: -vx * sp.sqrt(vx**2) / 5, y: -vy * sp.sqrt(vy**2) / 5}},
+    )
+    certificate = ss.compile(system, "gauss4").certify([0.0, 0.0], v0=[0.0, 0.0], h=h)
+    rows = {check.name: check for check in certificate.checks}
+    assert rows["equations"].passed
+    assert rows["Jacobian"].passed
+
+
 def test_kernels_are_compared_in_a_step_that_all_of_them_take():
     """At h = 2 stages do not converge here: the state that they left was compared with others."""
     x, y = ss.coordinates("x y")

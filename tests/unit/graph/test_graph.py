@@ -36,7 +36,7 @@ EXPRESSIONS = [
 ]
 
 
-LOGARITHMS = [
+GROWING = [
     sp.log(sp.cosh(a * x)),
     sp.log(2 * sp.cosh(x)),
     sp.log(1 + sp.exp(x)),
@@ -49,11 +49,13 @@ LOGARITHMS = [
     sp.log(sp.sinh(x) ** 2 * a),
     sp.log(x**2 * sp.cosh(x)),
     sp.log((1 + a) * sp.exp(x) + 1) / 2 + sp.log(1 / sp.cosh(x)),
+    sp.sinh(x) / sp.cosh(x),
+    a * x * sp.cosh(a * x) ** 2 / sp.sinh(a * x) ** 2,
 ]
 
 
-@pytest.mark.parametrize("expression", LOGARITHMS, ids=str)
-def test_logarithms_of_exponentials_do_not_overflow(expression):
+@pytest.mark.parametrize("expression", GROWING, ids=str)
+def test_logarithms_and_quotients_of_exponentials_do_not_overflow(expression):
     """Values and three derivatives, where the exponentials are numbers and where they are none."""
     one_sided = sp.log(sp.sinh(x))
     graph, (value,), places = read(expression)

@@ -134,6 +134,9 @@ def test_the_nearest_state():
     assert abs(large @ large - 4) < 2e-15
     free = pendulum(None)
     assert free.consistent([1, 2, 3], [4, 5, 6])[1].tolist() == [4, 5, 6]
+    for one in (system, free):
+        with pytest.raises(ss.InputError, match="parameter l is given twice"):
+            one.consistent([0.7, 0.1, -0.8], [0, 0, 0], parameters={l: 2.0, "l": 2.0})
 
 
 @pytest.mark.parametrize("place", sweep([[1.2, 0.2, -1.2], [0.5, 0.9, -1.9], [1.7, -0.3, -1.4]]))
