@@ -180,7 +180,8 @@ def _problem(
             return f"{said}Call it without any: {short}()."
         several, numbers = "", all(hasattr(x, "__float__") for x in given[int(method) :])
         if numbers and placed and "ArrayLike" in str(known[placed[0]].annotation):
-            several = f" Pass several numbers as one list: {placed[0]}=[a, b]."
+            what = "inputs" if placed[0] == "u" else "numbers"
+            several = f" Pass several {what} as one list: {placed[0]}=[a, b]."
         if not others:
             return said + (several.lstrip() or "Leave out what is behind.")
         every = ", ".join([*placed, *(f"{key}=..." for key in others)])

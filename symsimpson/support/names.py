@@ -190,6 +190,12 @@ class Named:
             return None
         return self.places.get(name.removeprefix(prefix))
 
+    def _place_by_use(self, what: str, key: Any) -> int | None:
+        """Return the place of the coordinate whose velocity or momentum a key of v0 or p0 names."""
+        if what == "v0":
+            return self.place_of_velocity(key)
+        return self._place_behind("p_", key) if what == "p0" else None
+
     def in_order(self, what: str, given: Any) -> Any:
         """Return values that are given by name as a list in order; all others as they are.
 

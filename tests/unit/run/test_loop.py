@@ -121,7 +121,7 @@ def test_a_loop_does_not_say_that_its_inputs_were_zero():
 
 def test_several_inputs_are_one_list():
     loop = ss.compile(rod(**PUSHED)).start(**BOTTOM)
-    with pytest.raises(ss.InputError, match=r"Pass several numbers as one list: u=\[a, b\]"):
+    with pytest.raises(ss.InputError, match=r"Pass several inputs as one list: u=\[a, b\]"):
         loop.step(1.0, 2.0)
 
 
