@@ -178,11 +178,9 @@ def andrews_squeezer() -> CatalogueSystem:
     kinetic = sum(
         (M * p.diff() * q.diff() / (2 if p == q else 1) for (p, q), M in entries.items()), sp.S.Zero
     )
-    hook = sp.Matrix(
-        [
-            a["xb"] + a["sc"] * sp.sin(ga) + a["sd"] * sp.cos(ga),
-            a["yb"] + a["sd"] * sp.sin(ga) - a["sc"] * sp.cos(ga),
-        ]
+    hook = (
+        a["xb"] + a["sc"] * sp.sin(ga) + a["sd"] * sp.cos(ga),
+        a["yb"] + a["sd"] * sp.sin(ga) - a["sc"] * sp.cos(ga),
     )
     length = sp.sqrt((hook[0] - a["xc"]) ** 2 + (hook[1] - a["yc"]) ** 2)
     end = [rr * f(be) - d * f(be + th) for f in (sp.cos, sp.sin)]
@@ -190,10 +188,12 @@ def andrews_squeezer() -> CatalogueSystem:
     second = (-e * sp.sin(ph + de) - zt * sp.cos(de), e * sp.cos(ph + de) - zt * sp.sin(de))
     third = (-zf * sp.cos(om + ep) - u * sp.sin(ep), -zf * sp.sin(om + ep) + u * sp.cos(ep))
     anchor = (a["xa"], a["ya"])
-    loops = {}
-    for name, way, fixed in (("1", first, (0, 0)), ("2", second, anchor), ("3", third, anchor)):
-        for k, axis in enumerate("xy"):
-            loops[f"loop{name}_{axis}"] = end[k] + way[k] - fixed[k]
+    ways = {"1": (first, (0, 0)), "2": (second, anchor), "3": (third, anchor)}
+    loops = {
+        f"loop{name}_{axis}": end[k] + way[k] - fixed[k]
+        for name, (way, fixed) in ways.items()
+        for k, axis in enumerate("xy")
+    }
     return CatalogueSystem(
         "andrews_squeezer",
         coordinates=(be, th, ga, ph, de, om, ep),
@@ -201,7 +201,7 @@ def andrews_squeezer() -> CatalogueSystem:
         potential=a["c0"] * (length - a["l0"]) ** 2 / 2 - a["mom"] * be,
         constraints=loops,
         parameters={symbol: _SQUEEZER[name] for name, symbol in a.items()},
-        positions={"end": tuple(end), "hook": tuple(hook)},
+        positions={"end": tuple(end), "hook": hook},
         reference_state={
             "q0": (
                 -0.06171389001427644,

@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 import signal
 import threading
 import warnings
@@ -84,6 +85,7 @@ def test_chaos_is_no_success(tmp_path):
             run = ss.integrate(chaotic, **given, error=1e-6, every=None)
     assert len(told) == 1
     assert told[0].filename == __file__
+    assert re.match(r"\w+: the error is \S+, 1.0e-06 is asked for. The bound", str(told[0].message))
     assert (run.success, run.status) == (False, ss.Status.TOLERANCE_NOT_MET)
     assert run.error_estimate > 1e-6
     run.save(tmp_path / "run.nc")
