@@ -91,9 +91,7 @@ class Motion:
 
         Raises InputError if one is no number, function of t, or array of values for equal parts.
         """
-        inputs, parts, length = {}, 1, abs(self.duration)
-        if given is not None or program.inputs:
-            inputs = given_inputs(program, given)
+        inputs, parts, length = given_inputs(program, given), 1, abs(self.duration)
         for name in program.inputs:
             value = inputs.get(name)
             if callable(value):

@@ -26,6 +26,7 @@ from symsimpson.run.ended import uninterrupted
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.ahead import late
 from symsimpson.support.calling import explained, without_step_warnings
+from symsimpson.support.markup import box, facts
 from symsimpson.support.names import in_a_row
 from symsimpson.support.progress import waiting
 
@@ -78,9 +79,9 @@ class Choice:
     error_estimate: float
 
     def _repr_html_(self) -> str:
-        from symsimpson.analysis.html import choice
-
-        return choice(self)
+        scheme = f"{self.stepper.scheme}, order {self.stepper.order}"
+        rows = [("scheme", scheme), ("h", f"{self.h:.6g}"), ("why", self.reason)]
+        return box(f"Choice for {self.stepper.system}", facts(rows))
 
     def __repr__(self) -> str:
         return "\n".join([f"Choice({self.stepper.scheme}, h={self.h:.6g})", *wrap(self.reason, 96)])

@@ -99,22 +99,12 @@ def slider_crank() -> CatalogueSystem:
     )
 
 
-#: Parameters of the squeezer in SI units: masses, lengths, inertias, points, spring and torque.
+#: Parameters of the squeezer in SI units: masses, inertias, lengths, points, spring and torque.
+_MASSES = (0.04325, 0.00365, 0.02373, 0.00706, 0.0705, 0.00706, 0.05498)
+_INERTIAS = (2.194e-06, 4.41e-07, 5.255e-06, 5.667e-07, 1.169e-05, 5.667e-07, 1.912e-05)
 _SQUEEZER = {
-    "m1": 0.04325,
-    "m2": 0.00365,
-    "m3": 0.02373,
-    "m4": 0.00706,
-    "m5": 0.0705,
-    "m6": 0.00706,
-    "m7": 0.05498,
-    "i1": 2.194e-06,
-    "i2": 4.41e-07,
-    "i3": 5.255e-06,
-    "i4": 5.667e-07,
-    "i5": 1.169e-05,
-    "i6": 5.667e-07,
-    "i7": 1.912e-05,
+    **{f"m{k}": value for k, value in enumerate(_MASSES, 1)},
+    **{f"i{k}": value for k, value in enumerate(_INERTIAS, 1)},
     "xa": -0.06934,
     "ya": -0.00227,
     "xb": -0.03635,
