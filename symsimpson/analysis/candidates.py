@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time
 import warnings
@@ -16,13 +15,15 @@ import numpy as np
 from symsimpson.analysis.path_error import PathError, path_error
 from symsimpson.api.stepper import Stepper
 from symsimpson.errors import InputError, StabilityWarning
+from symsimpson.program.input_values import read_array
+from symsimpson.program.numbers import FLOAT64
 from symsimpson.program.program import Program
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.ended import uninterrupted
 from symsimpson.stepping.driving import Samples, given_inputs
 from symsimpson.support.array_types import Floats
 
-__all__ = ["REFINEMENTS", "ROUNDS", "SAFETY", "Candidate", "Motion", "name_of", "verify"]
+__all__ = ["REFINEMENTS", "ROUNDS", "SAFETY", "Candidate", "Motion", "verify"]
 
 #: Schemes that would take so many times as long as another are not tried further.
 HOPELESS = 8.0
@@ -30,8 +31,7 @@ HOPELESS = 8.0
 LONG = 0.05
 #: What is measured may be wrong by so much: steps are chosen for the error divided by this.
 SAFETY = 2.0
-#: More steps than this are not tried on a pilot run, nor for the whole motion unless it needs
-#: nearly as many at first.
+#: More steps than this are not tried on a pilot run, nor half as many for the whole motion.
 MOST_STEPS = 2_000_000
 #: A run stores at most so many numbers for a comparison.
 MOST_NUMBERS = 2**21
@@ -58,10 +58,9 @@ class Candidate:
 
     stepper: Stepper
     steps: int
-    error: float
-    work: int  # steps and iterations
-    taken: int  # steps
-    seconds: float
+    error: float = math.inf
+    work: int = 0  # steps and iterations
+    seconds: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -92,22 +91,22 @@ class Motion:
 
         Raises InputError if one is no number, function of t, or array of values for equal parts.
         """
-        inputs, parts, length = {}, 1, abs(self.duration)
-        if given is not None or program.inputs:
-            inputs = given_inputs(program, given)
+        inputs, parts, length = given_inputs(program, given), 1, abs(self.duration)
         for name in program.inputs:
             value = inputs.get(name)
             if callable(value):
                 continue
-            array = np.asarray(getattr(value, "values", value))
-            if value is None or array.ndim > 1 or not array.size:
+            values = np.zeros(0) if value is None else getattr(value, "values", value)
+            shape = read_array(f"input {name}", values, FLOAT64).shape
+            if len(shape) > 1 or 0 in shape:
+                has = "no values" if value is None else f"an array of shape {shape}"
                 raise InputError(
-                    f"{program.system}: input {name} has no values, or an array of shape "
-                    f"{array.shape}.\nThe step size is chosen: pass a number, a function of t, or "
-                    "an array of K values, each for the K-th part of the time from t0 to t_end."
+                    f"{program.system}: input {name} has {has}.\n"
+                    "The step size is chosen: pass a number, a function of t, or an array of K "
+                    "values, each for the K-th part of the time from t0 to t_end."
                 )
-            if array.ndim:
-                held = value if isinstance(value, Samples) else Samples(value, length / array.size)
+            if shape:
+                held = value if isinstance(value, Samples) else Samples(values, length / shape[0])
                 exact = length / float(held.period)
                 inputs[name], parts = held, math.lcm(parts, max(1, round(exact)))
                 if abs(exact - round(exact)) > 1e-9 * exact:
@@ -137,43 +136,37 @@ class Motion:
 
     def arguments(self, stepper: Stepper, steps: int) -> dict[str, Any]:
         """Return what a run is given beside the initial state."""
-        retimed, h = stepper.program.header.retimed, self.duration / steps
+        retimed = stepper.program.header.retimed
         length = {"t_end": self.t0 + self.duration} if retimed else {"steps": steps}
-        inputs = {
-            name: at_times(x, stepper.node_times(h, steps, self.t0)) if callable(x) else x
-            for name, x in self.inputs.items()
-        }
-        given = {"parameters": self.parameters, "inputs": inputs or None, "events": self.events}
-        return {"h": h, "t0": self.t0, **length, **given}
+        given = {"inputs": self.inputs or None, "events": self.events, "t0": self.t0, **length}
+        return {"h": self.duration / steps, "parameters": self.parameters, **given}
 
-    def run(self, stepper: Stepper, steps: int, *, every: int | None = 1) -> Trajectory:
-        """Run, storing as many states as a comparison needs; with ``every=None``, the last."""
-        stride = 1
-        while every and steps % (2 * stride) == 0 and steps * len(self.q) > MOST_NUMBERS * stride:
-            stride *= 2
-        given = self.arguments(stepper, steps) | {"every": every and stride}
-        run = stepper.integrate(self.q, p0=self.p, **given, on_failure="return")
+    def run(self, stepper: Stepper, steps: int) -> Trajectory:
+        """Run, and store as many states as a comparison needs."""
+        every = 1
+        while steps % (2 * every) == 0 and steps * len(self.q) > MOST_NUMBERS * every:
+            every *= 2
+        given = self.arguments(stepper, steps) | {"every": every, "on_failure": "return"}
+        run = uninterrupted(stepper.integrate(self.q, p0=self.p, **given))
         self.failures[:] = [] if run.success else [run.message]
-        return uninterrupted(run)
+        return run
 
     def measure(
-        self, stepper: Stepper, steps: int, coarse: Trajectory | None = None, *, scout: bool = True
-    ) -> tuple[PathError, Trajectory, Trajectory | None]:
-        """Return the error of so many steps, their run, and that with half the step."""
-        coarse = coarse or self.run(stepper, steps)
+        self, stepper: Stepper, steps: int, coarse: Trajectory, *, scout: bool = False
+    ) -> tuple[PathError, Trajectory]:
+        """Return the error of a run of so many steps, and the last run with smaller ones."""
         if not coarse.success:
-            return PathError(math.inf, float(coarse.t[-1])), coarse, None
+            return PathError(math.inf, float(coarse.t[-1])), coarse
         if self.on == "energy":
-            off = np.abs(coarse.energy_error)
-            return PathError.of(coarse.t, off, self.error), coarse, None
+            return PathError.of(coarse.t, np.abs(coarse.energy_error), self.error), coarse
         fine = self.run(stepper, 2 * steps)
         worst = path_error(coarse, fine, self.duration, self.error)
         few = SCOUT // len(self.q) // steps
         if scout and worst.since is None and few > 2:
-            finest = self.run(stepper, 2 ** few.bit_length() * steps)
-            other = path_error(coarse, finest, self.duration, self.error)
+            fine = self.run(stepper, 2 ** few.bit_length() * steps)
+            other = path_error(coarse, fine, self.duration, self.error)
             worst = max(worst, other, key=lambda error: error.largest)
-        return worst, coarse, fine
+        return worst, fine
 
     def least(self, stepper: Stepper) -> int:
         """Return the fewest steps, of which none is warned of at the start."""
@@ -202,81 +195,55 @@ class Motion:
         The search ends where it would take much longer than ``quickest``. In another time the
         number is that of steps as long as the first.
         """
-        least = self.least(stepper)
-        steps = max(least, math.ceil(abs(self.duration / h0) / math.sqrt(stepper.order)))
+        least, errors = self.least(stepper), [math.inf] * STAGNANT
+        steps = self.whole(max(least, abs(self.duration / h0) / math.sqrt(stepper.order)))
         best: Candidate | None = None
-        before, stagnant = math.inf, 0
         for _ in range(ROUNDS):
+            if steps > MOST_STEPS:
+                break
             self.show()
-            steps = self.whole(steps)
-            measured = self._timed(stepper, steps) if steps <= MOST_STEPS else None
-            if measured is None:
-                if steps > MOST_STEPS:
-                    return best
-                steps = 2 * steps if best is None else math.ceil(math.sqrt(steps * best.steps))
-                if best and steps > FEWER * best.steps:
-                    return best
-                continue
-            error, work = measured.error, measured.work
-            change = (max(error, FLOOR) / allowed) ** (1 / stepper.order)
-            if error <= allowed:
-                if best and (work > best.work or measured.seconds > SLOWER * best.seconds):
-                    return best  # fewer steps that are solved with more effort
-                best = measured
-                fewer = max(least, math.ceil(steps * max(1.05 * change, 0.5)))
-                if self.whole(fewer) > FEWER * steps:
-                    return best
-                steps = fewer
-            elif best is not None or allowed < FLOOR:
-                return best
-            else:
-                stagnant = stagnant + 1 if error > before / 2 else 0
+            measured = self._timed(stepper, steps)
+            change = (max(measured.error, FLOOR) / allowed) ** (1 / stepper.order)
+            if measured.error > allowed:
+                errors.append(measured.error)
                 factor = min(max(change, 1.1), 8.0)
-                if stagnant == STAGNANT or factor * measured.seconds > HOPELESS * quickest:
-                    return None
-                before, steps = error, math.ceil(steps * factor)
+                hopeless = factor * measured.seconds > HOPELESS * quickest
+                stagnant = math.inf > errors[-1] > errors[-1 - STAGNANT] / 2
+                if best or allowed < FLOOR or hopeless or stagnant:
+                    break
+            else:
+                slower = best and measured.seconds > SLOWER * best.seconds
+                if best and (slower or measured.work > best.work):
+                    break  # fewer steps that are solved with more effort
+                best, factor = measured, max(1.05 * change, 0.5, least / steps)
+                if self.whole(factor * steps) > FEWER * steps:
+                    break
+            steps = self.whole(factor * steps)
         return best
 
-    def _timed(self, stepper: Stepper, steps: int) -> Candidate | None:
-        """Measure the error of so many steps, their work and time; None if they fail."""
+    def _timed(self, stepper: Stepper, steps: int) -> Candidate:
+        """Measure the error of so many steps, their work and time."""
         times: list[float] = []
         while len(times) < REPEATS and not (len(times) > 1 and times[-1] > LONG):
             begin = time.perf_counter()
-            if not self.run(stepper, steps, every=None).success:  # the first may compile
-                return None
+            coarse = self.run(stepper, steps)  # the first may compile
             times.append(time.perf_counter() - begin)
-        worst, coarse, fine = self.measure(stepper, steps, scout=False)
-        if not coarse.success or not (fine is None or fine.success):
-            return None
-        share = 1.0 if self.on == "energy" else 1 / (1 - 2.0**-stepper.order)
+        worst, _ = self.measure(stepper, steps, coarse)
         work = coarse.steps + int(coarse.newton_iterations.sum())
-        return Candidate(stepper, steps, share * worst.largest, work, coarse.steps, min(times))
+        return Candidate(stepper, steps, worst.largest, work, min(times))
 
 
-def verify(motion: Motion, stepper: Stepper, steps: float) -> tuple[Stepper, int, PathError]:
+def verify(motion: Motion, stepper: Stepper, steps: float) -> tuple[int, PathError]:
     """Refine the step until the error of the whole motion is small enough; return that error."""
     steps = motion.whole(max(steps, LEAST, motion.least(stepper)))
-    most, coarse = max(MOST_STEPS // 2, 4 * steps), None
+    most, coarse = max(MOST_STEPS // 2, 4 * steps), motion.run(stepper, steps)
     for refinement in range(REFINEMENTS + 1):
         motion.show()
-        worst, _, fine = motion.measure(stepper, steps, coarse)
+        worst, fine = motion.measure(stepper, steps, coarse, scout=True)
         wanted = (SAFETY * worst.largest / motion.error) ** (1 / stepper.order)
         factor = 2 if wanted <= 2 else 4
         if worst.since is None or refinement == REFINEMENTS or factor * steps > most:
             break
-        steps, coarse = factor * steps, fine if factor == 2 else None
-    return stepper, steps, worst
-
-
-def at_times(function: Any, times: Floats) -> Floats:
-    """Return the values of a function of t, which may take arrays or single numbers."""
-    with contextlib.suppress(Exception):
-        values = np.asarray(function(times), dtype=float)
-        if values.shape == times.shape:
-            return values
-    return np.vectorize(function, otypes=[float])(times)
-
-
-def name_of(stepper: Stepper) -> str:
-    """Return the name of a scheme, and whether its steps are fixed in another time."""
-    return stepper.scheme + (" in tau" if stepper.program.header.retimed else "")
+        steps *= factor
+        coarse = fine if fine.h == motion.duration / steps else motion.run(stepper, steps)
+    return steps, worst

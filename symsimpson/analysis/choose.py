@@ -10,15 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from numpy.typing import ArrayLike
 
-from symsimpson.analysis.candidates import (
-    REFINEMENTS,
-    ROUNDS,
-    SAFETY,
-    Candidate,
-    Motion,
-    name_of,
-    verify,
-)
+from symsimpson.analysis.candidates import REFINEMENTS, ROUNDS, SAFETY, Candidate, Motion, verify
 from symsimpson.analysis.path_error import PathError
 from symsimpson.analysis.pilot import choose_step
 from symsimpson.analysis.variants import in_tau
@@ -34,6 +26,7 @@ from symsimpson.run.ended import uninterrupted
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.ahead import late
 from symsimpson.support.calling import explained, without_step_warnings
+from symsimpson.support.markup import box, facts
 from symsimpson.support.names import in_a_row
 from symsimpson.support.progress import waiting
 
@@ -86,9 +79,9 @@ class Choice:
     error_estimate: float
 
     def _repr_html_(self) -> str:
-        from symsimpson.analysis.html import choice
-
-        return choice(self)
+        scheme = f"{self.stepper.scheme}, order {self.stepper.order}"
+        rows = [("scheme", scheme), ("h", f"{self.h:.6g}"), ("why", self.reason)]
+        return box(f"Choice for {self.stepper.system}", facts(rows))
 
     def __repr__(self) -> str:
         return "\n".join([f"Choice({self.stepper.scheme}, h={self.h:.6g})", *wrap(self.reason, 96)])
@@ -176,7 +169,7 @@ def choose(
     if choice.error_estimate > error:
         raise InputError(
             f"no scheme that was tried comes to an error of {error:g} until t_end={t_end:g} from "
-            f"this state. {choice.reason}\nAsk for a larger error, or a shorter time."
+            f"this state: {choice.reason}\nAsk for a larger error, or a shorter time."
         )
     return choice
 
@@ -249,18 +242,16 @@ def _select(
             + "".join(f"\nA run with small steps failed: {x}" for x in motion.failures[-1:])
         )
     ratio = motion.duration / pilot.duration
-    if candidates:
-        best = min(candidates, key=lambda candidate: candidate.seconds)
-        chosen = verify(motion, best.stepper, best.steps * ratio)
-        exact = max(candidates, key=lambda candidate: candidate.stepper.order)
-        if chosen[-1].since is not None and exact is not best:
-            best, chosen = exact, verify(motion, exact.stepper, exact.steps * ratio)
-    else:
-        chosen = verify(motion, max(steppers, key=lambda x: x.order), motion.duration / h0)
-        best = Candidate(*chosen[:2], 0.0, 0, 0, math.inf)
-    stepper, count, worst = chosen
-    reason = _reason(motion, chosen, best, candidates)
-    return Choice(stepper, motion.duration / count, reason, worst.largest)
+    highest = max(steppers, key=lambda stepper: stepper.order)
+    candidates = candidates or [Candidate(highest, round(pilot.duration / h0))]
+    best = min(candidates, key=lambda candidate: candidate.seconds)
+    exact = max(candidates, key=lambda candidate: candidate.stepper.order)
+    for chosen in dict.fromkeys((best, exact)):
+        steps, worst = verify(motion, chosen.stepper, chosen.steps * ratio)
+        if worst.since is None:
+            break
+    reason = _reason(motion, chosen, steps, worst, candidates)
+    return Choice(chosen.stepper, motion.duration / steps, reason, worst.largest)
 
 
 def arguments(choice: Choice, asked: Mapping[str, Any]) -> dict[str, Any]:
@@ -317,33 +308,31 @@ def _solved(
 
 
 def _reason(
-    motion: Motion,
-    chosen: tuple[Stepper, int, PathError],
-    best: Candidate,
-    candidates: Sequence[Candidate],
+    motion: Motion, chosen: Candidate, steps: int, worst: PathError, candidates: list[Candidate]
 ) -> str:
     """Say what was chosen, how large its error is, and what others take."""
-    stepper, steps, worst = chosen
-    retimed = stepper.program.header.retimed
+    stepper, retimed = chosen.stepper, chosen.stepper.program.header.retimed
     count = "the first step; then they adapt" if retimed else f"{steps} steps"
+    name = f"{stepper.scheme} with h = {motion.duration / steps:.6g} ({count})"
+    figures = f"{worst.largest:.1e}, {motion.error:.1e} is asked for."
+    if worst.since is not None:
+        since = f"The bound fails from t = {worst.since:g} on."
+        return f"the error is {figures} {since} The smallest step was taken: {name}."
     what = "the largest relative energy error is"
     if motion.on == "state":
         what = "relative to its extent, the path differs from that with half the step by"
-    lines = [
-        f"{stepper.scheme} with h = {motion.duration / steps:.6g} ({count}): {what} "
-        f"{worst.largest:.1e}, {motion.error:.1e} is asked for."
-    ]
-    if worst.since is not None:
-        lines.append(f"The bound fails from t = {worst.since:g} on.")
-    fixed = [x.taken for x in candidates if not x.stepper.program.header.retimed]
+    lines = [f"{name}: {what} {figures}"]
+    fixed = [x.steps for x in candidates if not x.stepper.program.header.retimed]
     if retimed:
         beside = f": the fewest of fixed size are {min(fixed)}" if fixed else ""
         lines.append(f"Steps of {stepper.system} adapt{beside}.")
-    slower = sorted((x for x in candidates if x is not best), key=lambda x: x.seconds)
-    if slower:
-        times = (f"{name_of(x.stepper)} {x.seconds / best.seconds:.1f} times" for x in slower)
-        lines.append(f"For the same error: {' its time, '.join(times)} its time.")
-    return " ".join(lines)
+    others = [
+        f"{x.stepper.scheme}{' in tau' * x.stepper.program.header.retimed} "
+        f"{x.seconds / chosen.seconds:.1f} times its time"
+        for x in sorted(candidates, key=lambda x: x.seconds)
+        if x is not chosen
+    ]
+    return " ".join([*lines, *([f"For the same error: {', '.join(others)}."] if others else ())])
 
 
 def _in_other_time(

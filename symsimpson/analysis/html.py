@@ -1,13 +1,13 @@
-"""Certificates and choices in HTML."""
+"""Certificates in HTML."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from symsimpson.results.html import verdict as coloured
-from symsimpson.support.markup import box, facts, table
+from symsimpson.support.markup import box, table
 
-__all__ = ["certificate", "choice"]
+__all__ = ["certificate"]
 
 
 def certificate(result: Any) -> str:
@@ -30,13 +30,3 @@ def certificate(result: Any) -> str:
     where = "at q0 = ({}), p0 = ({}), h = {:g}; {:.1f} s".format(*numbers, result.h, result.seconds)
     title = f"Certificate of {result.system}, {result.scheme} (order {result.order}): {verdict}"
     return box(title, f"<div>{where}</div>", table(rows))
-
-
-def choice(chosen: Any) -> str:
-    """Show a scheme and a step, and why."""
-    rows: list[tuple[str, object]] = [
-        ("scheme", f"{chosen.stepper.scheme}, order {chosen.stepper.order}"),
-        ("h", f"{chosen.h:.6g}"),
-        ("why", chosen.reason),
-    ]
-    return box(f"Choice for {chosen.stepper.system}", facts(rows))

@@ -43,15 +43,10 @@ class StepCosts:
         return markup.table([HEAD, *self._rows()])
 
     def _rows(self) -> list[tuple[str, ...]]:
+        parts = ("unknowns", "iteration", "closing")
         return [
-            (
-                scheme,
-                *(
-                    f"{getattr(self.general[scheme], part)} > {getattr(here, part)}"
-                    for part in ("unknowns", "iteration", "closing")
-                ),
-            )
-            for scheme, here in self.here.items()
+            (name, *(f"{getattr(general, x)} > {getattr(self.here[name], x)}" for x in parts))
+            for name, general in self.general.items()
         ]
 
 

@@ -93,13 +93,11 @@ def choose_step(
     given |= {"q0": q, "p0": p, "parameters": parameters}
     for halvings in range(60):
         h = first / 2**halvings
-        if not _follows(stepper, given, steps, h):
-            continue
-        while halvings == 0 and 2 * abs(h) <= abs(longest):
-            if not _follows(stepper, given, steps, 2 * h):
-                break
-            h *= 2
-        return h
+        if _follows(stepper, given, steps, h):
+            longer = halvings == 0
+            while longer and 2 * abs(h) <= abs(longest) and _follows(stepper, given, steps, 2 * h):
+                h *= 2
+            return h
     raise InputError(
         f"{stepper.system}: no step is small enough at this state.\n"
         "Pass h, or another state: look where T or V are singular."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
@@ -9,11 +10,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+import symsimpson
 from symsimpson.analysis.choose import Choice, arguments, select
-from symsimpson.analysis.remembered import remembered
 from symsimpson.api.compiling import check_system
+from symsimpson.api.compiling import compile as compile_system
 from symsimpson.errors import ResolutionWarning, StabilityWarning
+from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.program.answers import kept
 from symsimpson.program.input_values import read_number
 from symsimpson.program.numbers import FLOAT64
 from symsimpson.program.status import Status
@@ -96,16 +100,12 @@ def integrate(
     asked: dict[str, Any]
     asked = {"q0": q0, "v0": v0, "p0": p0, "t0": t0, "t_end": t_end, "error": error, "on": on}
     asked |= {"parameters": parameters, "inputs": inputs, "events": events, "schemes": schemes}
-
-    def make() -> Choice:
-        return select(system, asked, strict=False)
-
-    if events is not None or _acts(inputs):
-        choice = make()
+    given = getattr(inputs, "functions", inputs)  # as a result of optimal control has them
+    values = given.values() if isinstance(given, Mapping) else (given,)
+    if events is not None or any(map(callable, values)):  # what these do is not known
+        choice = select(system, asked, strict=False)
     else:
-        duration = read_number("t_end", t_end, FLOAT64) - read_number("t0", t0, FLOAT64)
-        question = {name: _key(x) for name, x in asked.items()}
-        choice = remembered(system, question, duration, make)
+        choice = _stored_choice(system, asked)
     more: dict[str, Any] = {"every": every, "t_eval": t_eval, "save": save}
     more |= arguments(choice, asked) | {"progress": progress, "on_failure": on_failure}
     with without_step_warnings(StabilityWarning, ResolutionWarning):
@@ -113,15 +113,39 @@ def integrate(
     message, status = f"{run.message} {choice.reason}", run.status
     if choice.error_estimate > error and run.success:
         status = Status.TOLERANCE_NOT_MET
-        message = f"{system.name}: {status.message} {choice.reason}"
+        message = f"{system.name}: {choice.reason} {status.message}"
         warn(message, ResolutionWarning)
     return replace(run, status=status, message=message, error_estimate=choice.error_estimate)
 
 
-def _acts(inputs: Any) -> bool:
-    """Return whether one of the inputs is a function, of which nothing is known."""
-    given = inputs.values() if isinstance(inputs, Mapping) else (inputs,)
-    return any(map(callable, given))
+def _stored_choice(system: MechanicalSystem, asked: Mapping[str, Any]) -> Choice:
+    """Return the choice that was stored for the same arguments, or make it and store it."""
+    t_end, t0 = (read_number(name, asked[name], FLOAT64) for name in ("t_end", "t0"))
+    values = sorted((symbol.name, value) for symbol, value in system.parameters.items())
+    question = sorted((name, _key(x)) for name, x in asked.items())
+
+    def read(record: Any) -> Choice:
+        h, error = float(record["h"]), float(record["error"])
+        if not (0 < h / (t_end - t0) < math.inf and error >= 0):
+            raise ValueError("no step, or no error")
+        whole = system.retimed("encounters") if record["adapting"] is True else system
+        return Choice(compile_system(whole, str(record["scheme"])), h, str(record["reason"]), error)
+
+    def make() -> Choice:
+        return select(system, asked, strict=False)
+
+    def content(choice: Choice) -> dict[str, Any]:
+        declared = choice.stepper.program.declared
+        return {
+            "scheme": choice.stepper.scheme,
+            "h": choice.h,
+            "reason": choice.reason,
+            "error": choice.error_estimate,
+            "adapting": isinstance(declared, RetimedSystem) and declared is not system,
+        }
+
+    key = repr(["whole path", symsimpson.__version__, system.digest, values, question])
+    return kept("choices", key, read, make, content)
 
 
 def _key(value: Any) -> Any:

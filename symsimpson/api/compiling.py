@@ -37,34 +37,27 @@ from symsimpson.support.names import in_a_row, spelled
 from symsimpson.support.progress import waiting
 
 if TYPE_CHECKING:
-    from symsimpson.analysis.certificate import Certificate
     from symsimpson.stepping.event import Event
 
 __all__ = ["check_system", "compile", "generate", "load", "resume"]
 
 
-def _certify(stepper: Stepper, *state: Any, **given: Any) -> Certificate:
-    from symsimpson.analysis.certify import certify  # when it is first asked for
-
-    return certify(stepper, *state, **given)
-
-
-def _call(module: str, name: str, *given: Any) -> Any:
-    """Call a function of the analysis of stability, loaded when it is first asked for."""
-    return getattr(import_module(f"symsimpson.analysis.stability.{module}"), name)(*given)
+def _call(module: str, name: str, *given: Any, **named: Any) -> Any:
+    """Call a function of the analysis, whose module is loaded by the first call."""
+    return getattr(import_module(f"symsimpson.analysis.{module}"), name)(*given, **named)
 
 
 LOG = logging.getLogger(__name__)
 #: What steppers are given of the layers above them.
 TOOLS = Tools(
-    certify=_certify,
-    check_step=partial(_call, "frequency", "warn_of_step"),
-    force_terms=partial(_call, "cancelling", "force_terms"),
-    changes_of_potential=partial(_call, "cancelling", "changes_of_potential"),
-    at_pole=partial(_call, "passages", "at_pole"),
-    unresolved_pole=partial(_call, "passages", "unresolved_pole"),
-    kink_passed=partial(_call, "kinks", "kink_passed"),
-    regular_box=partial(_call, "passages", "regular_box"),
+    certify=partial(_call, "certify", "certify"),
+    check_step=partial(_call, "stability.frequency", "warn_of_step"),
+    force_terms=partial(_call, "stability.cancelling", "force_terms"),
+    changes_of_potential=partial(_call, "stability.cancelling", "changes_of_potential"),
+    at_pole=partial(_call, "stability.passages", "at_pole"),
+    unresolved_pole=partial(_call, "stability.passages", "unresolved_pole"),
+    kink_passed=partial(_call, "stability.kinks", "kink_passed"),
+    regular_box=partial(_call, "stability.passages", "regular_box"),
     points_of=points_of,
 )
 

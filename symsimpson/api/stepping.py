@@ -144,15 +144,6 @@ class Stepping(Evaluator):
         from symsimpson.run.loop import ControlLoop
 
         zeros = np.zeros(len(self.inputs)) if self.inputs else None
-        request = Request(
-            q0,
-            v0,
-            p0,
-            h,
-            steps=1,
-            t0=t0,
-            parameters=parameters,
-            inputs=of_a_step(zeros),
-            events=events,
-        )
+        begin = q0, v0, p0, h, None, 1, t0
+        request = Request(*begin, parameters, of_a_step(zeros), events=events)
         return ControlLoop(self.program, read_run(self.program, request))

@@ -86,10 +86,11 @@ def make_problem(
     largest = np.abs(np.vstack([np.concatenate([q, p]), path])).max(axis=0)
     least = min(1.0, largest[:n].max() or 1.0)
     scale = np.concatenate([np.maximum(largest[:n], least), np.full(n, largest[n:].max() or 1.0)])
+    rates = in_momenta.function("math")(*in_momenta.state(q, p), *in_momenta.values(None))
     return Problem(
         system,
         q,
-        _velocity(in_momenta, q, p),
+        np.array(rates[:n], dtype=np.float64),
         p,
         float(t_end),
         in_momenta,
@@ -99,8 +100,3 @@ def make_problem(
         scale,
         retimed,
     )
-
-
-def _velocity(equations: FirstOrder, q: Floats, p: Floats) -> Floats:
-    rates = equations.function("math")(*equations.state(q, p), *equations.values(None))
-    return np.array(rates[: len(q)], dtype=np.float64)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -10,7 +11,15 @@ from symsimpson.analysis.stability.frequency import largest_frequency
 from symsimpson.bench.benchmark_problem import Problem
 from symsimpson.support.array_types import Floats
 
-__all__ = ["COARSE", "TOLERANCES", "Contender", "Outcome", "Runnable", "numbers_of_steps"]
+__all__ = [
+    "COARSE",
+    "TOLERANCES",
+    "Contender",
+    "Outcome",
+    "Runnable",
+    "alternate",
+    "numbers_of_steps",
+]
 
 #: What a contender makes of a choice.
 Made = TypeVar("Made")
@@ -51,3 +60,14 @@ def numbers_of_steps(problem: Problem) -> list[int]:
     turns = problem.t_end * largest_frequency(problem.system, problem.q0, values) / COARSEST
     least = max(4, round(problem.t_end / 2), round(turns))
     return [round(least * 2 ** (k / 4)) for k in range(80)]
+
+
+def alternate(jobs: Mapping[str, Callable[[], Any]], rounds: int) -> dict[str, list[float]]:
+    """Return seconds of jobs that run in turns: what disturbs the machine disturbs all of them."""
+    times: dict[str, list[float]] = {name: [] for name in jobs}
+    for _ in range(rounds):
+        for name, job in jobs.items():
+            begin = time.perf_counter()
+            job()
+            times[name].append(time.perf_counter() - begin)
+    return times

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["make_dop853"]
+__all__ = ["PIECE", "make_dop853"]
 
 
-#: So many steps are taken at a time, before Ctrl-C is heard.
+#: Compiled loops take so many steps before Ctrl-C is heard.
 PIECE = 8192
 
 

@@ -24,7 +24,7 @@ from symsimpson.bench.contender import (
     Runnable,
     numbers_of_steps,
 )
-from symsimpson.bench.dop853 import make_dop853
+from symsimpson.bench.dop853 import PIECE, make_dop853
 from symsimpson.reference import FirstOrder
 from symsimpson.reference.runge_kutta import compiled_rates, compiled_rk4
 from symsimpson.support.array_types import Floats
@@ -33,15 +33,19 @@ __all__ = ["PROGRAMS", "in_heyoka"]
 
 #: A run of heyoka takes no more steps than this.
 MOST_STEPS = 200_000
-#: Compiled loops take so many steps before Ctrl-C is heard.
-PIECE = 8192
+
+
+def _compiled(problem: Problem) -> tuple[Any, Floats, Floats, int]:
+    """Return the compiled right-hand side, parameters, the initial state and n."""
+    equations = problem.canonical
+    parameters = np.array(equations.values(None), dtype=np.float64)
+    start = np.array(equations.state(problem.q0, problem.p0))
+    return compiled_rates(equations), parameters, start, problem.system.n
 
 
 def _runge_kutta(problem: Problem) -> Iterator[Contender[Runnable]]:
     """Explicit methods of our own, compiled with the right-hand side."""
-    rates = compiled_rates(problem.canonical)
-    parameters = np.array(problem.canonical.values(None), dtype=np.float64)
-    start, n = np.array(problem.canonical.state(problem.q0, problem.p0)), problem.system.n
+    rates, parameters, start, n = _compiled(problem)
 
     def making(solve: Callable[[Floats, float], int]) -> Any:
         def make(choice: float) -> Runnable:
@@ -77,9 +81,7 @@ def _scipy(problem: Problem) -> Iterator[Contender[Runnable]]:
     """SciPy's solvers with a compiled right-hand side."""
     from scipy.integrate import solve_ivp
 
-    rates = compiled_rates(problem.canonical)
-    parameters = np.array(problem.canonical.values(None), dtype=np.float64)
-    start, n = np.array(problem.canonical.state(problem.q0, problem.p0)), problem.system.n
+    rates, parameters, start, n = _compiled(problem)
 
     def right(t: float, y: Floats) -> Floats:
         out = np.empty_like(y)
@@ -201,10 +203,8 @@ def _numbalsoda(problem: Problem) -> Iterator[Contender[Runnable]]:
     import numbalsoda
     from numba import carray, cfunc  # type: ignore[attr-defined]
 
-    rates, n = compiled_rates(problem.canonical), problem.system.n
-    size = len(problem.canonical.unknowns)
-    values = problem.canonical.values(None)
-    count = len(values)
+    rates, parameters, start, n = _compiled(problem)
+    size, count = len(start), len(parameters)
 
     @cfunc(numbalsoda.lsoda_sig)
     def right(t, y, out, data):  # type: ignore[no-untyped-def]  # numba infers them
@@ -213,14 +213,13 @@ def _numbalsoda(problem: Problem) -> Iterator[Contender[Runnable]]:
         rates(carray(y, (size,)), known, carray(out, (size,)))
 
     address = right.address
-    start = np.array(problem.canonical.state(problem.q0, problem.p0))
     times = np.array([0.0, problem.t_end])
     for method in ("lsoda", "dop853"):
         solve = getattr(numbalsoda, method)
 
         def make(tolerance: float, solve: Any = solve) -> Runnable:
             def run() -> Any:
-                data = np.array([*values, 0.0])
+                data = np.array([*parameters, 0.0])
                 states, success = solve(
                     address, start, times, data, max(tolerance, 1e-13), tolerance
                 )

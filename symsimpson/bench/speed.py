@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import symsimpson as ss
+from symsimpson.bench.contender import alternate
 from symsimpson.bench.programs import in_heyoka
-from symsimpson.bench.timing import alternate
 from symsimpson.reference import canonical
 
 __all__ = ["report"]

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 import symsimpson as ss
-from symsimpson.bench.contender import Contender
+from symsimpson.bench.contender import Contender, alternate
 from symsimpson.bench.programs import in_heyoka
-from symsimpson.bench.timing import alternate
 from symsimpson.ensemble.lanes import run_blocks
 from symsimpson.ensemble.members import read_task
 from symsimpson.ensemble.trial import with_fastest_lanes

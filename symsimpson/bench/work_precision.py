@@ -5,11 +5,11 @@ from __future__ import annotations
 import gc
 import os
 import platform
-import statistics
 import time
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -50,7 +50,8 @@ FLOOR = 3e-14
 
 @dataclass
 class _Entry:
-    contender: Contender[Runnable]
+    name: str
+    what: str
     choice: float
     run: Any
     error: float
@@ -139,15 +140,7 @@ def work_precision(
                 if sum(entry.times) < ENOUGH_SECONDS:
                     entry.times.append(_timed(entry.run, entry.number))
     points = [
-        Point(
-            e.contender.name,
-            e.contender.what,
-            e.choice,
-            e.error,
-            min(e.times),
-            statistics.median(e.times),
-            e.evaluations,
-        )
+        Point(e.name, e.what, e.choice, e.error, min(e.times), median(e.times), e.evaluations)
         for e in entries
     ]
     return WorkPrecision(
@@ -160,7 +153,7 @@ def work_precision(
         tuple(points),
         seconds,
         _machine(),
-        {e.contender.name: statistics.median(e.times) for e in calls},
+        {e.name: median(e.times) for e in calls},
     )
 
 
@@ -204,7 +197,8 @@ def _once(
     outcome = read(result)
     error = problem.error(outcome.q, outcome.p)
     number = max(1, int(LEAST_SECONDS / max(spent, 1e-9)))
-    return _Entry(contender, choice, run, error, outcome.evaluations, number, [spent])
+    of = contender.name, contender.what, choice
+    return _Entry(*of, run, error, outcome.evaluations, number, [spent])
 
 
 def _sweep(contender: Contender[Runnable], problem: Problem, finest: float) -> list[_Entry]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import sympy as sp
 
 from symsimpson.mechanics.coordinates import coordinates
@@ -34,16 +36,13 @@ def driven_cart_pole() -> CatalogueSystem:
     x, theta = free.coordinates
     u = sp.Symbol("u", real=True)
     c, b = sp.symbols("c b", positive=True)
-    return CatalogueSystem(
-        "driven_cart_pole",
-        coordinates=free.coordinates,
-        kinetic=free.kinetic,
-        potential=free.potential,
+    return replace(
+        free,
+        name="driven_cart_pole",
         parameters={**free.parameters, c: 0.1, b: 0.01},
         forces={"motor": {x: u}},
         dissipation=c * x.diff() ** 2 / 2 + b * theta.diff() ** 2 / 2,
         inputs=(u,),
-        positions=free.positions,
+        invariants=None,
         reference_state={"q0": (0.0, 0.1), "v0": (0.0, 0.0)},
-        source=free.source,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import sympy as sp
 
@@ -39,15 +40,11 @@ def driven_double_pendulum() -> CatalogueSystem:
     free = double_pendulum()
     q1, q2 = free.coordinates
     c1, c2, a, w = sp.symbols("c1 c2 a w", positive=True)
-    return CatalogueSystem(
-        "driven_double_pendulum",
-        coordinates=free.coordinates,
-        kinetic=free.kinetic,
-        potential=free.potential,
+    return replace(
+        free,
+        name="driven_double_pendulum",
         parameters={**free.parameters, c1: 0.05, c2: 0.05, a: 2.0, w: 5.0},
         forces={"motor": {q1: a * sp.cos(w * time)}},
         dissipation=c1 * q1.diff() ** 2 / 2 + c2 * (q2.diff() - q1.diff()) ** 2 / 2,
-        positions=free.positions,
-        reference_state=free.reference_state,
         source=f"{free.source}; friction and torque are ours",
     )

@@ -12,8 +12,6 @@ from symsimpson.systems.entry import CatalogueSystem, State
 
 __all__ = ["lagrange_top", "lagrange_top_cusps"]
 
-_SOURCE = "J. A. Rojas-Quintero, F. Dubois, F. Jourdan, arXiv:2512.03330, section 4"
-
 
 def lagrange_top() -> CatalogueSystem:
     """The Lagrange top in Euler angles (phi, theta, psi), with a nutation that makes loops."""
@@ -50,6 +48,7 @@ def _top(name: str, values: dict[str, float], state: State) -> CatalogueSystem:
     m_top, g, l, inertia, spin_inertia = symbols.values()
     spin = psi.diff() + phi.diff() * sp.cos(theta)
     swing = theta.diff() ** 2 + phi.diff() ** 2 * sp.sin(theta) ** 2
+    p_phi = inertia * phi.diff() * sp.sin(theta) ** 2 + spin_inertia * spin * sp.cos(theta)
     return CatalogueSystem(
         name,
         coordinates=(phi, theta, psi),
@@ -57,11 +56,7 @@ def _top(name: str, values: dict[str, float], state: State) -> CatalogueSystem:
         potential=m_top * g * l * sp.cos(theta),
         parameters={symbol: values[key] for key, symbol in symbols.items()},
         positions=_points(phi, theta, psi, l),
-        invariants={
-            "p_phi": inertia * phi.diff() * sp.sin(theta) ** 2
-            + spin_inertia * spin * sp.cos(theta),
-            "p_psi": spin_inertia * spin,
-        },
+        invariants={"p_phi": p_phi, "p_psi": spin_inertia * spin},
         reference_state=state,
-        source=_SOURCE,
+        source="J. A. Rojas-Quintero, F. Dubois, F. Jourdan, arXiv:2512.03330, section 4",
     )

@@ -99,22 +99,12 @@ def slider_crank() -> CatalogueSystem:
     )
 
 
-#: Parameters of the squeezer in SI units: masses, lengths, inertias, points, spring and torque.
+#: Parameters of the squeezer in SI units: masses, inertias, lengths, points, spring and torque.
+_MASSES = (0.04325, 0.00365, 0.02373, 0.00706, 0.0705, 0.00706, 0.05498)
+_INERTIAS = (2.194e-06, 4.41e-07, 5.255e-06, 5.667e-07, 1.169e-05, 5.667e-07, 1.912e-05)
 _SQUEEZER = {
-    "m1": 0.04325,
-    "m2": 0.00365,
-    "m3": 0.02373,
-    "m4": 0.00706,
-    "m5": 0.0705,
-    "m6": 0.00706,
-    "m7": 0.05498,
-    "i1": 2.194e-06,
-    "i2": 4.41e-07,
-    "i3": 5.255e-06,
-    "i4": 5.667e-07,
-    "i5": 1.169e-05,
-    "i6": 5.667e-07,
-    "i7": 1.912e-05,
+    **{f"m{k}": value for k, value in enumerate(_MASSES, 1)},
+    **{f"i{k}": value for k, value in enumerate(_INERTIAS, 1)},
     "xa": -0.06934,
     "ya": -0.00227,
     "xb": -0.03635,
@@ -178,11 +168,9 @@ def andrews_squeezer() -> CatalogueSystem:
     kinetic = sum(
         (M * p.diff() * q.diff() / (2 if p == q else 1) for (p, q), M in entries.items()), sp.S.Zero
     )
-    hook = sp.Matrix(
-        [
-            a["xb"] + a["sc"] * sp.sin(ga) + a["sd"] * sp.cos(ga),
-            a["yb"] + a["sd"] * sp.sin(ga) - a["sc"] * sp.cos(ga),
-        ]
+    hook = (
+        a["xb"] + a["sc"] * sp.sin(ga) + a["sd"] * sp.cos(ga),
+        a["yb"] + a["sd"] * sp.sin(ga) - a["sc"] * sp.cos(ga),
     )
     length = sp.sqrt((hook[0] - a["xc"]) ** 2 + (hook[1] - a["yc"]) ** 2)
     end = [rr * f(be) - d * f(be + th) for f in (sp.cos, sp.sin)]
@@ -190,10 +178,12 @@ def andrews_squeezer() -> CatalogueSystem:
     second = (-e * sp.sin(ph + de) - zt * sp.cos(de), e * sp.cos(ph + de) - zt * sp.sin(de))
     third = (-zf * sp.cos(om + ep) - u * sp.sin(ep), -zf * sp.sin(om + ep) + u * sp.cos(ep))
     anchor = (a["xa"], a["ya"])
-    loops = {}
-    for name, way, fixed in (("1", first, (0, 0)), ("2", second, anchor), ("3", third, anchor)):
-        for k, axis in enumerate("xy"):
-            loops[f"loop{name}_{axis}"] = end[k] + way[k] - fixed[k]
+    ways = {"1": (first, (0, 0)), "2": (second, anchor), "3": (third, anchor)}
+    loops = {
+        f"loop{name}_{axis}": end[k] + way[k] - fixed[k]
+        for name, (way, fixed) in ways.items()
+        for k, axis in enumerate("xy")
+    }
     return CatalogueSystem(
         "andrews_squeezer",
         coordinates=(be, th, ga, ph, de, om, ep),
@@ -201,7 +191,7 @@ def andrews_squeezer() -> CatalogueSystem:
         potential=a["c0"] * (length - a["l0"]) ** 2 / 2 - a["mom"] * be,
         constraints=loops,
         parameters={symbol: _SQUEEZER[name] for name, symbol in a.items()},
-        positions={"end": tuple(end), "hook": tuple(hook)},
+        positions={"end": tuple(end), "hook": hook},
         reference_state={
             "q0": (
                 -0.06171389001427644,

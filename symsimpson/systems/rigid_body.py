@@ -51,28 +51,14 @@ def _turning() -> tuple[Angles, Sequence[sp.Symbol], sp.Expr, sp.Matrix]:
     """Return angles, moments of inertia, the kinetic energy, and angular momentum in space."""
     angles = coordinates("phi theta psi")
     inertia = sp.symbols("I1 I2 I3", positive=True)
-    omega = _body_rates(*angles)
-    momentum = [i * w for i, w in zip(inertia, omega, strict=True)]
-    kinetic = sp.Add(*(i * w**2 for i, w in zip(inertia, omega, strict=True))) / 2
-    return angles, inertia, kinetic, _to_space(*angles) * sp.Matrix(momentum)
-
-
-def _body_rates(phi: AppliedUndef, theta: AppliedUndef, psi: AppliedUndef) -> list[sp.Expr]:
-    """Return the angular velocity in the body, for rotations about z, x and z."""
-    return [
+    phi, theta, psi = angles
+    # the angular velocity in the body, for rotations about z, x and z
+    omega = [
         phi.diff() * sp.sin(theta) * sp.sin(psi) + theta.diff() * sp.cos(psi),
         phi.diff() * sp.sin(theta) * sp.cos(psi) - theta.diff() * sp.sin(psi),
         phi.diff() * sp.cos(theta) + psi.diff(),
     ]
-
-
-def _to_space(phi: AppliedUndef, theta: AppliedUndef, psi: AppliedUndef) -> sp.Matrix:
-    """Return the matrix that turns components in the body into components in space."""
-
-    def about_z(angle: sp.Expr) -> sp.Matrix:
-        c, s = sp.cos(angle), sp.sin(angle)
-        return sp.Matrix([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-
-    c, s = sp.cos(theta), sp.sin(theta)
-    tilt = sp.Matrix([[1, 0, 0], [0, c, -s], [0, s, c]])
-    return about_z(phi) * tilt * about_z(psi)
+    to_space = (sp.rot_axis3(psi) * sp.rot_axis1(theta) * sp.rot_axis3(phi)).T
+    momentum = [i * w for i, w in zip(inertia, omega, strict=True)]
+    kinetic = sp.Add(*(i * w**2 for i, w in zip(inertia, omega, strict=True))) / 2
+    return angles, inertia, kinetic, to_space * sp.Matrix(momentum)

@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 import signal
 import threading
 import warnings
@@ -84,6 +85,7 @@ def test_chaos_is_no_success(tmp_path):
             run = ss.integrate(chaotic, **given, error=1e-6, every=None)
     assert len(told) == 1
     assert told[0].filename == __file__
+    assert re.match(r"\w+: the error is \S+, 1.0e-06 is asked for. The bound", str(told[0].message))
     assert (run.success, run.status) == (False, ss.Status.TOLERANCE_NOT_MET)
     assert run.error_estimate > 1e-6
     run.save(tmp_path / "run.nc")
@@ -103,6 +105,14 @@ def test_time_begins_anywhere_and_goes_both_ways(ends):
     assert run.q[:, 0] == pytest.approx(exact, abs=1e-7)
 
 
+class Result:
+    def __init__(self, functions):
+        self.functions = functions
+
+    def __repr__(self):
+        return "Result"
+
+
 def test_inputs_are_functions_of_time_or_arrays():
     cart = system("input_cart", x**2 / 2, forces={x: u}, inputs=(u,))
     given = {"q0": [0.0], "v0": [0.0], "t_end": 30.0, "error": 1e-9}
@@ -110,6 +120,11 @@ def test_inputs_are_functions_of_time_or_arrays():
         run = ss.integrate(cart, **given, inputs={"u": function})
         exact = 4 / 3 * np.sin(run.t / 2) - 2 / 3 * np.sin(run.t)
         assert run.q[:, 0] == pytest.approx(exact, abs=1e-8)
+    for sign in (1, -1):  # results of optimal control look alike and are not stored
+        result = Result({"u": lambda t, sign=sign: sign * np.sin(t / 2)})
+        run = ss.integrate(cart, **given, inputs=result)
+        exact = 4 / 3 * np.sin(run.t / 2) - 2 / 3 * np.sin(run.t)
+        assert run.q[:, 0] == pytest.approx(sign * exact, abs=1e-8)
     values = np.array([1.0, -1.0, 0.5])
     for held in (values, ss.samples([*values, 7.0], period=10.0)):
         run = ss.integrate(cart, **given, inputs={u: held})
