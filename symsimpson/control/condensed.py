@@ -107,8 +107,7 @@ class Condensed:
         Z, u, y = self._moved(at), self.unknowns, self._states
         crossed = H[u][:, y] @ Z
         reduced = H[u][:, u].toarray() + crossed + crossed.T + Z.T @ (H[y][:, y] @ Z)
-        lower: Floats = reduced[self._upper]
-        return lower
+        return np.asarray(reduced[self._upper])
 
     def outcome(self, outcome: Outcome) -> Outcome:
         """Return what a solver came to, with all unknowns and multipliers of the full form."""
@@ -117,12 +116,6 @@ class Condensed:
             at = self._at(self._x[self.unknowns])
         return replace(
             outcome, x=at["x"], multipliers=self._multipliers(at, 1.0, outcome.multipliers)
-        )
-
-    def _slopes(self, x: Floats) -> tuple[Floats, Any]:
-        gradient, entries = self._full.slopes(x)
-        return gradient, sparse.csr_matrix(
-            (entries, self._full.jacobian_places), shape=self._full.shape
         )
 
     def _at(self, w: Floats) -> dict[str, Any]:
@@ -150,7 +143,9 @@ class Condensed:
 
     def _factorised(self, x: Floats) -> dict[str, Any]:
         """Return all slopes, and the factors of those of the steps by the states."""
-        gradient, jacobian = self._slopes(x)
+        full = self._full
+        gradient, entries = full.slopes(x)
+        jacobian = sparse.csr_matrix((entries, full.jacobian_places), shape=full.shape)
         factors = splu(jacobian[self._steps][:, self._states].tocsc())
         return {"slopes": (gradient, jacobian), "factors": factors}
 

@@ -225,8 +225,7 @@ def projected(layout: Any, q: Floats, p: Floats, values: dict[int, Any]) -> Floa
         v = np.linalg.solve(matrix, right[..., None])[:, :n]
     except np.linalg.LinAlgError:  # a constraint without a slope, where an iterate stands
         v = (np.linalg.pinv(matrix) @ right[..., None])[:, :n]
-    momenta: Floats = (slopes[:, :n] @ v)[..., 0] + rest[:, :n]
-    return momenta
+    return np.asarray((slopes[:, :n] @ v)[..., 0] + rest[:, :n])
 
 
 def turned(layout: Any, q: Floats, along: Floats, by_p: Floats, values: dict[int, Any]) -> Floats:
@@ -243,5 +242,4 @@ def turned(layout: Any, q: Floats, along: Floats, by_p: Floats, values: dict[int
     rows = PointFunctions(graph, read.v, moved).jacobian(at, count)
     weights = np.einsum("kac,ka->kc", np.linalg.pinv(rows), along)
     slopes = PointFunctions(graph, read.q, moved).jacobian(at, count)
-    by_q: Floats = np.einsum("kc,kca->ka", weights, slopes)
-    return by_q
+    return np.asarray(np.einsum("kc,kca->ka", weights, slopes))

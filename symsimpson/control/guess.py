@@ -115,8 +115,10 @@ def _with_momenta(layout: Layout, x: Floats) -> Floats:
     read, x, known, sizes = layout.read, x.copy(), layout.parameter_values(x), layout.sizes(x)
     x[layout.points] = q = onto(layout, x[layout.points], known)
     h = sizes[layout.grid.phase]
-    # momenta of the path at the ends of steps
-    at_start, at_end = (np.array(row, dtype=np.float64) for row in layout.end_slopes)
+    # momenta of the path at the ends of steps; slopes of a step's polynomials add up to 0
+    further = np.array(layout.scheme.end_slope, dtype=np.float64)
+    at_end = np.array([-further.sum(), *further])
+    at_start = -at_end[::-1]
     v = np.concatenate([at_start @ q / h[:, None], (at_end @ q[-1])[None] / h[-1]])
     at = np.concatenate([q[:, 0], q[-1:, -1]])
     momenta = PointFunctions(read.graph, [], read.momenta)

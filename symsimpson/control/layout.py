@@ -129,24 +129,15 @@ class Layout:
                     bound(point[a], (-np.inf, np.inf))
         for place, pair in zip(self.parameters, read.found_bounds, strict=True):
             bound(place, pair)
-        if len(self.h) == 1:
-            low[self.h], high[self.h] = (x / self.steps for x in read.duration)
+        shortest = (SHORTEST if len(self.h) > 1 else 1.0) * read.duration[0]
         for place, n in zip(self.h, self.grid.steps, strict=False):
-            if len(self.h) > 1:
-                low[place], high[place] = SHORTEST * read.duration[0] / n, read.duration[1] / n
+            bound(place, (shortest / n, read.duration[1] / n))
         return low, high
 
     def sizes(self, x: Floats) -> Floats:
         """Return the size of the steps of each phase."""
         given = np.array([self.read.duration[0] / self.steps])
         return x[self.h] if len(self.h) else given
-
-    @property
-    def end_slopes(self) -> tuple[Any, Any]:
-        """The slopes of the polynomials of a step at its start and at its end."""
-        further = self.scheme.end_slope  # of the points behind the first: slopes add up to 0
-        last = [-sum(further), *further]
-        return [-x for x in reversed(last)], last
 
     @property
     def _alone(self) -> NDArray[np.bool_]:
@@ -306,11 +297,6 @@ class Layout:
         flags = [pressed(self.read, end, self.read.within) for end in (0, 1)]
         return np.array(flags, dtype=bool).reshape(2, -1)
 
-    def _driven(self, value: Value) -> bool:
-        """Return whether something that is known at nodes alone stands in a value."""
-        of_nodes = {*self.read.u, *self.read.signals}
-        return not self.read.graph.nodes[value[1]].symbols.isdisjoint(of_nodes)
-
     def _ends(self, rows: Rows) -> list[Any]:
         """Return the functions at both ends: momenta, conditions, and the final cost."""
         read, graph, blocks = self.read, self.read.graph, []
@@ -327,16 +313,21 @@ class Layout:
             ]
             final = [read.final] if end else []
             of_both = [values[1 - end] for _, *values in ties]
-            # the velocities of the ends are unknowns of their own
-            inside = [
-                x
-                for x, out in zip(read.within, self._pressed[end], strict=True)
-                if x.low < x.high and not out and not self._driven(x.value)
-            ]
             left_out = self.following.conditions[end]
             limits = [x for x, out in zip(limits, left_out, strict=True) if not out]
-            limits += self._held(end)
-            values = [*legendre, *final, *(x.value for x in (*limits, *inside)), *of_both]
+            limits += [
+                Limits(f"constraint {held!r}", value, 0.0, 0.0)
+                for k, (held, value) in enumerate(held_values(read))
+                if not (self.following.constraints[end][k] or (end and k < len(read.held.phi)))
+            ]
+            # the velocities of the ends are unknowns of their own
+            limits += [
+                x
+                for x, out in zip(read.within, self._pressed[end], strict=True)
+                if x.low < x.high and not out
+                if graph.nodes[x.value[1]].symbols.isdisjoint({*read.u, *read.signals})
+            ]
+            values = [*legendre, *final, *(x.value for x in limits), *of_both]
             variables = [*read.q, *read.v, *read.p, *(read.parameters[i] for i in read.found)]
             unknown = [*point, *self.velocities[end], *self.momenta[-end], *self.parameters]
             if end:
@@ -345,21 +336,10 @@ class Layout:
             timed, timed_maps, fixed = self._timed(np.array([end * self.steps]), np.zeros(1), None)
             at = list(rows.add(self.n, 0.0, 0.0, f"momentum at the {name}"))
             at += [0] * len(final)
-            at += [
-                rows.add(1, x.low, x.high, f"{x.name} at the {name}")[0] for x in (*limits, *inside)
-            ]
+            at += [rows.add(1, x.low, x.high, f"{x.name} at the {name}")[0] for x in limits]
             at += tied
             maps = [*(self.of(x, 1) for x in unknown), *timed_maps]
             parts = [([row], [0], [1.0]) for row in at]
             functions = PointFunctions(graph, [*variables, *timed], values)
             blocks.append((functions, maps, fixed, parts))
         return blocks
-
-    def _held(self, end: int) -> list[Limits]:
-        """Return the constraints of an end that its own conditions, or steps, do not imply."""
-        read, out = self.read, self.following.constraints[end]
-        return [
-            Limits(f"constraint {name!r}", value, 0.0, 0.0)
-            for k, (name, value) in enumerate(held_values(read))
-            if not (out[k] or (end and k < len(read.held.phi)))
-        ]

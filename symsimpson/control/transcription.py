@@ -57,13 +57,11 @@ class Block:
 
     def weights(self, rows: Floats) -> Floats:
         """Return the weights of the functions at each point, of weighted rows."""
-        weights: Floats = (self._stacked[2] @ rows).reshape(-1, self.count)
-        return weights
+        return np.asarray(self._stacked[2] @ rows).reshape(-1, self.count)
 
     def values(self, at: dict[int, Any]) -> Floats:
         """Return what the block has in each row."""
-        values: Floats = self._stacked[1] @ self.functions.values(at, self.count).ravel()
-        return values
+        return np.asarray(self._stacked[1] @ self.functions.values(at, self.count).ravel())
 
     def slopes(self, at: dict[int, Any]) -> Floats:
         """Return the slopes at the points, one after the other."""
@@ -142,8 +140,7 @@ class _Pattern:
 
     def __call__(self, numbers: Sequence[Floats]) -> Floats:
         """Return the entries, by columns."""
-        entries: Floats = self._linear @ np.concatenate(numbers) + self._constant
-        return entries
+        return np.asarray(self._linear @ np.concatenate(numbers) + self._constant)
 
 
 class Programme:
