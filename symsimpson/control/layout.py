@@ -206,25 +206,20 @@ class Layout:
 
     def of(self, columns: Any, count: int | None = None) -> Any:
         """Return the matrix that takes unknowns to points, one each."""
-        count = len(columns) if count is None else count
-        data = np.ones(count)
-        return sparse.csr_matrix(
-            (data, (np.arange(count), np.broadcast_to(columns, count))), shape=(count, self.size)
-        )
+        columns = np.broadcast_to(columns, len(columns) if count is None else count)
+        at = np.arange(len(columns))
+        return sparse.csr_matrix((np.ones(len(at)), (at, columns)), shape=(len(at), self.size))
 
     def on_path(self, table: Floats, k: Ints) -> list[Any]:
         """Return the matrices of coordinates at points of steps k, by rows of a table."""
-        count, width = table.shape
-        matrices = []
-        for a in range(self.n):
-            columns = self.points[k, :, a].ravel()
-            matrix = sparse.csr_matrix(
-                (table.ravel(), (np.repeat(np.arange(count), width), columns)),
-                shape=(count, self.size),
+        at, nodes = np.nonzero(table)
+        return [
+            sparse.csr_matrix(
+                (table[at, nodes], (at, self.points[k[at], nodes, a])),
+                shape=(len(table), self.size),
             )
-            matrix.eliminate_zeros()
-            matrices.append(matrix)
-        return matrices
+            for a in range(self.n)
+        ]
 
     def block(
         self, values: Any, variables: Any, maps: Any, k: Ints, places: Floats, by_h: int = 0

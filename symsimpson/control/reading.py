@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from numbers import Real
@@ -25,7 +24,7 @@ from symsimpson.mechanics.plain import Symbols
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
-from symsimpson.support.names import did_you_mean, shortened, spelled
+from symsimpson.support.names import did_you_mean, spelled
 
 __all__ = ["Limits", "Reading", "read_family"]
 
@@ -113,6 +112,14 @@ class Reading:
                         extents[place] = max(extents[place], largest)
         return extents
 
+    def fixed(self, end: int) -> dict[int, float]:
+        """Return coordinates and velocities that factor * x = value fixes at an end, by nodes."""
+        return {
+            limit.value[1]: limit.low / float(limit.value[0])
+            for limit in self.ends[end]
+            if limit.low == limit.high and limit.value[1] in (*self.q, *self.v)
+        }
+
     @property
     def found_names(self) -> list[str]:
         """Names of the parameters that are found."""
@@ -130,12 +137,8 @@ class Reading:
         if isinstance(expression, str):
             expression = self._named(what, expression, ends)
         if isinstance(expression, Real) and not isinstance(expression, (sp.Basic, bool)):
-            if isinstance(expression, np.generic):  # in its own precision there may be no size
-                expression = expression.item()
-            size = cast(Any, abs(expression))
-            if not size <= sys.float_info.max:  # as NaN and huge integers are not, either
-                raise InputError(f"the {what} is {shortened(expression)}.\nPass a finite number.")
-            expression = sp.Rational(repr(float(expression)))  # as it is written
+            number, _ = read_pair(f"the {what}", expression, "a finite number")
+            expression = sp.Rational(repr(number))  # as it is written
         symbols = self.symbols
         of_signals = {symbol for symbol, _ in self.signals.values()}
         known = expression.free_symbols & of_signals if isinstance(expression, sp.Basic) else ()

@@ -128,11 +128,7 @@ def _solved(
     form: Scaled | Condensed = scaled_form
     begun = scaled_form.inside(x0)
     if condensed:
-
-        def motion(x: Floats) -> Floats:
-            return scaled_form.inside(moved(layout, scaled_form.outside(x)))
-
-        form = Condensed(scaled_form, layout, motion, begun, bounds)
+        form = Condensed(scaled_form, layout, begun, bounds)
         begun = form.inside(begun)
         bounds, limits = form.bounds(bounds, limits)
 
