@@ -18,6 +18,7 @@ from scipy.sparse.linalg import splu
 from symsimpson.control.forward import motions
 from symsimpson.control.ipopt import Outcome
 from symsimpson.control.layout import Layout
+from symsimpson.control.optimality import hessian
 from symsimpson.control.point_functions import PointFunctions
 from symsimpson.control.scaling import Scaled
 from symsimpson.errors import InputError, SymsimpsonError
@@ -91,12 +92,7 @@ class Condensed:
         if "x" not in at:
             return np.full(len(self._upper[0]), np.nan)
         all_rows = self._multipliers(at, cost, multipliers)
-        size = len(at["x"])
-        upper = sparse.csc_matrix(
-            (self._full.curvatures(at["x"], cost, all_rows), self._full.hessian_places),
-            shape=(size, size),
-        )
-        H = upper + upper.T - sparse.diags(upper.diagonal())
+        H = hessian(self._full, at["x"], cost, all_rows).tocsr()
         Z, u, y = self._moved(at), self.unknowns, self._states
         crossed = H[u][:, y] @ Z
         reduced = H[u][:, u].toarray() + crossed + crossed.T + Z.T @ (H[y][:, y] @ Z)

@@ -42,11 +42,6 @@ class Grid:
         return [slice(end - n, end) for end, n in zip(ends, self.steps, strict=True)]
 
     @property
-    def as_given(self) -> int | tuple[int, ...]:
-        """The number of steps, of each phase if there are several."""
-        return self.steps if len(self.steps) > 1 else self.count
-
-    @property
     def halved(self) -> Grid:
         """The same phases in steps of half the size."""
         return Grid(tuple(2 * n for n in self.steps))

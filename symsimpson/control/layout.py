@@ -50,6 +50,8 @@ class Layout:
             np.array(x, dtype=np.float64)
             for x in (scheme.quadrature.weights, scheme.quadrature.nodes, scheme.points)
         )
+        #: At which nodes the path is a control point.
+        self._alone = np.asarray((np.abs(self.A) > 0).sum(axis=1) == 1)
         n, m, d, s = len(read.q), len(read.u), self.A.shape[1] - 1, len(self.b)
         self.n, self.degree, self.nodes, N = n, d, s, self.steps
         block = d * n + n  # control points of a step but for the last, and the momentum
@@ -139,11 +141,6 @@ class Layout:
         given = np.array([self.read.duration[0] / self.steps])
         return x[self.h] if len(self.h) else given
 
-    @property
-    def _alone(self) -> NDArray[np.bool_]:
-        """At which nodes the path is a control point."""
-        return np.asarray((np.abs(self.A) > 0).sum(axis=1) == 1)
-
     @cached_property
     def programme(self) -> tuple[Programme, Floats, Floats]:
         """The programme, and the bounds of its rows; ``names`` and ``scales`` are theirs."""
@@ -162,21 +159,16 @@ class Layout:
             (rows.data, (rows.at, rows.columns)), shape=(rows.count, self.size)
         )
         self.names, self.scales = rows.names, np.concatenate(rows.scales)
-        full_blocks = [self._block(rows.count, *block) for block in blocks]
+        full_blocks = []
+        for functions, maps, fixed, parts in blocks:
+            shape = rows.count, maps[0].shape[0]
+            of_rows = [sparse.csr_matrix((x, (at, point)), shape=shape) for at, point, x in parts]
+            for matrix in of_rows:
+                matrix.eliminate_zeros()
+            full_blocks.append(Block(functions, maps, of_rows, fixed))
         programme = Programme(full_blocks, linear)
         low, high = (np.concatenate(x) for x in (rows.low, rows.high))
         return programme, low, high
-
-    @staticmethod
-    def _block(total: int, functions: PointFunctions, maps: Any, fixed: Any, parts: Any) -> Block:
-        """Return a block whose functions have these parts (row, point, number) in all rows."""
-        count = maps[0].shape[0]
-        matrices = [
-            sparse.csr_matrix((x, (at, point)), shape=(total, count)) for at, point, x in parts
-        ]
-        for matrix in matrices:
-            matrix.eliminate_zeros()
-        return Block(functions, maps, matrices, fixed)
 
     def _timed(self, k: Ints, places: Floats, h: int | None) -> tuple[list[int], list[Any], Any]:
         """Return the time at places in steps, and their size: as unknowns with maps, or as given.

@@ -292,15 +292,9 @@ class Reading:
         """Refuse conditions on what is given."""
         unknown = {*self.q, *self.v, *self.u, *(self.parameters[i] for i in self.found)}
         timed = unknown | ({self.t} if self.duration[0] < self.duration[1] else set())
-        asked = [
-            (what, limit.name, [limit.value], free)
-            for what, limits, free in (
-                ("start", self.ends[0], unknown),
-                ("end", self.ends[1], timed),
-                ("bounds or path", self.within, timed),
-            )
-            for limit in limits
-        ]
+        asked = [("start", x.name, [x.value], unknown) for x in self.ends[0]]
+        asked += [("end", x.name, [x.value], timed) for x in self.ends[1]]
+        asked += [("bounds or path", x.name, [x.value], timed) for x in self.within]
         asked += [("conditions", name, [*pair], timed) for name, *pair in self.tied]
         for what, name, values, free in asked:
             if all(self.graph.nodes[node].symbols.isdisjoint(free) for _, node in values):
@@ -324,9 +318,9 @@ class Reading:
                     "as many velocities.\nLeave out those that follow from others."
                 )
             for limit in limits:
-                for value, *pair in bounds:
+                for value, low, high in bounds:
                     if value == limit.value:
-                        _check_overlap(where, limit.name, (limit.low, limit.high), pair)
+                        _check_overlap(where, limit.name, (limit.low, limit.high), (low, high))
 
 
 def _place(what: str, name: str, names: list[str], kind: str) -> int:
