@@ -23,14 +23,11 @@ def arcs_of(result: Any) -> list[dict[Any, float]]:
     for k, (low, high) in read.of_inputs.items():
         if np.isfinite(low) and np.isfinite(high) and low < high:
             labels[:, k] = labels_of((means[:, k] - low) / (high - low))
-    arcs: list[dict[Any, float]] = []
-    for row, _ in groupby(map(tuple, labels.tolist())):
-        arc = {}
-        for k, label in enumerate(row):
-            if label:
-                arc[read.system.inputs[k]] = read.of_inputs[k][label > 0]
-        arcs.append(arc)
-    return arcs
+    inputs, bounds = read.system.inputs, read.of_inputs
+    return [
+        {inputs[k]: bounds[k][label > 0] for k, label in enumerate(row) if label}
+        for row, _ in groupby(map(tuple, labels.tolist()))
+    ]
 
 
 def labels_of(part: Floats) -> Ints:

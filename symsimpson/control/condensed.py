@@ -8,7 +8,6 @@ left is small and dense: inputs, what is free of the start, durations and parame
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -17,9 +16,11 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from symsimpson.control.forward import motions
-from symsimpson.control.ipopt import Outcome, Solvable
+from symsimpson.control.ipopt import Outcome
 from symsimpson.control.layout import Layout
+from symsimpson.control.optimality import hessian
 from symsimpson.control.point_functions import PointFunctions
+from symsimpson.control.scaling import Scaled
 from symsimpson.errors import InputError, SymsimpsonError
 from symsimpson.run.ended import uninterrupted
 from symsimpson.support.array_types import Floats, Ints
@@ -34,20 +35,13 @@ HOW = "Take the full form, condensed=False, in which states are unknowns."
 class Condensed:
     """A programme whose states are eliminated; ``unknowns`` are those of the full form that stay.
 
-    The ``layout`` tells where these stand in x, which has them at a guess; ``motion`` gives them
-    with states that move as the others say. Bounds of states become rows.
+    The ``layout`` tells where these stand in x, which has them at a guess. Bounds of states become
+    rows.
     """
 
-    def __init__(
-        self,
-        programme: Solvable,
-        layout: Layout,
-        motion: Callable[[Floats], Floats],
-        x: Floats,
-        bounds: tuple[Floats, Floats],
-    ) -> None:
+    def __init__(self, programme: Scaled, layout: Layout, x: Floats, bounds: Any) -> None:
         rows, size = programme.shape
-        self._full, self._motion, self._x = programme, motion, x.copy()
+        self._full, self._layout, self._x = programme, layout, x.copy()
         self._states = np.unique([*layout.points[:, 1:].ravel(), *layout.momenta[1:].ravel()])
         self._steps = layout.step_rows.ravel() - 1
         self._rest = np.setdiff1d(np.arange(rows), self._steps)
@@ -98,17 +92,11 @@ class Condensed:
         if "x" not in at:
             return np.full(len(self._upper[0]), np.nan)
         all_rows = self._multipliers(at, cost, multipliers)
-        size = len(at["x"])
-        upper = sparse.csc_matrix(
-            (self._full.curvatures(at["x"], cost, all_rows), self._full.hessian_places),
-            shape=(size, size),
-        )
-        H = upper + upper.T - sparse.diags(upper.diagonal())
+        H = hessian(self._full, at["x"], cost, all_rows).tocsr()
         Z, u, y = self._moved(at), self.unknowns, self._states
         crossed = H[u][:, y] @ Z
         reduced = H[u][:, u].toarray() + crossed + crossed.T + Z.T @ (H[y][:, y] @ Z)
-        lower: Floats = reduced[self._upper]
-        return lower
+        return np.asarray(reduced[self._upper])
 
     def outcome(self, outcome: Outcome) -> Outcome:
         """Return what a solver came to, with all unknowns and multipliers of the full form."""
@@ -119,12 +107,6 @@ class Condensed:
             outcome, x=at["x"], multipliers=self._multipliers(at, 1.0, outcome.multipliers)
         )
 
-    def _slopes(self, x: Floats) -> tuple[Floats, Any]:
-        gradient, entries = self._full.slopes(x)
-        return gradient, sparse.csr_matrix(
-            (entries, self._full.jacobian_places), shape=self._full.shape
-        )
-
     def _at(self, w: Floats) -> dict[str, Any]:
         """Return the motion of unknowns; none if it ends early."""
         if self._last and np.array_equal(self._last["w"], w):
@@ -132,7 +114,8 @@ class Condensed:
         self._last, x = {"w": w.copy()}, self._x.copy()
         x[self.unknowns] = w
         try:
-            x[self._states] = self._motion(x)[self._states]
+            path = moved(self._layout, self._full.outside(x))
+            x[self._states] = self._full.inside(path)[self._states]
             # between ends of steps it is not their own polynomial, but near it
             off, before, at = self._off(x), np.inf, self._factorised(x)
             while CLOSE < (size := np.abs(off).max()) < before / 2:
@@ -150,7 +133,9 @@ class Condensed:
 
     def _factorised(self, x: Floats) -> dict[str, Any]:
         """Return all slopes, and the factors of those of the steps by the states."""
-        gradient, jacobian = self._slopes(x)
+        full = self._full
+        gradient, entries = full.slopes(x)
+        jacobian = sparse.csr_matrix((entries, full.jacobian_places), shape=full.shape)
         factors = splu(jacobian[self._steps][:, self._states].tocsc())
         return {"slopes": (gradient, jacobian), "factors": factors}
 
@@ -184,16 +169,12 @@ def at_start(layout: Layout, x: Floats) -> Floats:
         raise InputError(
             f"{read.system.name} has constraints, and their multipliers are unknowns.\n{HOW}"
         )
-    q, v = x[layout.points[0, 0]], x[layout.velocities[0]]
-    for limit in read.ends[0]:
-        factor, node = limit.value
-        for names, values in ((read.q, q), (read.v, v)):
-            if limit.low == limit.high and node in names:
-                values[names.index(node)] = limit.low / float(factor)
-    at = {**layout.parameter_values(x), **dict(zip([*read.q, *read.v], [*q, *v], strict=True))}
-    momenta = PointFunctions(read.graph, read.q, read.momenta)
-    x[layout.points[0, 0]], x[layout.velocities[0]] = q, v
-    x[layout.momenta[0]] = momenta.values({**at, read.t: 0.0}, 1)[:, 0]
+    places = np.concatenate([layout.points[0, 0], layout.velocities[0]])
+    state = dict(zip([*read.q, *read.v], x[places], strict=True)) | read.fixed(0)
+    x[places] = [*state.values()]
+    momenta = PointFunctions(read.graph, [], read.momenta)
+    at = {**layout.parameter_values(x), **state, read.t: 0.0}
+    x[layout.momenta[0]] = momenta.values(at, 1)[:, 0]
     return x
 
 

@@ -71,13 +71,18 @@ def pressed(read: Reading, end: int, limits: Iterable[Limits]) -> list[bool]:
 
     Rows that say it again have no room beside these, and take multipliers their bound.
     """
-    graph, given, flags = read.graph, numbers_at(read, end), []
+    given, flags = numbers_at(read, end), []
     for limit in limits:
-        (there,) = rebuilt(graph, [limit.value], given)
-        known = not there[0] or not graph.nodes[there[1]].symbols
-        off = np.subtract([limit.low, limit.high], read.number(there) if known else np.nan)
-        flags.append(bool(known and np.abs(off).min() <= _rounding(read, limit.value, given)))
+        off = np.subtract([limit.low, limit.high], _number(read, limit.value, given))
+        flags.append(bool(np.abs(off).min() <= _rounding(read, limit.value, given)))
     return flags
+
+
+def _number(read: Reading, value: Value, given: dict[int, Value]) -> float:
+    """Return a value where numbers are given; NaN if something else stands in it."""
+    (there,) = rebuilt(read.graph, [value], given)
+    known = not there[0] or not read.graph.nodes[there[1]].symbols
+    return read.number(there) if known else np.nan
 
 
 def _rounding(read: Reading, value: Value, given: dict[int, Value]) -> float:
@@ -103,9 +108,8 @@ def implied(read: Reading, end: int, values: Iterable[tuple[str, Value]]) -> lis
     tied = {last[1]: (-c, n) for _, last, (c, n) in read.tied if end and last[0] == 1}
     flags = []
     for name, value in values:
-        (there,) = rebuilt(graph, [value], given)
-        known = not there[0] or not graph.nodes[there[1]].symbols
-        if known and abs(off := read.number(there)) > _rounding(read, value, given):
+        off = _number(read, value, given)
+        if abs(off) > _rounding(read, value, given):
             raise InputError(
                 f"{('start', 'end')[end]} contradicts the constraint {name!r}: what is to be 0 is "
                 f"{off:.3g} there.\nGive values that satisfy it, as system.consistent(q0, v0) "
@@ -114,7 +118,7 @@ def implied(read: Reading, end: int, values: Iterable[tuple[str, Value]]) -> lis
         # one that has the same form in the state of the start, where it holds
         moved = graph.nodes[value[1]].symbols & {*read.q, *read.v, read.t}
         same = moved <= tied.keys() and rebuilt(graph, [value], tied) == [value]
-        flags.append(known or (bool(moved) and same))
+        flags.append(not np.isnan(off) or (bool(moved) and same))
     return flags
 
 
@@ -225,8 +229,7 @@ def projected(layout: Any, q: Floats, p: Floats, values: dict[int, Any]) -> Floa
         v = np.linalg.solve(matrix, right[..., None])[:, :n]
     except np.linalg.LinAlgError:  # a constraint without a slope, where an iterate stands
         v = (np.linalg.pinv(matrix) @ right[..., None])[:, :n]
-    momenta: Floats = (slopes[:, :n] @ v)[..., 0] + rest[:, :n]
-    return momenta
+    return np.asarray((slopes[:, :n] @ v)[..., 0] + rest[:, :n])
 
 
 def turned(layout: Any, q: Floats, along: Floats, by_p: Floats, values: dict[int, Any]) -> Floats:
@@ -243,5 +246,4 @@ def turned(layout: Any, q: Floats, along: Floats, by_p: Floats, values: dict[int
     rows = PointFunctions(graph, read.v, moved).jacobian(at, count)
     weights = np.einsum("kac,ka->kc", np.linalg.pinv(rows), along)
     slopes = PointFunctions(graph, read.q, moved).jacobian(at, count)
-    by_q: Floats = np.einsum("kc,kca->ka", weights, slopes)
-    return by_q
+    return np.asarray(np.einsum("kc,kca->ka", weights, slopes))

@@ -30,41 +30,36 @@ def motions(
 
     There may be several steps for each of the layout, inputs for each of them.
     """
-    read, refine = layout.read, len(inputs) // layout.steps
-    stepper, sizes = layout.stepper, layout.sizes(x) / refine
-    parameters = dict(zip(read.found_names, x[layout.parameters].tolist(), strict=True))
-    begin, (q, p) = layout.grid.times(layout.sizes(x)), state
-    for phase, h in zip(layout.grid.slices, sizes, strict=True):
-        first, last = phase.start * refine, phase.stop * refine
-        run = stepper.integrate(
-            q,
-            p0=p,
-            h=float(h),
-            steps=last - first,
-            t0=float(begin[phase.start]),
-            inputs={name: inputs[first:last, :, j] for j, name in enumerate(read.inputs)} or None,
-            parameters=parameters or None,
-            **how,
-        )
+    q, p = state
+    for _, phase in _phases(layout, x, inputs):
+        run = layout.stepper.integrate(q, p0=p, **phase, **how)
         yield run
         q, p = run.q[-1], run.p[-1]
+
+
+def _phases(layout: Layout, x: Floats, inputs: Floats) -> Iterator[tuple[slice, dict[str, Any]]]:
+    """Give the steps of each phase, and what runs take in it, with inputs at the nodes of steps."""
+    read, grid, refine = layout.read, layout.grid, len(inputs) // layout.steps
+    sizes = layout.sizes(x)
+    parameters = dict(zip(read.found_names, x[layout.parameters].tolist(), strict=True))
+    begin = grid.times(sizes)
+    for phase, h in zip(grid.slices, sizes, strict=True):
+        values = inputs[phase.start * refine : phase.stop * refine]
+        of_names = {name: values[..., j] for j, name in enumerate(read.inputs)}
+        given = {"h": float(h) / refine, "steps": len(values), "t0": float(begin[phase.start])}
+        yield phase, {**given, "inputs": of_names or None, "parameters": parameters or None}
 
 
 def simulated(result: Any, refine: int) -> tuple[Any, float]:
     """Run the inputs of a solution with finer steps; return the runs, and how far off they end."""
     layout, refine = result.layout, read_count("refine", refine, least=1)
-    start = result.q[0], result.p[0]
-    runs = tuple(motions(layout, result.x, start, refined(result, refine)))
-    motion: Any = runs[0] if len(runs) == 1 else runs
-    return motion, float(np.abs(runs[-1].q[-1] - result.q[-1]).max())
-
-
-def refined(result: Any, refine: int) -> Floats:
-    """Return inputs at the nodes of finer steps, each by the polynomial of its own step."""
-    layout = result.layout
+    # inputs at the nodes of finer steps, each by the polynomial of its own step
     places = (np.arange(refine)[:, None] + layout.c) / refine
     values = np.einsum("rsi,kim->krsm", lagrange(layout.c, places), result.input_values)
-    return values.reshape(layout.steps * refine, layout.nodes, -1)
+    inputs = values.reshape(layout.steps * refine, layout.nodes, -1)
+    runs = tuple(motions(layout, result.x, (result.q[0], result.p[0]), inputs))
+    motion: Any = runs[0] if len(runs) == 1 else runs
+    return motion, float(np.abs(runs[-1].q[-1] - result.q[-1]).max())
 
 
 def gains(result: Any, Q: ArrayLike, R: ArrayLike, of: Any = ("q", "p")) -> Floats:
@@ -133,18 +128,10 @@ def _weights(name: str, given: ArrayLike, size: int, of: str) -> Floats:
 
 def linearised(result: Any) -> Iterator[tuple[Floats, Floats]]:
     """Give how the states at the ends of steps depend on those before, and on inputs held."""
-    layout, names, q, p = result.layout, result.layout.read.inputs, result.q, result.p
-    stepper, t = layout.stepper, result.t
-    for phase, h in zip(layout.grid.slices, layout.sizes(result.x), strict=True):
-        linear = stepper.linearise(
-            q[phase.start],
-            p0=p[phase.start],
-            h=float(h),
-            steps=phase.stop - phase.start,
-            t0=float(t[phase.start]),
-            inputs={name: result.input_values[phase, :, j] for j, name in enumerate(names)},
-            parameters=result.unknowns or None,
-            wrt=list(layout.read.system.inputs),
-        )
+    layout, q, p = result.layout, result.q, result.p
+    names, symbols = layout.read.inputs, list(layout.read.system.inputs)
+    for phase, given in _phases(layout, result.x, result.input_values):
+        k = phase.start
+        linear = layout.stepper.linearise(q[k], p0=p[k], **given, wrt=symbols)
         by_input = [linear.by_input[name].sum(axis=-1) for name in names]
         yield linear.by_state, np.stack(by_input, axis=-1)

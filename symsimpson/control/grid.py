@@ -42,11 +42,6 @@ class Grid:
         return [slice(end - n, end) for end, n in zip(ends, self.steps, strict=True)]
 
     @property
-    def as_given(self) -> int | tuple[int, ...]:
-        """The number of steps, of each phase if there are several."""
-        return self.steps if len(self.steps) > 1 else self.count
-
-    @property
     def halved(self) -> Grid:
         """The same phases in steps of half the size."""
         return Grid(tuple(2 * n for n in self.steps))
@@ -58,13 +53,11 @@ class Grid:
         """
         offset = k[..., None] - [steps.start for steps in self.slices]
         within = (offset >= 0) & (offset < self.steps)
-        counts: Floats = np.clip(offset, 0, self.steps) + within * place[..., None]
-        return counts
+        return np.asarray(np.clip(offset, 0, self.steps) + within * place[..., None])
 
     def times(self, sizes: Floats) -> Floats:
         """Return the times of the ends of steps, shape (N + 1,), for the size of each phase's."""
-        times: Floats = self.before(np.arange(self.count + 1), np.zeros(self.count + 1)) @ sizes
-        return times
+        return np.asarray(self.before(np.arange(self.count + 1), np.zeros(self.count + 1)) @ sizes)
 
 
 def read_grid(steps: Any, phases: int, most: int = MOST_STEPS) -> Grid:

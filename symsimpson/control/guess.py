@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -58,10 +59,10 @@ def initial_point(layout: Layout, guess: Any) -> Floats:
     ends_of_steps, h = grid.times(sizes), sizes[grid.phase]
     starts = ends_of_steps[:-1]
     times = starts[:, None] + h[:, None] * layout.places
-    ends = [_fixed_coordinates(limits, read) for limits in read.ends]
-    for a, name in enumerate(read.names):
-        first = ends[0].get(name, ends[1].get(name, 0.0))
-        last = ends[1].get(name, first)
+    at_start, at_end = read.fixed(0), read.fixed(1)
+    for a, (name, node) in enumerate(zip(read.names, read.q, strict=True)):
+        first = at_start.get(node, at_end.get(node, 0.0))
+        last = at_end.get(node, first)
         line = functions.get(
             name, lambda t, first=first, last=last: first + (last - first) * t / whole
         )
@@ -115,8 +116,10 @@ def _with_momenta(layout: Layout, x: Floats) -> Floats:
     read, x, known, sizes = layout.read, x.copy(), layout.parameter_values(x), layout.sizes(x)
     x[layout.points] = q = onto(layout, x[layout.points], known)
     h = sizes[layout.grid.phase]
-    # momenta of the path at the ends of steps
-    at_start, at_end = (np.array(row, dtype=np.float64) for row in layout.end_slopes)
+    # momenta of the path at the ends of steps; slopes of a step's polynomials add up to 0
+    further = np.array(layout.scheme.end_slope, dtype=np.float64)
+    at_end = np.array([-further.sum(), *further])
+    at_start = -at_end[::-1]
     v = np.concatenate([at_start @ q / h[:, None], (at_end @ q[-1])[None] / h[-1]])
     at = np.concatenate([q[:, 0], q[-1:, -1]])
     momenta = PointFunctions(read.graph, [], read.momenta)
@@ -149,10 +152,7 @@ def bent(layout: Layout, x: Floats) -> list[Floats]:
     read, q, ends = layout.read, x[layout.points], layout.grid.times(layout.sizes(x))
     off, lengths = violation(layout, x), sizes_at(layout, x)[0][layout.points[0, 0]]
     s = (ends[:-1, None] + np.diff(ends)[:, None] * layout.places)[..., None] / ends[-1] * np.pi
-    first, last = (
-        np.array([name in _fixed_coordinates(limits, read) for name in read.names])
-        for limits in read.ends
-    )
+    first, last = (np.array([node in read.fixed(end) for node in read.q]) for end in (0, 1))
     turn = np.where(first & last, np.cos(s), np.where(last, np.sin(s / 2), np.cos(s / 2)))
     wave = np.where(first | last, 1 - turn**2, 1.0)
     shapes = [wave, wave * np.cos(s) * TWICE]
@@ -166,30 +166,19 @@ def bent(layout: Layout, x: Floats) -> list[Floats]:
         if np.linalg.norm(side) > PARALLEL:
             across.append(side / np.linalg.norm(side))
     guesses: list[tuple[float, int, float, Floats]] = []
-    for side in across[bool(reach) :][:MOST_SIDES]:
-        for shape in shapes:
-            for sign in (1.0, -1.0):
-                trials = []
-                for far in AMPLITUDES:
-                    trial = x.copy()
-                    trial[layout.points] += sign * far * (reach or 1.0) * lengths * side * shape
-                    trial = _with_momenta(layout, trial)
-                    trials.append((violation(layout, trial), len(guesses), far, trial))
-                guesses.append(min(trials, key=lambda trial: trial[:3]))
+    sides = across[bool(reach) :][:MOST_SIDES]
+    for side, shape, sign in product(sides, shapes, (1.0, -1.0)):
+        trials = []
+        for far in AMPLITUDES:
+            trial = x.copy()
+            trial[layout.points] += sign * far * (reach or 1.0) * lengths * side * shape
+            trial = _with_momenta(layout, trial)
+            trials.append((violation(layout, trial), len(guesses), far, trial))
+        guesses.append(min(trials, key=lambda trial: trial[:3]))
     guesses.sort(key=lambda trial: trial[:2])
     least = guesses[0][0] if guesses else off
     most = least + PART * (off - least)
     return [trial for left, *_, trial in guesses[:MOST_BENT] if left < off and left <= most]
-
-
-def _fixed_coordinates(limits: Any, read: Any) -> dict[str, float]:
-    """Return the coordinates that conditions factor * q = value fix at an end, by name."""
-    return {
-        read.names[read.q.index(node)]: limit.low / float(factor)
-        for limit in limits
-        for factor, node in [limit.value]
-        if limit.low == limit.high and node in read.q
-    }
 
 
 def _number(name: str, given: Any) -> float:

@@ -18,17 +18,10 @@ __all__ = ["Outcome", "Solvable", "run_ipopt"]
 class Solvable(Protocol):
     """A programme as a solver sees it: see :class:`transcription.Programme`."""
 
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Numbers of rows and of unknowns."""
-
-    @property
-    def jacobian_places(self) -> tuple[Ints, Ints]:
-        """Rows and columns of the entries of the Jacobian."""
-
-    @property
-    def hessian_places(self) -> tuple[Ints, Ints]:
-        """Rows and columns of the entries of the Hessian, on and above the diagonal."""
+    shape: tuple[int, int]  #: Numbers of rows and of unknowns.
+    jacobian_places: tuple[Ints, Ints]  #: Rows and columns of the entries of the Jacobian.
+    #: Rows and columns of the entries of the Hessian, on and above the diagonal.
+    hessian_places: tuple[Ints, Ints]
 
     def values(self, x: Floats) -> tuple[float, Floats]:
         """Return the cost and the rows."""

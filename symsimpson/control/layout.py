@@ -50,6 +50,8 @@ class Layout:
             np.array(x, dtype=np.float64)
             for x in (scheme.quadrature.weights, scheme.quadrature.nodes, scheme.points)
         )
+        #: At which nodes the path is a control point.
+        self._alone = np.asarray((np.abs(self.A) > 0).sum(axis=1) == 1)
         n, m, d, s = len(read.q), len(read.u), self.A.shape[1] - 1, len(self.b)
         self.n, self.degree, self.nodes, N = n, d, s, self.steps
         block = d * n + n  # control points of a step but for the last, and the momentum
@@ -129,29 +131,15 @@ class Layout:
                     bound(point[a], (-np.inf, np.inf))
         for place, pair in zip(self.parameters, read.found_bounds, strict=True):
             bound(place, pair)
-        if len(self.h) == 1:
-            low[self.h], high[self.h] = (x / self.steps for x in read.duration)
+        shortest = (SHORTEST if len(self.h) > 1 else 1.0) * read.duration[0]
         for place, n in zip(self.h, self.grid.steps, strict=False):
-            if len(self.h) > 1:
-                low[place], high[place] = SHORTEST * read.duration[0] / n, read.duration[1] / n
+            bound(place, (shortest / n, read.duration[1] / n))
         return low, high
 
     def sizes(self, x: Floats) -> Floats:
         """Return the size of the steps of each phase."""
         given = np.array([self.read.duration[0] / self.steps])
         return x[self.h] if len(self.h) else given
-
-    @property
-    def end_slopes(self) -> tuple[Any, Any]:
-        """The slopes of the polynomials of a step at its start and at its end."""
-        further = self.scheme.end_slope  # of the points behind the first: slopes add up to 0
-        last = [-sum(further), *further]
-        return [-x for x in reversed(last)], last
-
-    @property
-    def _alone(self) -> NDArray[np.bool_]:
-        """At which nodes the path is a control point."""
-        return np.asarray((np.abs(self.A) > 0).sum(axis=1) == 1)
 
     @cached_property
     def programme(self) -> tuple[Programme, Floats, Floats]:
@@ -171,21 +159,16 @@ class Layout:
             (rows.data, (rows.at, rows.columns)), shape=(rows.count, self.size)
         )
         self.names, self.scales = rows.names, np.concatenate(rows.scales)
-        full_blocks = [self._block(rows.count, *block) for block in blocks]
+        full_blocks = []
+        for functions, maps, fixed, parts in blocks:
+            shape = rows.count, maps[0].shape[0]
+            of_rows = [sparse.csr_matrix((x, (at, point)), shape=shape) for at, point, x in parts]
+            for matrix in of_rows:
+                matrix.eliminate_zeros()
+            full_blocks.append(Block(functions, maps, of_rows, fixed))
         programme = Programme(full_blocks, linear)
         low, high = (np.concatenate(x) for x in (rows.low, rows.high))
         return programme, low, high
-
-    @staticmethod
-    def _block(total: int, functions: PointFunctions, maps: Any, fixed: Any, parts: Any) -> Block:
-        """Return a block whose functions have these parts (row, point, number) in all rows."""
-        count = maps[0].shape[0]
-        matrices = [
-            sparse.csr_matrix((x, (at, point)), shape=(total, count)) for at, point, x in parts
-        ]
-        for matrix in matrices:
-            matrix.eliminate_zeros()
-        return Block(functions, maps, matrices, fixed)
 
     def _timed(self, k: Ints, places: Floats, h: int | None) -> tuple[list[int], list[Any], Any]:
         """Return the time at places in steps, and their size: as unknowns with maps, or as given.
@@ -215,25 +198,20 @@ class Layout:
 
     def of(self, columns: Any, count: int | None = None) -> Any:
         """Return the matrix that takes unknowns to points, one each."""
-        count = len(columns) if count is None else count
-        data = np.ones(count)
-        return sparse.csr_matrix(
-            (data, (np.arange(count), np.broadcast_to(columns, count))), shape=(count, self.size)
-        )
+        columns = np.broadcast_to(columns, len(columns) if count is None else count)
+        at = np.arange(len(columns))
+        return sparse.csr_matrix((np.ones(len(at)), (at, columns)), shape=(len(at), self.size))
 
     def on_path(self, table: Floats, k: Ints) -> list[Any]:
         """Return the matrices of coordinates at points of steps k, by rows of a table."""
-        count, width = table.shape
-        matrices = []
-        for a in range(self.n):
-            columns = self.points[k, :, a].ravel()
-            matrix = sparse.csr_matrix(
-                (table.ravel(), (np.repeat(np.arange(count), width), columns)),
-                shape=(count, self.size),
+        at, nodes = np.nonzero(table)
+        return [
+            sparse.csr_matrix(
+                (table[at, nodes], (at, self.points[k[at], nodes, a])),
+                shape=(len(table), self.size),
             )
-            matrix.eliminate_zeros()
-            matrices.append(matrix)
-        return matrices
+            for a in range(self.n)
+        ]
 
     def block(
         self, values: Any, variables: Any, maps: Any, k: Ints, places: Floats, by_h: int = 0
@@ -306,11 +284,6 @@ class Layout:
         flags = [pressed(self.read, end, self.read.within) for end in (0, 1)]
         return np.array(flags, dtype=bool).reshape(2, -1)
 
-    def _driven(self, value: Value) -> bool:
-        """Return whether something that is known at nodes alone stands in a value."""
-        of_nodes = {*self.read.u, *self.read.signals}
-        return not self.read.graph.nodes[value[1]].symbols.isdisjoint(of_nodes)
-
     def _ends(self, rows: Rows) -> list[Any]:
         """Return the functions at both ends: momenta, conditions, and the final cost."""
         read, graph, blocks = self.read, self.read.graph, []
@@ -327,16 +300,21 @@ class Layout:
             ]
             final = [read.final] if end else []
             of_both = [values[1 - end] for _, *values in ties]
-            # the velocities of the ends are unknowns of their own
-            inside = [
-                x
-                for x, out in zip(read.within, self._pressed[end], strict=True)
-                if x.low < x.high and not out and not self._driven(x.value)
-            ]
             left_out = self.following.conditions[end]
             limits = [x for x, out in zip(limits, left_out, strict=True) if not out]
-            limits += self._held(end)
-            values = [*legendre, *final, *(x.value for x in (*limits, *inside)), *of_both]
+            limits += [
+                Limits(f"constraint {held!r}", value, 0.0, 0.0)
+                for k, (held, value) in enumerate(held_values(read))
+                if not (self.following.constraints[end][k] or (end and k < len(read.held.phi)))
+            ]
+            # the velocities of the ends are unknowns of their own
+            limits += [
+                x
+                for x, out in zip(read.within, self._pressed[end], strict=True)
+                if x.low < x.high and not out
+                if graph.nodes[x.value[1]].symbols.isdisjoint({*read.u, *read.signals})
+            ]
+            values = [*legendre, *final, *(x.value for x in limits), *of_both]
             variables = [*read.q, *read.v, *read.p, *(read.parameters[i] for i in read.found)]
             unknown = [*point, *self.velocities[end], *self.momenta[-end], *self.parameters]
             if end:
@@ -345,21 +323,10 @@ class Layout:
             timed, timed_maps, fixed = self._timed(np.array([end * self.steps]), np.zeros(1), None)
             at = list(rows.add(self.n, 0.0, 0.0, f"momentum at the {name}"))
             at += [0] * len(final)
-            at += [
-                rows.add(1, x.low, x.high, f"{x.name} at the {name}")[0] for x in (*limits, *inside)
-            ]
+            at += [rows.add(1, x.low, x.high, f"{x.name} at the {name}")[0] for x in limits]
             at += tied
             maps = [*(self.of(x, 1) for x in unknown), *timed_maps]
             parts = [([row], [0], [1.0]) for row in at]
             functions = PointFunctions(graph, [*variables, *timed], values)
             blocks.append((functions, maps, fixed, parts))
         return blocks
-
-    def _held(self, end: int) -> list[Limits]:
-        """Return the constraints of an end that its own conditions, or steps, do not imply."""
-        read, out = self.read, self.following.constraints[end]
-        return [
-            Limits(f"constraint {name!r}", value, 0.0, 0.0)
-            for k, (name, value) in enumerate(held_values(read))
-            if not (out[k] or (end and k < len(read.held.phi)))
-        ]

@@ -17,7 +17,7 @@ from scipy.sparse.linalg import splu
 from symsimpson.control.ipopt import Outcome, Solvable
 from symsimpson.support.array_types import Floats
 
-__all__ = ["creeping", "downhill", "optimal"]
+__all__ = ["creeping", "downhill", "hessian", "optimal"]
 
 #: Slopes of the Lagrangian are 0 below this part of the largest one of the cost, and what rows
 #: and bounds could still change of it below that part of the cost. Measured: up to 5e-8 where an
@@ -132,11 +132,7 @@ def downhill(programme: Solvable, outcome: Outcome, bounds: Any, limits: Any) ->
     slopes = sparse.csr_matrix((entries, programme.jacobian_places), shape=programme.shape)
     free = ~_held(gradient + slopes.T @ outcome.multipliers, x, bounds)
     held = slopes[_held(outcome.multipliers, rows, limits)][:, free]
-    upper = sparse.csr_matrix(
-        (programme.curvatures(x, 1.0, outcome.multipliers), programme.hessian_places),
-        shape=(len(x), len(x)),
-    )
-    curved = (upper + upper.T - sparse.diags(upper.diagonal()))[free][:, free]
+    curved = hessian(programme, x, 1.0, outcome.multipliers)[free][:, free]
     if not held.shape[1] or not all(np.isfinite(a.data).all() for a in (held, curved)):
         return None
     largest = bent[-1] or BENT * np.abs(curved.data).max(initial=0.0)
@@ -150,6 +146,13 @@ def downhill(programme: Solvable, outcome: Outcome, bounds: Any, limits: Any) ->
             step[free] = ASIDE * way
             return step
     return None
+
+
+def hessian(programme: Solvable, x: Floats, cost: float, multipliers: Floats) -> Any:
+    """Return the whole Hessian of cost times the cost, and multipliers times the rows."""
+    entries = programme.curvatures(x, cost, multipliers), programme.hessian_places
+    upper = sparse.csr_matrix(entries, shape=(len(x), len(x)))
+    return upper + upper.T - sparse.diags(upper.diagonal())
 
 
 def _bent_down(curved: Any, held: Any, shift: float) -> Floats | None:

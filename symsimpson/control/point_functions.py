@@ -148,10 +148,9 @@ def lagrange_slopes(places: Floats, at: Floats) -> Floats:
     """Return the slopes of these polynomials, last axis."""
     slopes = []
     for x in places:
-        others = places[places != x]
-        slope = 0.0 * at
-        for y in others:
-            rest = others[others != y]
-            slope += np.prod([(at - z) / (x - z) for z in rest], axis=0) / (x - y)
-        slopes.append(slope)
+        rest = places[places != x]
+        parts = [
+            np.prod([(at - z) / (x - z) for z in rest if z != y], axis=0) / (x - y) for y in rest
+        ]
+        slopes.append(sum(parts, 0.0 * at))
     return np.stack(slopes, axis=-1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from numbers import Real
@@ -25,7 +24,7 @@ from symsimpson.mechanics.plain import Symbols
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
-from symsimpson.support.names import did_you_mean, shortened, spelled
+from symsimpson.support.names import did_you_mean, spelled
 
 __all__ = ["Limits", "Reading", "read_family"]
 
@@ -52,7 +51,6 @@ class Reading:
         system = self.system = problem.system
         plain = system.plain
         signals = read_signals(system, problem.signals)
-        self._signals: set[Any] = {*signals}
         self.symbols = Symbols(system.coordinates, system.parameters, (*system.inputs, *signals))
         graph = self.graph = Graph()
         self.q, self.v, self.p, self.u, self.parameters = (
@@ -114,6 +112,14 @@ class Reading:
                         extents[place] = max(extents[place], largest)
         return extents
 
+    def fixed(self, end: int) -> dict[int, float]:
+        """Return coordinates and velocities that factor * x = value fixes at an end, by nodes."""
+        return {
+            limit.value[1]: limit.low / float(limit.value[0])
+            for limit in self.ends[end]
+            if limit.low == limit.high and limit.value[1] in (*self.q, *self.v)
+        }
+
     @property
     def found_names(self) -> list[str]:
         """Names of the parameters that are found."""
@@ -131,14 +137,11 @@ class Reading:
         if isinstance(expression, str):
             expression = self._named(what, expression, ends)
         if isinstance(expression, Real) and not isinstance(expression, (sp.Basic, bool)):
-            if isinstance(expression, np.generic):  # in its own precision there may be no size
-                expression = expression.item()
-            size = cast(Any, abs(expression))
-            if not size <= sys.float_info.max:  # as NaN and huge integers are not, either
-                raise InputError(f"the {what} is {shortened(expression)}.\nPass a finite number.")
-            expression = sp.Rational(repr(float(expression)))  # as it is written
+            number, _ = read_pair(f"the {what}", expression, "a finite number")
+            expression = sp.Rational(repr(number))  # as it is written
         symbols = self.symbols
-        known = expression.free_symbols & self._signals if isinstance(expression, sp.Basic) else ()
+        of_signals = {symbol for symbol, _ in self.signals.values()}
+        known = expression.free_symbols & of_signals if isinstance(expression, sp.Basic) else ()
         if ends and known:
             raise InputError(
                 f"the {what} contains the signal {min(map(str, known))}, which is known within the "
@@ -206,13 +209,8 @@ class Reading:
         symbols = list(self.system.parameters)
         names = [*map(spelled, symbols)]
         for name, _, bounds in read_mapping("unknowns", given, "pairs by symbol: {m: (1, 2)}"):
-            if name not in names:
-                raise InputError(
-                    f"unknowns names {name!r}, which is no parameter."
-                    f"{did_you_mean(name, names)}\n{self.system.name} has "
-                    f"{', '.join(names) or 'none'}."
-                )
-            place, pair = names.index(name), read_pair(f"unknowns[{name}]", bounds)
+            place = _place("unknowns", name, names, "parameter")
+            pair = read_pair(f"unknowns[{name}]", bounds)
             sign = symbols[place]
             if (sign.is_positive or sign.is_nonnegative) and pair[0] < 0:
                 raise InputError(
@@ -283,19 +281,10 @@ class Reading:
             what = f"phases[{number}]"
             phases.append({})
             for name, _, bounds in read_mapping(what, phase, "numbers or pairs by inputs: {u: 1}"):
-                if name not in self.inputs:
-                    raise InputError(
-                        f"{what} names {name!r}, which is no input."
-                        f"{did_you_mean(name, self.inputs)}\nIt bounds inputs: "
-                        f"{', '.join(self.inputs) or 'the system has none'}."
-                    )
-                place, (low, high) = self.inputs.index(name), read_pair(f"{what}[{name}]", bounds)
+                place = _place(what, name, self.inputs, "input")
+                low, high = read_pair(f"{what}[{name}]", bounds)
                 least, most = self.of_inputs.get(place, (-np.inf, np.inf))
-                if low > most or high < least:
-                    raise InputError(
-                        f"{what} has {name} in ({low:g}, {high:g}), outside of its bounds "
-                        f"({least:g}, {most:g}).\nWiden these, or stay within."
-                    )
+                _check_overlap(what, name, (low, high), (least, most))
                 phases[-1][place] = max(low, least), min(high, most)
         return phases or [{}]
 
@@ -303,15 +292,9 @@ class Reading:
         """Refuse conditions on what is given."""
         unknown = {*self.q, *self.v, *self.u, *(self.parameters[i] for i in self.found)}
         timed = unknown | ({self.t} if self.duration[0] < self.duration[1] else set())
-        asked = [
-            (what, limit.name, [limit.value], free)
-            for what, limits, free in (
-                ("start", self.ends[0], unknown),
-                ("end", self.ends[1], timed),
-                ("bounds or path", self.within, timed),
-            )
-            for limit in limits
-        ]
+        asked = [("start", x.name, [x.value], unknown) for x in self.ends[0]]
+        asked += [("end", x.name, [x.value], timed) for x in self.ends[1]]
+        asked += [("bounds or path", x.name, [x.value], timed) for x in self.within]
         asked += [("conditions", name, [*pair], timed) for name, *pair in self.tied]
         for what, name, values, free in asked:
             if all(self.graph.nodes[node].symbols.isdisjoint(free) for _, node in values):
@@ -335,17 +318,30 @@ class Reading:
                     "as many velocities.\nLeave out those that follow from others."
                 )
             for limit in limits:
-                shown = (
-                    f"{limit.low:g}"
-                    if limit.low == limit.high
-                    else f"({limit.low:g}, {limit.high:g})"
-                )
                 for value, low, high in bounds:
-                    if value == limit.value and (limit.high < low or limit.low > high):
-                        raise InputError(
-                            f"{where} has {limit.name} = {shown}, outside of its bounds "
-                            f"({low:g}, {high:g}).\nWiden them, or {where} within."
-                        )
+                    if value == limit.value:
+                        _check_overlap(where, limit.name, (limit.low, limit.high), (low, high))
+
+
+def _place(what: str, name: str, names: list[str], kind: str) -> int:
+    """Return the place of a name; raises InputError if there is none."""
+    if name not in names:
+        raise InputError(
+            f"{what} names {name!r}, which is no {kind}.{did_you_mean(name, names)}\n"
+            f"The system has {', '.join(names) or 'none'}."
+        )
+    return names.index(name)
+
+
+def _check_overlap(what: str, name: str, given: Any, bounds: Any) -> None:
+    """Raise InputError if no number between two given ones lies within bounds."""
+    (low, high), (least, most) = given, bounds
+    if low > most or high < least:
+        shown = f"{low:g}" if low == high else f"({low:g}, {high:g})"
+        raise InputError(
+            f"{what} has {name} = {shown}, outside of its bounds ({least:g}, {most:g}).\n"
+            f"Widen the bounds, or give {what} within."
+        )
 
 
 def read_family(scheme: Any) -> Scheme:

@@ -350,7 +350,7 @@ class ControlResult:
             If the name does not end in ``.npz``.
         """
         text: dict[str, Any] = {name: getattr(self, name) for name in SAVED}
-        text |= {"scheme": self.layout.scheme.name, "steps": self.layout.grid.as_given}
+        text |= {"scheme": self.layout.scheme.name, "steps": self.layout.grid.steps}
         write_solution(path, text | {"status": self.status.name}, self.x, self.multipliers)
 
     def plot(self) -> Any:

@@ -109,8 +109,8 @@ def violations(layout: Layout, x: Floats) -> Floats:
     """Return how far rows are outside of their bounds, in units of their sizes."""
     programme, low, high = layout.programme
     rows = programme.values(x)[1]
-    off: Floats = np.maximum(np.maximum(low - rows, rows - high), 0.0) / sizes_at(layout, x)[1]
-    return off
+    outside = np.maximum(np.maximum(low - rows, rows - high), 0.0)
+    return np.asarray(outside / sizes_at(layout, x)[1])
 
 
 @np.errstate(all="ignore")  # a search may end far away

@@ -128,11 +128,7 @@ def _solved(
     form: Scaled | Condensed = scaled_form
     begun = scaled_form.inside(x0)
     if condensed:
-
-        def motion(x: Floats) -> Floats:
-            return scaled_form.inside(moved(layout, scaled_form.outside(x)))
-
-        form = Condensed(scaled_form, layout, motion, begun, bounds)
+        form = Condensed(scaled_form, layout, begun, bounds)
         begun = form.inside(begun)
         bounds, limits = form.bounds(bounds, limits)
 
@@ -234,11 +230,8 @@ def opened(read: Reading, path: str | os.PathLike[str], scheme: Any) -> ControlR
 
 
 def _as_grid(steps: Any) -> Grid:
-    """Return the grid of the numbers of steps that a file holds; raises ValueError."""
-    try:
-        return read_grid(steps, len(steps) if isinstance(steps, list) else 1, most=MOST_STEPS)
-    except InputError as error:
-        raise ValueError(str(error)) from None
+    """Return the grid of the numbers of steps that a file holds."""
+    return read_grid(steps, len(steps) if isinstance(steps, list) else 1, most=MOST_STEPS)
 
 
 def _warn_of_undetermined_inputs(read: Reading, scheme: Scheme) -> None:

@@ -57,13 +57,11 @@ class Block:
 
     def weights(self, rows: Floats) -> Floats:
         """Return the weights of the functions at each point, of weighted rows."""
-        weights: Floats = (self._stacked[2] @ rows).reshape(-1, self.count)
-        return weights
+        return np.asarray(self._stacked[2] @ rows).reshape(-1, self.count)
 
     def values(self, at: dict[int, Any]) -> Floats:
         """Return what the block has in each row."""
-        values: Floats = self._stacked[1] @ self.functions.values(at, self.count).ravel()
-        return values
+        return np.asarray(self._stacked[1] @ self.functions.values(at, self.count).ravel())
 
     def slopes(self, at: dict[int, Any]) -> Floats:
         """Return the slopes at the points, one after the other."""
@@ -142,8 +140,7 @@ class _Pattern:
 
     def __call__(self, numbers: Sequence[Floats]) -> Floats:
         """Return the entries, by columns."""
-        entries: Floats = self._linear @ np.concatenate(numbers) + self._constant
-        return entries
+        return np.asarray(self._linear @ np.concatenate(numbers) + self._constant)
 
 
 class Programme:
@@ -175,38 +172,42 @@ class Programme:
         self._hessian = _Pattern(curved, (x, x))
         self.hessian_places: tuple[Ints, Ints] = (self._hessian.row, self._hessian.column)
         self.shape: tuple[int, int] = (g - 1, x)
-        self._last: Any = None
+        #: The last unknowns, their points, and what was asked for there.
+        self._x: Floats | None = None
+        self._points: list[dict[int, Any]] = []
+        self._values: tuple[float, Floats] | None = None
+        self._slopes: tuple[Floats, Floats] | None = None
 
     def values(self, x: Floats) -> tuple[float, Floats]:
         """Return the cost and the rows."""
-        if "values" not in self._at(x):
+        points = self._at(x)
+        if self._values is None:
             rows = self._linear @ x
-            for block, at in zip(self.blocks, self._last["points"], strict=True):
+            for block, at in zip(self.blocks, points, strict=True):
                 rows += block.values(at)
-            self._last["values"] = float(rows[0]), rows[1:]
-        values: tuple[float, Floats] = self._last["values"]
-        return values
+            self._values = float(rows[0]), rows[1:]
+        return self._values
 
     def slopes(self, x: Floats) -> tuple[Floats, Floats]:
         """Return the gradient of the cost, and the entries of the Jacobian."""
-        if "slopes" not in self._at(x):
-            points = zip(self.blocks, self._last["points"], strict=True)
+        points = zip(self.blocks, self._at(x), strict=True)
+        if self._slopes is None:
             entries = self._jacobian([block.slopes(at) for block, at in points])
             gradient = np.zeros(self.shape[1])
             cost_entries = ~self._rest
             gradient[self._jacobian.column[cost_entries]] = entries[cost_entries]
-            self._last["slopes"] = gradient, entries[self._rest]
-        slopes: tuple[Floats, Floats] = self._last["slopes"]
-        return slopes
+            self._slopes = gradient, entries[self._rest]
+        return self._slopes
 
     def curvatures(self, x: Floats, cost: float, multipliers: Floats) -> Floats:
         """Return entries of the Hessian of cost times the cost, and multipliers times the rows."""
         weights = np.concatenate([[cost], multipliers])
-        points = zip(self.blocks, self._at(x)["points"], strict=True)
+        points = zip(self.blocks, self._at(x), strict=True)
         return self._hessian([block.curvatures(at, weights) for block, at in points])
 
-    def _at(self, x: Floats) -> dict[str, Any]:
-        """Return what is known where the unknowns are; solvers ask for the same ones again."""
-        if self._last is None or not np.array_equal(self._last["x"], x):
-            self._last = {"x": x.copy(), "points": [block.at(x) for block in self.blocks]}
-        return self._last
+    def _at(self, x: Floats) -> list[dict[int, Any]]:
+        """Return the variables of all points; solvers ask for the same ones again."""
+        if self._x is None or not np.array_equal(self._x, x):
+            self._x, self._points = x.copy(), [block.at(x) for block in self.blocks]
+            self._values = self._slopes = None
+        return self._points

@@ -110,9 +110,7 @@ def test_derivatives_are_those_of_its_own_values():
     own = scaled(programme, layout, guess)
     bounds = tuple(map(own.inside, layout.bounds))
     start = own.inside(moved(layout, at_start(layout, guess)))
-    form = Condensed(
-        own, layout, lambda y: own.inside(moved(layout, own.outside(y))), start, bounds
-    )
+    form = Condensed(own, layout, start, bounds)
     w, rows, eps = form.inside(start), form.shape[0], 1e-6
     weights = np.random.default_rng(3).normal(size=rows)
 

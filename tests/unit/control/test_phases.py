@@ -223,7 +223,7 @@ def test_steps_are_divided_among_phases_and_doubled_in_each():
         ([u], r"phases\[0\] is Symbol, not a mapping"),
         ([{th: 1}], r"phases\[0\] names 'theta', which is no input"),
         ([{}, {"v": 1}], r"phases\[1\] names 'v'"),
-        ([{u: 2}], r"phases\[0\] has u in \(2, 2\), outside of its bounds"),
+        ([{u: 2}], r"phases\[0\] has u = 2, outside of its bounds"),
         ([{u: (1, -1)}], r"phases\[0\]\[u\] is \(1, -1\): low is not below high"),
     ],
 )

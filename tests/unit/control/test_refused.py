@@ -134,7 +134,7 @@ def test_bounds_between_which_nothing_lies(what, given, told):
         ({"bounds": {v_x: (1, 2)}}, r"start has v_x = 0, outside of its bounds \(1, 2\)"),
         ({"bounds": {"v_x": (None, -1)}}, "start has v_x = 0, outside"),
         ({"bounds": {x + 2 * v_x: (0, 1)}, "end": {x + 2 * v_x: 3}}, "end has .* = 3, outside"),
-        ({"path": [v_x], "end": {v_x: (1, 2)}}, r"end has v_x = \(1, 2\).*\n.*or end within"),
+        ({"path": [v_x], "end": {v_x: (1, 2)}}, r"end has v_x = \(1, 2\).*\n.*or give end within"),
     ],
 )
 def test_ends_outside_of_bounds(more, told):
