@@ -136,7 +136,7 @@ def _prepared(
     asked = recorders_of(header, count, task.record, task.reductions, growing)
     if task.run_events is not None:  # a member stops where an event is, and is run by itself
         asked += task.run_events.watchers(
-            header, header.rows + sum(recorder.room for recorder in asked)
+            header, header.rows + sum(recorder.room for recorder in asked), values=True
         )
     called = with_clock(header, asked)
     rows = {

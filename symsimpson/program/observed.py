@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from symsimpson.errors import InputError
@@ -57,7 +58,7 @@ class Observed:
         names = (x.id for x in parts if isinstance(x, ast.Name) and id(x) not in called)
         return all(name.startswith("a_") for name in names)
 
-    @property
+    @cached_property
     def size(self) -> str:
         """The sizes of its terms, added up, as an expression: what is rounded in it."""
         return _size(ast.parse(self.text, mode="eval").body)
@@ -234,13 +235,15 @@ def watchers(
     signs: Sequence[int],
     gaps: Sequence[bool],
     first: int,
+    *,
+    values: bool = False,
 ) -> tuple[Recorder, ...]:
     """Return what stops a run behind a step in which an expression changes its sign.
 
     From the ``first`` row on there are four for each: the side of zero on which it is, NaN where
-    that is not known, a half of it while it rests at zero; its size of late, of a gap its largest
-    (bodies that touch for long are apart by rounding of what they moved before), its value, and the
-    value before.
+    that is not known, a half of it while it rests at zero, twice of it at a zero; its size of late,
+    of a gap its largest (bodies that touch for long are apart by rounding of what they moved
+    before), its value, and the value before, which only gaps need; with ``values`` all have theirs.
     ``signs`` are those that are waited for, or 0; a gap may also pass through zero and come back
     within a step. A step that begins at a zero of another expression stops the run, too.
     """
@@ -249,6 +252,8 @@ def watchers(
         row = first + WATCHED * k
         side, size, before, earlier = (f"W[{row + i}, lane]" for i in range(WATCHED))
         waited = f"side * now_{k} < 0.0" + (f" and now_{k} == {sign}.0" if sign else "")
+        waited += "" if gap else " or abs(side) > 1.0"  # it may act where the step begins
+        near = "side" if gap else "2.0 * side * abs(side)"
         lines += [
             f"value_{k} = {quantity.text}",
             f"side = {side}",
@@ -256,15 +261,14 @@ def watchers(
             f"least = {1.0 if gap else FADED} * {size}",
             f"size_{k} = size_{k} if size_{k} > least else least",
             f"small = {ZERO!r} * size_{k}",
-            f"now_{k} = 1.0 if value_{k} > small else (-1.0 if value_{k} < -small else side)",
+            f"now_{k} = 1.0 if value_{k} > small else (-1.0 if value_{k} < -small else {near})",
             f"met_{k} = 1.0 if {waited} else (1.0 if now_{k} != now_{k} else 0.0)",
         ]
         kept += [f"{side}, {size} = now_{k}, size_{k}"]
-        kept += [f"{earlier}, {before} = {before}, value_{k}"]
-        if not gap:  # it may act where the step begins
-            zero = f"abs({before}) <= {ZERO!r} * {size} and abs(side) == 1.0"
-            lines.append(f"met_{k} = 1.0 if {zero} else met_{k}")
-        else:
+        if values and not gap:
+            kept.append(f"{before} = value_{k}")
+        if gap:
+            kept.append(f"{earlier}, {before} = {before}, value_{k}")
             lines += [
                 f"falls = {earlier} - {before}",
                 f"rises = 2.0 * (value_{k} - {before}) + falls",

@@ -204,20 +204,24 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
     # an angle stays in the turn in which the interval begins; where it ends in another, that is
     # looked at as well
     turns = np.floor(positions[:, wrapped] / TURN + 0.5)
-    begin = np.arange(len(times) - 1)
     passing = np.flatnonzero((turns[1:] != turns[:-1]).any(axis=1))
-    start, turn = np.append(begin, passing), np.concatenate([turns[:-1], turns[passing + 1]])
     values, sizes_at = value(times, positions, momenta, turns)  # each state in its own turn
-    first = np.append(values[:-1], values[passing])
-    last = np.append(values[1:], values[passing + 1])
-    if passing.size:  # an interval has one turn for both of its ends
-        new, end = np.arange(len(begin), len(start)), passing + 1
-        first[new] = value(times[passing], positions[passing], momenta[passing], turn[new])[0]
-        last[passing] = value(times[end], positions[end], momenta[end], turn[passing])[0]
-    count, span = len(begin), times[start + 1] - times[start]
     small = ZERO * (watched(times, positions, momenta)[:, 1] if wrapped else sizes_at)
-    finite = np.abs(np.append(first, last))
-    rounding = ZERO * np.max(finite, initial=0.0, where=np.isfinite(finite))
+    found, up = np.abs(values), values > 0
+    limit = np.fmax(small, ZERO * np.max(found, initial=0.0, where=np.isfinite(found)))
+    far = found > limit
+    plain = far[1:] & far[:-1] & (up[1:] == up[:-1])  # no zero is to be looked for
+    plain[passing] = False
+    begin = np.flatnonzero(~plain)
+    count, start = len(begin), np.append(begin, passing)
+    turn = np.concatenate([turns[begin], turns[passing + 1]])
+    first, last = values[start], values[start + 1]
+    if passing.size:  # an interval has one turn for both of its ends
+        new, end = np.arange(count, len(start)), passing + 1
+        first[new] = value(times[passing], positions[passing], momenta[passing], turn[new])[0]
+        passing = np.searchsorted(begin, passing)
+        last[passing] = value(times[end], positions[end], momenta[end], turn[passing])[0]
+    span = times[start + 1] - times[start]
     state: list[Floats] = [np.zeros((start.size, run.program.n)) for _ in "qp"]
 
     def at(which: NDArray[np.int64], later: Floats) -> Floats:
@@ -229,7 +233,7 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
     def looked_at(end: int, way: int) -> tuple[Floats, Floats, Floats]:
         """Return signs at one end of all intervals, places near it, and values there."""
         found, sizes, places = (first, last)[end].copy(), small[start + end], end * span
-        signs, which = np.sign(found), np.flatnonzero(np.abs(found) <= np.fmax(sizes, rounding))
+        signs, which = np.sign(found), np.flatnonzero(np.abs(found) <= limit[start + end])
         if which.size:  # only against what is beside it is it known to be zero
             near = at(which, places[which] + way * BESIDE[1] * span[which])[0]
             least = np.fmax(sizes[which], ZERO / BESIDE[1] * np.abs(near))
@@ -249,10 +253,11 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
     known[passing, 1] = right[count:]  # in the turn of the next interval
     flat = known.ravel()  # what rests at zero stays on the side on which it was
     flat = flat[np.maximum.accumulate(np.where(flat == 0, 0, np.arange(flat.size)))]
-    left[:count], plain = flat[::2], np.delete(begin, passing)
-    right[plain] = flat[2 * plain + 1]
+    left[:count], alone = flat[::2], np.delete(np.arange(count), passing)
+    right[alone] = flat[2 * alone + 1]
     behind = np.append(flat[2::2], 0.0)
-    if count and high[count - 1] != span[count - 1]:  # zero at the end: if unknown, it goes on
+    at_end = count and start[count - 1] == len(times) - 2
+    if at_end and high[count - 1] != span[count - 1]:  # zero at the end: if unknown, it goes on
         end = np.array([min(len(times), len(run.t)) - 1])
 
         def beyond(part: float) -> Floats:
@@ -279,15 +284,15 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
     real &= (np.abs(angles) <= (1 + SEAM) * np.pi).all(axis=1)
     here, later = here[real], np.append(later[real], span[states])
     q, p = (
-        np.append(x[here], y[states + 1], axis=0)
+        np.append(x[here], y[start[states] + 1], axis=0)
         for x, y in zip(state, (positions, momenta), strict=True)
     )
-    signs, start = np.append(within[here], at_states[states]), np.append(start[here], states)
-    span = span[: max(count, 1)]
-    order = np.lexsort((later * np.sign(span[start]), start))
+    signs, start = np.append(within[here], at_states[states]), np.append(start[here], start[states])
+    span = times[start + 1] - times[start]
+    order = np.lexsort((later * np.sign(span), start))
     if passing.size:  # what lies on the seam was found on both of its sides
         same = (np.diff(start[order]) == 0) & (
-            np.abs(np.diff(later[order])) <= SEAM * np.abs(span[start[order[1:]]])
+            np.abs(np.diff(later[order])) <= SEAM * np.abs(span[order[1:]])
         )
         order = order[np.append(True, ~same)[: order.size]]
     return (times[start] + later)[order], q[order], p[order], signs[order]

@@ -119,7 +119,7 @@ class EventActions:
         rows = self.rows(places[:, 0], places[:, 1 : n + 1], places[:, n + 1 :])
         with np.errstate(all="ignore"):  # where there is no value, nothing is known
             changes = np.abs(rows[1:, : len(self.impacts)] - rows[0, : len(self.impacts)])
-        return np.asarray(np.nan_to_num(changes, nan=0.0, posinf=0.0).sum(axis=0))
+        return np.asarray(changes.sum(axis=0, where=np.isfinite(changes)))
 
     def touching(self, values: Floats, small: Floats) -> NDArray[np.bool_]:
         """Return which impacts have a gap of zero."""

@@ -87,8 +87,9 @@ class EventRun(Run):
         moved, sizes = self.h * self._actions.rates(row), self._actions.sizes(row, state[0])
         sides.size[:] = np.max([abs(values), abs(moved), sizes], axis=0)
         sides.side[:] = 0  # a zero there is no event
-        sides.due(t, state, 0)
-        sides.side[:] = sides.of(values, sides.small_at(t, state))
+        small = sides.small_at(t, state)
+        sides.due(t, state, 0, small)
+        sides.side[:] = sides.of(values, small)
         for k, event in enumerate(self._events.events):
             if not (isinstance(event.action, Impact) and self._actions.allowed(row, k)):
                 continue
@@ -151,6 +152,7 @@ class EventRun(Run):
         self._value[:] = row[: len(self._value)]
         self.sides.size[:] = np.fmax(self.sides.size, np.abs(self._value))
         self._earlier[:] = self._value - self.h * self._actions.rates(row)
+        self.sides.mark(self._value)
 
     def _split_step(self, *, taken: bool) -> None:
         """Take a step anew, with the events that are in it; one that was taken is taken back."""
@@ -284,7 +286,7 @@ class EventRun(Run):
         def row(part: float) -> Floats:
             return self._actions.row(t0 + done + part, after(part))
 
-        if not done and (due := self.sides.due(t0, start, step)):
+        if not done and (due := self.sides.due(t0, start, step, self.sides.small_at(t0, start))):
             return 0.0, start, due
         first, last = self._actions.row(t0 + done, start), self._actions.row(t0 + h, end)
         small = ZERO * self.sides.faded(last, end[0])

@@ -75,10 +75,15 @@ class Sides:
         fresh = self.of(values, small, self.ahead(t, behind, place))
         self.side[:] = np.where(self._actions.impacts, self.side, fresh)
 
-    def due(self, t: float, state: State, step: int) -> list[int]:
+    def mark(self, values: Floats) -> None:
+        """Mark where a step begins at a zero: it is twice the side, and the next step stops."""
+        marked = ~self._actions.impacts & (np.abs(values) <= self.small)
+        self.side[marked & (np.abs(self.side) == 1.0)] *= 2.0
+
+    def due(self, t: float, state: State, step: int, small: Floats) -> list[int]:
         """Return events other than impacts whose zero is the state where a step begins."""
         values, self._seen_of_late = self._actions.values(t, state), 0 * self.size
-        zeros = ~self._actions.impacts & (np.abs(values) <= self.small_at(t, state))
+        zeros = ~self._actions.impacts & (np.abs(values) <= small)
         if not zeros.any():
             return []
         ahead = np.where(zeros, self.ahead(t, state, (step, 0.0)), 0.0)

@@ -57,11 +57,12 @@ class RunEvents:
                     return acted[-1]
         return None
 
-    def watchers(self, header: Header, first: int) -> tuple[Recorder, ...]:
+    def watchers(self, header: Header, first: int, *, values: bool = False) -> tuple[Recorder, ...]:
         """Return what looks for the events, with rows from the first free one on."""
         signs = [event.sign for event in self.events]
         gaps = [rate is not None for rate in self.rate]
-        return watchers(header, self.watched[: len(self.events)], signs, gaps, first)
+        watched = self.watched[: len(self.events)]
+        return watchers(header, watched, signs, gaps, first, values=values)
 
 
 def read_run_events(program: Program, request: Request) -> RunEvents | None:

@@ -136,7 +136,7 @@ def test_members_have_what_runs_have(run, many):
 
 def test_each_member_has_parameters_of_its_own(stepper, many):
     member = many[2]
-    assert type(member) is ss.States
+    assert isinstance(member, ss.States)
     assert member.parameters["g"] == 4.0
     alone = stepper.energy(many.q[2], many.p[2], parameters={"g": 4.0})
     assert (many.energy[2] == alone).all()

@@ -22,6 +22,8 @@ def stepper():
     return ss.compile(WELL)
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 @pytest.mark.parametrize("action", [None, ss.Impact(restitution=1), ss.Switch()])
 @pytest.mark.parametrize("every", [1, None])
 def test_events_do_not_hide_that_the_energy_is_no_number(stepper, action, every):
@@ -46,6 +48,8 @@ def test_an_event_out_of_the_domain_did_not_end_the_run(stepper, every):
     assert np.isfinite(run.energy).all()
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 def test_members_do_not_hide_it(stepper):
     many = stepper.ensemble(
         [HOW["q0"]] * 2, v0=HOW["v0"], h=0.02, steps=24, events=[ss.Event(SEEN, name="seen")]
@@ -67,6 +71,8 @@ def test_a_loop_stays_where_its_energy_is_a_number(stepper, events):
         assert np.array_equal(loop.q, run.q[-1])
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 def test_a_loop_may_end_where_a_root_is_zero():
     """V is NaN there, where kernels take x**2 times 1/root for |x|."""
     walled = ss.MechanicalSystem(

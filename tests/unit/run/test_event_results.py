@@ -22,6 +22,8 @@ def test_results_keep_their_records():
     assert np.array_equal(again.events("floor").t, run.events("floor").t)
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 def test_a_run_from_a_checkpoint_goes_on_to_the_same_bits(tmp_path):
     """With events, stopped by Ctrl-C between two of them, and resumed with what they did."""
     whole = drop(floor(), t_end=4.0)
@@ -57,6 +59,8 @@ def test_a_run_that_was_cut_off_is_resumed(tmp_path, monkeypatch):
     assert [one.t for one in again.records] == [one.t for one in whole.records]
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 @pytest.mark.parametrize("place", ["acted", "allowed", "rates"])
 def test_ctrl_c_while_an_event_acts_is_heard_behind_the_step(tmp_path, monkeypatch, place):
     swung = ss.Event(z - 0.5, name="turn", action=ss.Change(velocities={z: z.diff() * 0.9}))
@@ -80,6 +84,8 @@ def test_ctrl_c_while_an_event_acts_is_heard_behind_the_step(tmp_path, monkeypat
     assert [one.t for one in again.records] == [one.t for one in whole.records]
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 def test_a_loop_with_inputs_has_the_bits_of_a_run():
     x, u = ss.coordinates("x")[0], sp.Symbol("u")
     system = ss.MechanicalSystem(
@@ -116,6 +122,8 @@ def test_observed_values_and_counts():
         ss.compile(BALL).integrate([1.0], v0=[0.0], h=0.01, steps=3, reduce={"a": ("count", "b")})
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 def test_members_of_an_ensemble_do_what_single_runs_do(monkeypatch):
     """Some meet the floor, others do not: these stay in their blocks."""
     alone, real = [], singles.run
@@ -197,6 +205,8 @@ def test_inequalities_as_gaps_hold_where_a_body_is_free():
         drop(ss.Event(z <= 0, name="floor", action=ss.Impact(0.8)), t_end=1.5)
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 def test_tables_have_what_events_did():
     pytest.importorskip("pandas")
     hits = drop(floor(), t_end=1.5).events("floor")
@@ -209,6 +219,8 @@ def test_tables_have_what_events_did():
     assert "impulse" not in crossings.columns
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 def test_files_keep_what_events_did(tmp_path):
     pytest.importorskip("netCDF4")
     end = ss.Event(z, name="down", direction=-1, terminal=2)
@@ -225,6 +237,8 @@ def test_files_keep_what_events_did(tmp_path):
         assert again.at(0.47).q == run.at(0.47).q
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 def test_chosen_states_and_sections_of_long_runs(monkeypatch):
     """Whose pieces are looked at one after the other, each with the events in it."""
     run = drop(floor(1.0), t_end=4.0)
@@ -254,6 +268,8 @@ def test_what_is_kept_of_a_run_knows_its_events(how):
         kept.events("wall")
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 @pytest.mark.parametrize(("scheme", "order"), [("gauss6", 6), ("simpson", 4)])
 def test_work_is_recorded_through_events(scheme, order):
     """Of friction and of an input that varies within steps: energies tell the same."""
@@ -284,6 +300,8 @@ def test_work_is_recorded_through_events(scheme, order):
     assert abs(many.recorded["work"][0][-1] - run.recorded["work"][-1]).max() < 1e-13
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 def test_work_of_a_step_that_is_not_taken_is_not_counted():
     drag = ss.MechanicalSystem(
         "drag",
@@ -306,6 +324,8 @@ def kick(t=0.5, **more):
     return ss.Event(ss.time - t, name="kick", action=action, **more)
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 @pytest.mark.parametrize("every", [1, 2, 3, 7])
 def test_energies_of_a_state_where_an_event_acts_are_told_apart(every):
     for t, h in ((0.5, 0.0625), (1.0, 0.0625), (-0.5, -0.0625)):
@@ -326,6 +346,8 @@ def test_a_stored_state_where_an_event_acts_is_given_as_it_is():
     assert np.abs(chosen.p - run.p).max() < 1e-15
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 @pytest.mark.parametrize("every", [1, 3, 8, None])
 @pytest.mark.parametrize("t_end", [0.5, 1.0])
 def test_quantities_of_a_run_that_ends_at_a_stored_state_have_that_once(every, t_end):
@@ -349,6 +371,8 @@ def test_zeros_of_a_run_that_was_ended_are_there_once(every):
         assert zeros.direction.tolist() == [-1]
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 @pytest.mark.parametrize("every", [2, 3, None])
 @pytest.mark.parametrize("retimed", [False, True], ids=["event", "retimed"])
 def test_an_end_within_a_step_has_its_newton_iterations(every, retimed):
@@ -364,6 +388,8 @@ def test_an_end_within_a_step_has_its_newton_iterations(every, retimed):
     assert rough.newton_iterations.sum() == whole.newton_iterations.sum()
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 @pytest.mark.parametrize("every", [1, 3, None])
 def test_inputs_are_those_of_the_steps_that_were_taken(every):
     stepper = ss.compile(ss.systems.driven_cart_pole())

@@ -186,6 +186,8 @@ def test_elastic_impacts_are_undone_backwards():
         stepper.integrate(run.q[-1], **given, events=[floor(0.5)])
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 def test_elastic_impacts_do_not_accumulate():
     """A light ball between two heavy ones that come near each other: few impacts, and an end."""
     u, v, w = ss.coordinates("u v w")
@@ -222,6 +224,8 @@ def test_a_zero_at_an_end():
     assert free.integrate([-1.0, 0.0], v0=[0, 0], h=0.25, steps=4, events=[late]).success
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 def test_a_bumper_and_a_recorder_beside_a_wall():
     """What is changed to the other way is looked at anew; a recorder sees one change of sign."""
     kick = ss.Change(velocities={z: -1.1 * z.diff()})
@@ -267,6 +271,8 @@ def test_conditions_may_be_inequalities():
         drop(floor(when=sp.Eq(z, 0)))
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 def test_jumps_are_no_zeros():
     """As for zeros of a run: neither that of a rest, nor a pole."""
     free = ss.compile(
@@ -279,6 +285,8 @@ def test_jumps_are_no_zeros():
         assert len(run.events(text, direction=-1)) == 0
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 @pytest.mark.parametrize(
     ("gap", "potential", "hits"),
     [(y - x, -x, 1), (y - x, (y - 3) ** 2, 2), (y + 1 - x**2 / 20, 0 * x, 1)],
@@ -331,6 +339,8 @@ KINKED = ss.MechanicalSystem(
 )
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 @pytest.mark.parametrize("scheme", ["lobatto2", "simpson"])
 def test_an_event_at_a_kink_of_a_force_is_found(scheme):
     stepper = ss.compile(KINKED, scheme)
@@ -347,6 +357,8 @@ def test_an_event_at_a_kink_of_a_force_is_found(scheme):
         assert passed.events("kink").t == pytest.approx(end.t[-1:], abs=1e-12)
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 def test_energies_of_events_at_the_zero_of_a_root():
     """V is NaN at zero, where kernels take x**2 times 1/root for |x|: so was what walls take."""
     system = ss.MechanicalSystem(

@@ -18,6 +18,8 @@ def run_with(system, start, rate, *events, **how):
     return ss.compile(system).integrate([start], v0=[rate], events=[*events], **how)
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 @pytest.mark.parametrize("action", sweep([STAY, None, ss.Switch()]))
 @pytest.mark.parametrize(
     ("expression", "h", "end", "times"),
@@ -36,6 +38,8 @@ def test_a_zero_acts_once(action, expression, h, end, times):
     assert run.events("met").t == pytest.approx(times[times < end + 1e-9], abs=1e-11)
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 def test_a_kicked_rotor_is_the_standard_map():
     kick = ss.Change(velocities={th: th.diff() + sp.sin(th)})
     event = ss.Event(sp.sin(2 * sp.pi * ss.time), name="kick", direction=1, action=kick)
@@ -106,6 +110,8 @@ def test_reductions_see_the_state_that_ends_a_run():
     assert run.reduced["first"] == pytest.approx(0.1 + (end - 0.1) * share, rel=1e-12)
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 @pytest.mark.parametrize("both", [True, False])
 def test_a_velocity_of_one_and_a_momentum_of_another_are_those_that_were_given(both):
     """With derivatives: those by differences of runs."""
@@ -170,6 +176,8 @@ def test_changes_of_velocities_may_name_these():
     assert run.events("floor").after.v[0, 0] == pytest.approx(np.sqrt(2 * 9.81), rel=1e-12)
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 @pytest.mark.parametrize("unit", [1.0, 1e-9])
 @pytest.mark.parametrize(
     ("change", "message"),

@@ -33,6 +33,8 @@ def check(expression, h, t_end, right, t0=0.0, directions=(0, 1, -1)):
             assert (found.direction == signs[wanted]).all()
 
 
+@pytest.mark.slow
+@pytest.mark.plain
 def test_a_zero_at_both_ends_of_each_step_is_found_once():
     check(SINE, 1.0, 2.0, [1, 2], directions=(0,))
 
