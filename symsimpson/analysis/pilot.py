@@ -17,7 +17,7 @@ from symsimpson.support.array_types import Floats, State
 from symsimpson.support.calling import without_step_warnings
 from symsimpson.support.names import shortened
 
-__all__ = ["choose_state", "choose_step"]
+__all__ = ["choose_state", "choose_step", "follows"]
 
 #: The first step that is tried, unless the time scale of the motion is so many times as long, or as
 #: short: units of time in which 4 means nothing.
@@ -93,10 +93,10 @@ def choose_step(
     given |= {"q0": q, "p0": p, "parameters": parameters}
     for halvings in range(60):
         h = first / 2**halvings
-        if not _follows(stepper, given, steps, h):
+        if not follows(stepper, given, steps, h):
             continue
         while halvings == 0 and 2 * abs(h) <= abs(longest):
-            if not _follows(stepper, given, steps, 2 * h):
+            if not follows(stepper, given, steps, 2 * h):
                 break
             h *= 2
         return h
@@ -126,7 +126,8 @@ def _first_step(
     return float(2.0 ** np.round(np.log2(scale)))
 
 
-def _follows(stepper: Stepper, given: Mapping[str, Any], steps: int, h: float) -> bool:
+@without_step_warnings()
+def follows(stepper: Stepper, given: Mapping[str, Any], steps: int, h: float) -> bool:
     """Return whether steps of a size follow the motion, and so many of them succeed."""
 
     def run(h: float, steps: int, every: int | None = 1) -> Trajectory:
