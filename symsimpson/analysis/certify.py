@@ -22,7 +22,7 @@ from symsimpson.analysis.convergence import order_of_errors, order_of_time
 from symsimpson.analysis.energy_checks import LONG, drift, shadow
 from symsimpson.analysis.momentum_balance import momentum_balance
 from symsimpson.analysis.order import observed_orders
-from symsimpson.analysis.pilot import choose_state, choose_step
+from symsimpson.analysis.pilot import choose_state, choose_step, follows
 from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.solver_checks import EXACT, fallbacks, iterations, jacobian, newton, starts
 from symsimpson.analysis.subject import DIGITS, MOST, SHORT, STEPS, Subject, with_inputs
@@ -30,7 +30,13 @@ from symsimpson.analysis.symmetries import block_size
 from symsimpson.analysis.variants import in_tau
 from symsimpson.api.stepper import Stepper
 from symsimpson.derivatives.step_equations import At, evaluate_equations
-from symsimpson.errors import InputError, ResolutionWarning, StabilityWarning, SymsimpsonError
+from symsimpson.errors import (
+    ConvergenceError,
+    InputError,
+    ResolutionWarning,
+    StabilityWarning,
+    SymsimpsonError,
+)
 from symsimpson.module.header import digest
 from symsimpson.program.numbers import FLOAT64
 from symsimpson.results.trajectory import Trajectory
@@ -48,8 +54,8 @@ NEARBY = mpmath.mpf("1e-40")
 ALONE = 1e-9
 #: So often a step that a run would be warned of is halved.
 HALVINGS = 40
-#: A step that is so many times one that follows the motion is far too large.
-TOO_LARGE = 64.0
+#: A step is far too large if this part of it does not follow the motion.
+TOO_LARGE = 16.0
 #: Steps that show an error at all are doubled so often again before they are halved.
 FAR = 30
 #: What changes at an order below this in the step changes along the exact motion, too.
@@ -100,13 +106,16 @@ def certify(
             measured, q, p, exact, LONG, first=step * 2.0 ** (subject.doublings + FAR)
         )
         subject = replace(subject, h=step)
-    precise.sizes = subject.sizes
-    with warnings.catch_warnings():
-        if h is None:  # a step that nobody gave is as long as is measured well
-            warnings.simplefilter("ignore", ResolutionWarning)
-        far = h is not None and _far_too_large(measured, q, p, exact, step)
-        measures = (_unmeasured,) if far else CHECKS  # the others would take very long
-        checks = [check for measure in measures for check in _guarded(measure, subject)]
+    state = {"q0": q, "p0": p, "parameters": exact}
+    error = None if h is None else _too_large(measured, state, step)
+    if error is None:
+        precise.sizes = subject.sizes
+        with warnings.catch_warnings():
+            if h is None:  # a step that nobody gave is as long as is measured well
+                warnings.simplefilter("ignore", ResolutionWarning)
+            checks = [check for measure in CHECKS for check in _guarded(measure, subject)]
+    else:
+        checks = [_not_measured("order", error)]
     return Certificate(
         stepper.system,
         stepper.scheme,
@@ -142,21 +151,20 @@ def _chosen_step(stepper: Stepper, q: Any, p: Any, values: Mapping[str, float]) 
     return choose_step(stepper, q, p, values, LONG, first=step / 2 ** (halvings + 1))
 
 
-def _far_too_large(stepper: Stepper, q: Any, p: Any, values: Mapping[str, float], h: float) -> bool:
-    """Return whether a step is so large that it follows no motion from this state."""
+def _too_large(
+    stepper: Stepper, state: Mapping[str, Any], h: float
+) -> ArithmeticError | ConvergenceError | None:
+    """Return an error if a step is so large that nothing can be measured, or only very slowly."""
+    if not follows(stepper, state, SHORT, h / TOO_LARGE):
+        return ArithmeticError(
+            f"in {STEPS} steps of h={h:g} the exact solution needs more than {MOST} steps: choose "
+            "a smaller h"
+        )
     try:
-        return abs(h) > TOO_LARGE * choose_step(stepper, q, p, values, SHORT, longest=abs(h))
-    except InputError:  # no step is small enough, which the checks tell
-        return False
-
-
-def _unmeasured(s: Subject) -> Iterator[Check]:
-    """order: tell that h is far too large."""
-    raise ArithmeticError(
-        f"in {STEPS} steps of h={s.h:g} the exact solution needs more than {MOST} steps: choose a "
-        "smaller h"
-    )
-    yield
+        stepper.integrate(**state, h=h, steps=STEPS, every=None)
+    except ConvergenceError as error:
+        return error
+    return None
 
 
 def _guarded(measure: Callable[[Subject], Iterator[Check]], subject: Subject) -> Iterator[Check]:
@@ -166,11 +174,14 @@ def _guarded(measure: Callable[[Subject], Iterator[Check]], subject: Subject) ->
     except KeyboardInterrupt:  # Interrupted is a SymsimpsonError, too
         raise
     except (SymsimpsonError, ArithmeticError, np.linalg.LinAlgError) as error:
-        name = (measure.__doc__ or "").split(":")[0]
-        first = str(error).partition("\n")[0]  # mpmath divides by zero without a word
-        said = textwrap.shorten(f"{type(error).__name__}: {first}", 160, placeholder=" ...")
-        reason = "What cannot be measured is not certified."
-        yield Check.not_asked(name, "", reason, said.removesuffix(":"))
+        yield _not_measured((measure.__doc__ or "").split(":")[0], error)
+
+
+def _not_measured(name: str, error: Exception) -> Check:
+    first = str(error).partition("\n")[0]  # mpmath divides by zero without a word
+    said = textwrap.shorten(f"{type(error).__name__}: {first}", 160, placeholder=" ...")
+    reason = "What cannot be measured is not certified."
+    return Check.not_asked(name, "", reason, said.removesuffix(":"))
 
 
 def _symplectic(s: Subject) -> Iterator[Check]:

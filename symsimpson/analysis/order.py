@@ -23,6 +23,7 @@ def observed_orders(errors: ArrayLike, ratio: float = 2.0) -> Floats:
     Returns
     -------
     ndarray, shape (k - 1,)
+        Infinite where the next error is 0, NaN between two errors of 0.
 
     Examples
     --------
@@ -30,4 +31,5 @@ def observed_orders(errors: ArrayLike, ratio: float = 2.0) -> Floats:
     [4.0, 4.0]
     """
     values = np.asarray(errors, dtype=np.float64)
-    return np.asarray(np.log(values[:-1] / values[1:]) / np.log(ratio))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.log(values[:-1] / values[1:]) / np.log(ratio))

@@ -17,7 +17,7 @@ from symsimpson.support.array_types import Floats, State
 from symsimpson.support.calling import without_step_warnings
 from symsimpson.support.names import shortened
 
-__all__ = ["choose_state", "choose_step"]
+__all__ = ["choose_state", "choose_step", "follows"]
 
 #: The first step that is tried, unless the time scale of the motion is so many times as long, or as
 #: short: units of time in which 4 means nothing.
@@ -93,9 +93,9 @@ def choose_step(
     given |= {"q0": q, "p0": p, "parameters": parameters}
     for halvings in range(60):
         h = first / 2**halvings
-        if _follows(stepper, given, steps, h):
+        if follows(stepper, given, steps, h):
             longer = halvings == 0
-            while longer and 2 * abs(h) <= abs(longest) and _follows(stepper, given, steps, 2 * h):
+            while longer and 2 * abs(h) <= abs(longest) and follows(stepper, given, steps, 2 * h):
                 h *= 2
             return h
     raise InputError(
@@ -124,7 +124,8 @@ def _first_step(
     return float(2.0 ** np.round(np.log2(scale)))
 
 
-def _follows(stepper: Stepper, given: Mapping[str, Any], steps: int, h: float) -> bool:
+@without_step_warnings()
+def follows(stepper: Stepper, given: Mapping[str, Any], steps: int, h: float) -> bool:
     """Return whether steps of a size follow the motion, and so many of them succeed."""
 
     def run(h: float, steps: int, every: int | None = 1) -> Trajectory:

@@ -32,9 +32,9 @@ first_rate = sp.Symbol("g_start", positive=True)
 #: Keeps the rate finite at rest.
 rest = sp.Symbol("c_rest", positive=True)
 OWN = (energy, first_rate)
-#: The energy that keeps the rate finite at rest is this part of a run's own, times c_rest.
-REST = 16
-#: Smaller than the square of any energy: the root has a derivative where that is 0.
+#: The energy that keeps the rate finite at rest is c_rest times this part of E0 - V0.
+REST, REST_OF_ATTRACTION = sp.Rational(1, 8), sp.Rational(1, 1024)
+#: Smaller than the square of any difference of energies.
 NOTHING = sp.Rational(1, 2**800)
 #: Functions that are finite for all real numbers.
 FINITE = (sp.sin, sp.cos, sp.sinh, sp.cosh, sp.tanh, sp.exp, sp.atan, sp.asinh, sp.erf, sp.erfc)
@@ -227,7 +227,7 @@ def _named(
         of_near = (-level) ** sp.Rational(-3, 2)
         return of_near.subs(level, near), of_near if near == V else None, {}
     if rate == "kinetic":
-        of_level = 1 / sp.sqrt(rest * _energy_scale(system) + energy - level)
+        of_level = 1 / sp.sqrt(rest * _energy_at_rest(system) + energy - level)
         return of_level.subs(level, V), of_level, {rest: 1.0}
     raise fail(
         system.name,
@@ -236,16 +236,32 @@ def _named(
     )
 
 
-def _energy_scale(system: MechanicalSystem) -> sp.Expr:
-    """Return a size of the kinetic energy of a run, by E0 and V where all coordinates are 0."""
+def _energy_at_rest(system: MechanicalSystem) -> sp.Expr:
+    """Return the part of E0 - V0 that keeps the rate finite; see :meth:`MechanicalSystem.retimed`.
+
+    If the difference is 0, the change of V to where all coordinates are 1 takes its place.
+    """
+    near, smooth, wrong = _parted(system)
+    V0, V1 = (_where_all_are(number, system.potential, system) for number in (0, 1))
+    if V0 is None:  # infinite
+        V0, V1 = (_where_all_are(number, sp.Add(*smooth), system) for number in (0, 1))
+    change = sp.S.Zero if V0 is None or V1 is None else sp.sqrt((V1 - V0) ** 2)
+    part = REST
+    if near and not wrong:
+        part = REST_OF_ATTRACTION
+    elif not change:
+        change = sp.S.One
+    squared = (energy - (V0 or 0)) ** 2
+    return part * squared / sp.sqrt(squared + NOTHING) + change * NOTHING / (squared + NOTHING)
+
+
+def _where_all_are(number: int, V: sp.Expr, system: MechanicalSystem) -> sp.Expr | None:
+    """Return V where all coordinates have this value; None if it is not finite."""
     try:
-        bottom = system.potential.subs(dict.fromkeys(system.coordinates, 0))
+        value = V.subs(dict.fromkeys(system.coordinates, number))
     except (ArithmeticError, ValueError):
-        bottom = sp.nan
-    finite = bottom.is_finite is not False and not bottom.has(sp.nan, sp.zoo, sp.oo)
-    above = energy - bottom if finite else sp.S.Zero
-    squared = energy**2 + above**2  # if it is 0, so is the scale, and a start at rest is rejected
-    return squared / sp.sqrt(squared + NOTHING) / REST
+        return None
+    return None if value.has(sp.nan, sp.zoo, sp.oo, -sp.oo) else value
 
 
 def attracts(system: MechanicalSystem) -> bool:

@@ -350,8 +350,10 @@ class MechanicalSystem(Described):
             g > 0, of coordinates, parameters and the energy of the run, :data:`symsimpson.energy`.
             It is scaled so that dt = dtau at the start. "encounters" is U**(-3/2), for V = -U with
             U a sum of inverse distances. "kinetic" is (c_rest S + T)**(-1/2). The new parameter
-            c_rest has no unit. S = sqrt(E0^2 + (E0 - V0)^2)/16, V0 is V where all coordinates are
-            0, or E0 if V is infinite there. A start at rest with E0 = V0 = 0 is rejected.
+            c_rest has no unit. S is a part of E0 - V0: 1/1024 if all poles of V attract, else 1/8.
+            V0 is V where all coordinates are 0, without terms that have a pole if V is infinite
+            there. A constant added to V changes nothing. If E0 = V0, S is the change of V from
+            there to where all coordinates are 1, or 1 if V does not change.
 
         Returns
         -------
