@@ -61,6 +61,7 @@ TOOLS = Tools(
     changes_of_potential=partial(_call, "cancelling", "changes_of_potential"),
     at_pole=partial(_call, "passages", "at_pole"),
     unresolved_pole=partial(_call, "passages", "unresolved_pole"),
+    unresolved_step=partial(_call, "passages", "unresolved_step"),
     kink_passed=partial(_call, "kinks", "kink_passed"),
     regular_box=partial(_call, "passages", "regular_box"),
     points_of=points_of,

@@ -28,9 +28,11 @@ from symsimpson.ensemble.task import Results, Task, ensemble_of
 from symsimpson.ensemble.trial import seconds_of_member
 from symsimpson.errors import InputError, StorageError, SymsimpsonError
 from symsimpson.module.header import digest
+from symsimpson.module.interface import SMALL_PIVOT
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.saving import RECORDED
+from symsimpson.support.array_types import Floats
 from symsimpson.support.extras import library
 from symsimpson.support.files import check_folder, read_path
 from symsimpson.support.progress import Progress
@@ -57,6 +59,8 @@ class Store:
     task: Task
     chunk: int  #: Members of a chunk.
     done: set[int] = field(default_factory=set)  #: Chunks that were computed.
+    #: By chunk, how small pivots of M of its members became.
+    pivots: dict[int, Any] = field(default_factory=dict)
 
     @cached_property
     def whole(self) -> Any:
@@ -70,6 +74,14 @@ class Store:
         written = (*WRITTEN, *reduced.values())
         names = self.group.array_keys()
         return frozenset(x for x in names if x in written or x.startswith(RECORDED))
+
+    @property
+    def small_pivots(self) -> Floats:
+        """How small pivots of M of all members became, as far as they ran since it was opened."""
+        pivots = np.full(self.task.members, SMALL_PIVOT)
+        for chunk, known in self.pivots.items():
+            pivots[self.members(chunk)] = known
+        return pivots
 
     @property
     def chunks(self) -> int:
@@ -131,6 +143,7 @@ class Store:
             newton_iterations=iterations,
             reduced=watched,
             store=self.path,
+            small_pivots=self.small_pivots,
             **({"variations": group["variations"]} if "variations" in group else {}),
             recorded={name: group[f"{RECORDED}{name}"] for name in task.record},
         )
@@ -279,6 +292,7 @@ def run_missing(store: Store) -> bool:
                 ensemble, interrupted = run_blocks(store.program, part, progress.add)
                 if interrupted:
                     return True
+                store.pivots[chunk] = ensemble.small_pivots
                 write_chunk(store.path, store.group, store.members(chunk), ensemble)
     except KeyboardInterrupt:
         return True
