@@ -257,7 +257,7 @@ def _named(system: MechanicalSystem, run: Trajectory, place: int) -> str:
 
 
 def _apart(program: Program, system: MechanicalSystem, run: Trajectory, place: int) -> float:
-    """Return how far from the run much finer steps past a state lead, in moves of a step, squared."""
+    """Return how far from a run much finer steps past a state lead, in moves of steps, squared."""
     first, last = max(0, place - BEFORE), min(run.steps, place + BEHIND)
     rate = _rate(program, run.q[first], run.p[first], run.parameter_values)
     free = {name: run.parameters[name] for name in program.free_values()}
