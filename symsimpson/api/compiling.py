@@ -56,6 +56,7 @@ TOOLS = Tools(
     changes_of_potential=partial(_call, "stability.cancelling", "changes_of_potential"),
     at_pole=partial(_call, "stability.passages", "at_pole"),
     unresolved_pole=partial(_call, "stability.passages", "unresolved_pole"),
+    unresolved_step=partial(_call, "stability.passages", "unresolved_step"),
     kink_passed=partial(_call, "stability.kinks", "kink_passed"),
     regular_box=partial(_call, "stability.passages", "regular_box"),
     points_of=points_of,

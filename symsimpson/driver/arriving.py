@@ -9,7 +9,7 @@ from numba import njit, types
 from symsimpson.driver.begin import START_OF_RUN, begin, begin_anew
 from symsimpson.driver.between import states_at
 from symsimpson.driver.explicit import steady
-from symsimpson.driver.short_run import take_all
+from symsimpson.driver.short_run import take_briefly
 from symsimpson.driver.solving import DRIVER_OPTIONS, call
 from symsimpson.driver.steps import COUNTS, DRIVER_LAYOUT_ROWS, INPUTS, SET, SIGNATURES, WORKSPACE
 from symsimpson.module.interface import *
@@ -63,10 +63,10 @@ def run_to_end(kernels, addresses, setting, start, asked, results, inputs):
     if not (parameters[-1] > 0.0 and W[at[MASS_PIVOT], 0] >= 0.0):  # the first rate
         return -1
     progress = np.zeros(4, dtype=np.int64)
-    take_all(kernels, (h, t0, W, at), progress, most, every, stores, inputs)
+    take_briefly(kernels, (h, t0, W, at), progress, most, every, stores, inputs)
     if W[at[STATUS], 0] != ARRIVED:
         return -2 if progress[0] == most else -1
-    if W[at[PIVOT_LIMIT], 0] < SMALL_PIVOT:  # steps there may not resolve the motion
+    if W[at[PIVOT_TIME], 0] < np.inf:  # steps there may not resolve the motion
         return -1
     steps = progress[0] - 1
     last, tail[1] = steps // every, W[at[ITERATIONS], 0]

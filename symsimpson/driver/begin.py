@@ -39,6 +39,7 @@ def begin(kernels, legendre, h, t, W, at):
         W[at[CONTRACTION], lane] = 1.0
         W[at[LARGEST_SQUARED], lane] = 0.0
         W[at[PIVOT_LIMIT], lane] = SMALL_PIVOT
+        W[at[PIVOT_TIME], lane] = np.inf
         W[at[ITERATIONS], lane] = 0.0
     call(kernels[PREPARE], h, t, W)
     if legendre != 0:

@@ -140,7 +140,8 @@ def look_at_end(W, at, first, rows):
 def tell(W, at, h, row, kinds, seen, block):
     """Keep what the observed values of a block, from a row on, and its variations came to.
 
-    Behind them stand the energy, its kinetic part, and how small pivots of M were.
+    Behind them stand the energy, its kinetic part, and how small pivots of M were, where steps
+    may not have resolved this.
     """
     last = seen.shape[1]
     for lane in range(LANES):
@@ -148,7 +149,8 @@ def tell(W, at, h, row, kinds, seen, block):
         if member < seen.shape[0]:
             seen[member, last - 3] = W[at[ENERGY], lane]
             seen[member, last - 2] = W[at[ENERGY] + 1, lane]
-            seen[member, last - 1] = W[at[PIVOT_LIMIT], lane]
+            passed = W[at[PIVOT_TIME], lane] < np.inf
+            seen[member, last - 1] = W[at[PIVOT_LIMIT], lane] if passed else SMALL_PIVOT
     for k in range(kinds.shape[0]):
         kind = np.int64(kinds[k])
         for lane in range(LANES):

@@ -12,11 +12,10 @@ from symsimpson.driver.steps import (
     FAILED,
     SET,
     SIGNATURES,
+    TAKEN_BACK,
     WORKSPACE,
     keep,
-    name_failure,
     put_back,
-    singular,
     step_back,
 )
 from symsimpson.module.interface import *
@@ -36,6 +35,9 @@ PIECES = 16
 #: A step is linear where a second correction is below this part of the first, squared, and the
 #: first one no less than the other part of the increments.
 LINEAR, LARGE = 1e-20, 1e-4
+#: Steps resolve a passage where M is small, if its pivot changes by no more than this factor
+#: within so many more steps.
+CHANGE, AHEAD = 2.25, 2
 
 
 @njit(**RARE)
@@ -177,12 +179,50 @@ def linear(kernels, h, t, W, at, lane):
 
 
 @njit(**RARE)
-def look_at_pivot(W, at, t, lane):
-    """Return whether M is singular or indefinite behind a step; else keep how small it is."""
+def singular(kernels, h, t, W, at, lane, first, last):
+    """Return whether M is not definite after so many steps of constant velocity of a lane."""
+    before = np.empty((W.shape[0], LANES))
+    lost = 0
+    for other in range(LANES):
+        keep(W, 0, W.shape[0], other, before)
+    call(kernels[START], h, t, W)
+    for ahead in range(first, last + 1):
+        for a in range(at[DIMENSION]):
+            moved = ahead * h * W[at[VELOCITY] + a, lane]
+            W[at[POSITION] + a, lane] = before[at[POSITION] + a, lane] + moved
+        call(kernels[START], h, t + ahead * h, W)
+        lost += W[at[MASS_PIVOT], lane] < 0.0
+    for other in range(LANES):
+        put_back(W, 0, W.shape[0], other, before)
+    return lost > 0
+
+
+@njit(**RARE)
+def name_failure(kernels, h, t, W, at, lane):
+    """Say so where a step of a lane failed because M loses its definiteness ahead."""
+    status = W[at[STATUS], lane]
+    failed = abs(status - NOT_FINITE) <= 1.0  # and what stands beside it: not converged, too large
+    if failed and singular(kernels, h, t, W, at, lane, 1, 2):
+        W[at[STATUS], lane] = SINGULAR_LEGENDRE
+
+
+@njit(**RARE)
+def look_at_pivot(kernels, h, t, W, at, lane):
+    """Return whether M is singular or indefinite behind a step; else keep how small it is.
+
+    The time is kept, too, where more steps show that they may not resolve the passage.
+    """
     W[at[IN_DOUBT], lane] -= SMALL_MASS
     pivot = W[at[MASS_PIVOT], lane]
+    change = 0.0
     if pivot > LOST_PIVOT:
         W[at[PIVOT_LIMIT], lane] = SMALLER * pivot
+        after = np.empty((W.shape[0], LANES))
+        keep_all(W, after)
+        if go_on(kernels, h, t, W, at, lane, AHEAD):
+            change = W[at[MASS_PIVOT], lane] / pivot
+        put_all_back(W, after)
+    if not (change > 1.0 / CHANGE and change < CHANGE):
         W[at[PIVOT_TIME], lane] = t
     return pivot <= LOST_PIVOT
 
@@ -191,7 +231,7 @@ def look_at_pivot(W, at, t, lane):
 def verify(kernels, h, t, W, at, lane):
     """Close a lane's step anew if its solution is not the one that smaller steps lead to."""
     if W[at[IN_DOUBT], lane] >= SMALL_MASS:
-        if look_at_pivot(W, at, t + h, lane):
+        if look_at_pivot(kernels, h, t + h, W, at, lane):
             step_back(W, at, lane)
             W[at[STATUS], lane] = SINGULAR_LEGENDRE
             return
@@ -241,7 +281,8 @@ def verify(kernels, h, t, W, at, lane):
         put_back(W, first, last, lane, continued)
         call(kernels[ADVANCE], h, t, W)
         keep(W, 0, rows, lane, after)
-        lost = W[at[IN_DOUBT], lane] >= SMALL_MASS and look_at_pivot(W, at, t + h, lane)
+        small = W[at[IN_DOUBT], lane] >= SMALL_MASS
+        lost = small and look_at_pivot(kernels, h, t + h, W, at, lane)
         if lost or not W[at[VELOCITY_JUMP_SQUARED], lane] < np.inf:
             step_back(W, at, lane)
             keep(W, 0, rows, lane, after)
@@ -267,7 +308,7 @@ def leave_to_others(kernels, h, t, W, at, event):
             lost = True
             if W[at[IN_DOUBT], lane] >= SMALL_MASS and W[at[MASS_PIVOT], lane] >= 0.0:
                 lost = singular(kernels, h, t + h, W, at, lane, 0, 0)
-                look_at_pivot(W, at, t + h, lane)
+                look_at_pivot(kernels, h, t + h, W, at, lane)
             if lost or W[at[IN_DOUBT], lane] != ACCEPTED:
                 step_back(W, at, lane)
                 W[at[STATUS], lane] = NOT_CONVERGED
@@ -276,6 +317,9 @@ def leave_to_others(kernels, h, t, W, at, event):
 @njit(**RARE)
 def recover(kernels, h, t, W, at, event):
     """Finish a step at which ``take_steps`` stopped: lanes that failed, or are in doubt."""
+    if event == TAKEN_BACK:
+        name_failure(kernels, h, t, W, at, 0)
+        return
     first, last = at[INCREMENT], at[STATE_END]
     lanes = LANES
     if kernels[MODE] == STAGES:

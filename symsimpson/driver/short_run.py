@@ -8,6 +8,7 @@ from numba import njit, types
 
 from symsimpson.driver.begin import START_OF_RUN, begin_anew
 from symsimpson.driver.explicit import finite, steady, take_explicit_steps
+from symsimpson.driver.recovery import recover
 from symsimpson.driver.solving import DRIVER_OPTIONS
 from symsimpson.driver.steps import (
     COUNTS,
@@ -15,6 +16,7 @@ from symsimpson.driver.steps import (
     SET,
     SETTING,
     SIGNATURES,
+    SUSPICIOUS,
     WORKSPACE,
     store_lane,
     take_steps,
@@ -39,6 +41,16 @@ take_all = take_steps if ITERATED else take_explicit_steps
 
 
 @njit(**DRIVER_OPTIONS)
+def take_briefly(kernels, setting, progress, stop, every, stores, inputs):
+    """Take steps, and verify those in doubt, until ``stop`` or a failure."""
+    h, t0, W, at = setting
+    take_all(kernels, setting, progress, stop, every, stores, inputs)
+    while ITERATED and progress[1] == SUSPICIOUS and W[at[STATUS], 0] == 0.0:
+        recover(kernels, h, t0 + h * progress[0], W, at, SUSPICIOUS)
+        take_all(kernels, setting, progress, stop, every, stores, inputs)
+
+
+@njit(**DRIVER_OPTIONS)
 def run_briefly(kernels, addresses, setting, start, asked, results, inputs):
     """Begin anew, take all steps, and return how many iterations they took, or -1.
 
@@ -55,9 +67,9 @@ def run_briefly(kernels, addresses, setting, start, asked, results, inputs):
     progress, nothing = np.zeros(4, dtype=np.int64), np.empty((1, 0, 1))
     stores = states[0], states[1], nothing, iterations
     store_lane(W, at, 0, 0, stores)
-    take_all(kernels, setting, progress, steps, every, stores, inputs)
+    take_briefly(kernels, setting, progress, steps, every, stores, inputs)
     over = progress[0] == steps and W[at[STATUS], 0] == 0.0 and W[at[MASS_PIVOT], 0] >= 0.0
-    over = over and W[at[PIVOT_LIMIT], 0] == SMALL_PIVOT
+    over = over and W[at[PIVOT_TIME], 0] == np.inf
     if not over or not finite(W, at[POSITION], at[POSITION] + 4 * n, 0):
         return -1
     count = np.int64(W[at[ITERATIONS], 0])

@@ -29,7 +29,7 @@ GROWTH = 25.0
 #: What rounding makes of an energy, with room.
 ENERGY_ROUNDING = 2.0**-40
 # why steps stop before the end
-FAILED, SUSPICIOUS = 1, 2
+FAILED, SUSPICIOUS, TAKEN_BACK = 1, 2, 3
 
 #: Whether variations are made orthonormal on the way; a driver that does takes longer to compile.
 RENEWING = False
@@ -89,34 +89,6 @@ def step_back(W, at, lane):
     first, last, previous = at[POSITION], at[STATE_END], at[PREVIOUS]
     for row in range(last - first):
         W[first + row, lane] = W[previous + row, lane]
-
-
-@njit(**RARE)
-def singular(kernels, h, t, W, at, lane, first, last):
-    """Return whether M is not definite after so many steps of constant velocity of a lane."""
-    before = np.empty((W.shape[0], LANES))
-    lost = 0
-    for other in range(LANES):
-        keep(W, 0, W.shape[0], other, before)
-    call(kernels[START], h, t, W)
-    for ahead in range(first, last + 1):
-        for a in range(at[DIMENSION]):
-            moved = ahead * h * W[at[VELOCITY] + a, lane]
-            W[at[POSITION] + a, lane] = before[at[POSITION] + a, lane] + moved
-        call(kernels[START], h, t + ahead * h, W)
-        lost += W[at[MASS_PIVOT], lane] < 0.0
-    for other in range(LANES):
-        put_back(W, 0, W.shape[0], other, before)
-    return lost > 0
-
-
-@njit(**RARE)
-def name_failure(kernels, h, t, W, at, lane):
-    """Say so where a step of a lane failed because M loses its definiteness ahead."""
-    status = W[at[STATUS], lane]
-    failed = abs(status - NOT_FINITE) <= 1.0  # and what stands beside it: not converged, too large
-    if failed and singular(kernels, h, t, W, at, lane, 1, 2):
-        W[at[STATUS], lane] = SINGULAR_LEGENDRE
 
 
 @njit(**INLINE)
@@ -238,7 +210,6 @@ def watch(kernels, h, t, W, at):
         step_back(W, at, 0)
         W[at[LARGEST_SQUARED], 0] = W[at[COUNT], 0]
         W[at[STATUS], 0] = STEP_TOO_LARGE if change < np.inf else NOT_FINITE
-        name_failure(kernels, h, t, W, at, 0)
 
 
 @njit(**DRIVER_OPTIONS)
@@ -291,6 +262,7 @@ def take_steps(kernels, setting, progress, stop, every, stores, inputs):
         if watched:
             watch(kernels, h, t0 + h * (before + step), W, at)
             if status[0] != 0.0:
+                progress[1] = TAKEN_BACK
                 break
         recovered = False
         step += 1

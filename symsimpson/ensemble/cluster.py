@@ -24,6 +24,7 @@ from symsimpson.program.machine import lanes_for
 from symsimpson.program.observed import read_reductions
 from symsimpson.program.program import Program, read_program
 from symsimpson.program.workspace import NO_INPUTS
+from symsimpson.support.array_types import Floats
 from symsimpson.support.extras import library
 from symsimpson.support.progress import Progress
 
@@ -65,10 +66,12 @@ def run_on_cluster(store: Store, client: Any) -> bool:
 
     module = digest(store.program.source)
     chunks = list(store.missing())
-    waiting = iter(chunks)
+    waiting, sent = iter(chunks), dict[str, int]()
 
     def submit(chunk: int) -> Any:
-        return client.submit(compute_chunk, store.path, module, chunk, pure=False)
+        future = client.submit(compute_chunk, store.path, module, chunk, pure=False)
+        sent[future.key] = chunk
+        return future
 
     members = store.task.members
     with Progress(members, store.task.progress) as progress:
@@ -79,9 +82,11 @@ def run_on_cluster(store: Store, client: Any) -> bool:
             for chunk in islice(waiting, window):
                 running.add(submit(chunk))
             for future in running:
-                progress.add(_result(future, store))
-                for chunk in islice(waiting, 1):
-                    running.add(submit(chunk))
+                chunk = sent.pop(future.key)
+                store.pivots[chunk] = _result(future, store)
+                progress.add(store.size(chunk))
+                for after in islice(waiting, 1):
+                    running.add(submit(after))
         except KeyboardInterrupt:
             return True
         finally:
@@ -89,10 +94,10 @@ def run_on_cluster(store: Store, client: Any) -> bool:
     return False
 
 
-def _result(future: Any, store: Store) -> int:
-    """Return the number of members that a task has done."""
+def _result(future: Any, store: Store) -> Any:
+    """Return what a task has come to."""
     try:
-        return int(future.result())
+        return future.result()
     except SymsimpsonError:
         raise
     except Exception as error:  # a worker may fail in any way
@@ -102,8 +107,8 @@ def _result(future: Any, store: Store) -> int:
         ) from error
 
 
-def compute_chunk(path: str, module: str, chunk: int) -> int:
-    """Compute a chunk of a store, on a worker; returns the number of its members.
+def compute_chunk(path: str, module: str, chunk: int) -> Floats | None:
+    """Compute a chunk of a store, on a worker; returns how small pivots of M of its members became.
 
     ``module`` is the SHA-256 of the generated module: no other is executed. Raises StorageError if
     the store cannot be read or written, or its module is another one.
@@ -148,7 +153,7 @@ def compute_chunk(path: str, module: str, chunk: int) -> int:
     )
     ensemble, _ = run_blocks(program, task, lambda done: None)
     write_chunk(path, group, members, ensemble)
-    return len(ensemble)
+    return ensemble.small_pivots
 
 
 @lru_cache(maxsize=16)

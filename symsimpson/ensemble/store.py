@@ -14,7 +14,7 @@ import os
 import warnings
 from collections.abc import Container, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
@@ -26,9 +26,11 @@ from symsimpson.ensemble.task import Results, Task, ensemble_of
 from symsimpson.ensemble.trial import seconds_of_member
 from symsimpson.errors import InputError, StorageError, SymsimpsonError
 from symsimpson.module.header import digest
+from symsimpson.module.interface import SMALL_PIVOT
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.saving import RECORDED
+from symsimpson.support.array_types import Floats
 from symsimpson.support.extras import library
 from symsimpson.support.files import check_folder, read_path
 from symsimpson.support.progress import Progress
@@ -51,11 +53,21 @@ class Store:
     task: Task
     chunk: int  #: Members of a chunk.
     given: Mapping[str, Any]  #: Initial states, parameters and axes; the other arrays are results.
+    #: By chunk, how small pivots of M of its members became.
+    pivots: dict[int, Any] = field(default_factory=dict)
 
     @property
     def results(self) -> set[str]:
         """Names of the arrays that are written chunk by chunk."""
         return {*self.group.array_keys()} - {*self.given}
+
+    @property
+    def small_pivots(self) -> Floats:
+        """How small pivots of M of all members became, as far as they ran since it was opened."""
+        pivots = np.full(self.task.members, SMALL_PIVOT)
+        for chunk, known in self.pivots.items():
+            pivots[self.members(chunk)] = known
+        return pivots
 
     @property
     def chunks(self) -> int:
@@ -114,6 +126,7 @@ class Store:
             newton_iterations=iterations,
             reduced=watched,
             store=self.path,
+            small_pivots=self.small_pivots,
             **({"variations": group["variations"]} if "variations" in group else {}),
             recorded={name: group[f"{RECORDED}{name}"] for name in task.record},
         )
@@ -264,6 +277,7 @@ def run_missing(store: Store) -> bool:
                 ensemble, interrupted = run_blocks(store.program, part, progress.add)
                 if interrupted:
                     return True
+                store.pivots[chunk] = ensemble.small_pivots
                 write_chunk(store.path, store.group, store.members(chunk), ensemble)
     except KeyboardInterrupt:
         return True

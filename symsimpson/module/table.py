@@ -218,7 +218,7 @@ TABLE = (
     Block("JACOBIAN", "its derivatives", lambda s: s.jacobian, scratch=True),
     part("PIVOT_SCALE", "1 / pivot of M at the start", lambda s: s.pivots),
     Block("PIVOT_LIMIT", "pivots of M below this are looked at", for_driver=True),
-    Block("PIVOT_TIME", "the time of the last of these", for_driver=True),
+    Block("PIVOT_TIME", "when steps last passed one and may not resolve it", for_driver=True),
     part(
         "NODE_F_A",
         "derivatives of F by the parameters that are varied, at a node",

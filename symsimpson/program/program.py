@@ -41,6 +41,9 @@ class Tools:
     #: Takes a program, its system, a run, and how its steps are to be taken again; returns when and
     #: where that passed a small det M unresolved, and whether such a point is there.
     unresolved_pole: Callable[..., Any]
+    #: Takes a program, its system, where a run began and where it is, h, values of parameters and
+    #: the inputs of a step; returns the same of the steps that follow.
+    unresolved_step: Callable[..., Any]
     #: Takes a system, times, positions and values; returns when a force jumped at which root.
     kink_passed: Callable[..., Any]
     #: Takes a system, values, two corners and a time; returns a box without either.

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from symsimpson.errors import InputError
+from symsimpson.errors import InputError, ResolutionWarning
 from symsimpson.module.quantity import velocities_by
 from symsimpson.program.evaluating import evaluate
 from symsimpson.program.input_values import MOST_STEPS
@@ -17,11 +18,12 @@ from symsimpson.results.states import States
 from symsimpson.run.ended import out_of_domain, raise_failure, trajectory_of
 from symsimpson.run.resolution import has_energy
 from symsimpson.run.start import started
+from symsimpson.run.verdict import passage_in_words
 from symsimpson.stepping.driving import driven, read_driving
 from symsimpson.stepping.request import of_a_step
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Reals
-from symsimpson.support.calling import explaining
+from symsimpson.support.calling import explaining, warn
 from symsimpson.support.names import counted
 from symsimpson.support.signals import undisturbed
 
@@ -77,6 +79,8 @@ class ControlLoop:
             self._run = started(program, endless, 0, 1, self._inputs)
             #: Whether a step is that of compiled code, in which nobody hears Ctrl-C.
             self._at_once = numbers.compiled and spec.run_events is None
+            #: Whether a passage where M is small is to be looked at.
+            self._watching = self._at_once and program.declared is not None
 
     def __reduce__(self) -> tuple[Any, ...]:
         run = self._run
@@ -131,6 +135,21 @@ class ControlLoop:
                 self._inputs[:] = last
                 ended = replace(self._trajectory(before + 1), **about)
                 raise_failure(run, ended, ended)
+            if self._watching and run.value("PIVOT_TIME") < np.inf:
+                self._look_at_passage()
+
+    def _look_at_passage(self) -> None:
+        """Warn, once, where the last step and those that follow do not resolve a small M."""
+        program, run, n = self.program, self._run, self.program.n
+        run.rows("PIVOT_TIME", 1)[:] = np.inf
+        before = run.rows("PREVIOUS", 3 * n).copy()
+        states = (run.begun[0], *run.begun[1]), (run.now - run.h, before[:n], before[2 * n :])
+        about = program, program.declared, states, run.h, run.parameters, self._inputs
+        passed = None if program.tools is None else program.tools.unresolved_step(*about)
+        if passed is not None:
+            self._watching = False
+            words = passage_in_words(float(run.h), *passed)
+            warn(f"{program.system}, {program.scheme}: {words}", ResolutionWarning)
 
     def _trajectory(self, steps: int) -> Trajectory:
         """Return the run so far, with its last state alone, and without the inputs of its steps."""

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from symsimpson.errors import ResolutionWarning
-from symsimpson.module.interface import SMALL_PIVOT
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
@@ -17,10 +16,10 @@ from symsimpson.run.resolution import Sampled, energies_at, look_at_energy
 from symsimpson.stepping.kept import KeptStates
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run import Run
-from symsimpson.support.array_types import Reals
+from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.calling import warn
 
-__all__ = ["verdict"]
+__all__ = ["inputs_again", "passage_in_words", "verdict"]
 
 #: Failures that a singular point of the coordinates explains, where the run has come to one.
 AT_POLES = (
@@ -107,20 +106,8 @@ def _unresolved(
     unknown = trajectory.every == 1 and not _stays_regular(program, trajectory)
     if tools is not None and plain and (unknown or asked is not None):
         passed = tools.unresolved_pole(program, system, trajectory, asked)
-        if passed is not None and not passed[2]:
-            return (
-                f"about t={passed[0]:g} the motion passes {passed[1]}, where its inertia is small, "
-                f"faster than steps of h={h:g} resolve: finer steps lead elsewhere, and the states "
-                "after it are unreliable.\nTake a smaller h, or a scheme of higher order."
-            )
         if passed is not None:
-            return (
-                f"about t={passed[0]:g} the motion passes a singular point of the coordinates, "
-                f"near {passed[1]}, faster than steps of h={h:g} resolve: finer steps lead "
-                "elsewhere, and the states after it are unreliable.\nUse coordinates that are "
-                "regular there, such as Cartesian ones held by a constraint (see the guide to "
-                "constraints); a smaller h helps only where the passage is wide enough."
-            )
+            return passage_in_words(h, *passed)
     if tools is not None and plain and unknown and not run.header.retimed:
         inputs = np.asarray(trajectory.input_values)[0, 0, 0]
         values = [*map(float, trajectory.parameter_values), *map(float, inputs)]
@@ -158,12 +145,47 @@ def _unresolved(
     )
 
 
+def passage_in_words(h: float, t: float, where: str, singular: bool) -> str:
+    """Return what to say of a passage that steps did not resolve, near a singular point or not."""
+    passes = f"{where}, where its inertia is small,"
+    advice = "Take a smaller h, or a scheme of higher order."
+    if singular:
+        passes = f"a singular point of the coordinates, near {where},"
+        advice = (
+            "Use coordinates that are regular there, such as Cartesian ones held by a constraint "
+            "(see the guide to constraints); a smaller h helps only where the passage is wide "
+            "enough."
+        )
+    return (
+        f"about t={t:g} the motion passes {passes} faster than steps of h={h:g} resolve: finer "
+        f"steps lead elsewhere, and the states after it are unreliable.\n{advice}"
+    )
+
+
+def inputs_again(
+    program: Program, inputs: Reals, first: int, last: int, finer: int = 1
+) -> dict[str, Floats]:
+    """Return inputs of steps of a run that are taken again, in so many parts each.
+
+    ``inputs`` have the shape (1, N, s, m); what stands at nodes is a polynomial of each step.
+    """
+    steps = np.minimum(np.arange(first, last), inputs.shape[1] - 1)
+    rows = inputs[0, steps].astype(np.float64)
+    if rows.shape[1] == 1:
+        rows = np.repeat(rows, finer, axis=0)
+    elif finer > 1:
+        nodes = np.array(program.header.input_places, dtype=np.float64)
+        parts = (np.arange(finer)[:, None] + nodes) / finer
+        weights = np.vander(parts.ravel(), len(nodes)) @ np.linalg.inv(np.vander(nodes))
+        rows = np.matmul(weights, rows).reshape(-1, *rows.shape[1:])
+    return {name: rows[None, :, :, k] for k, name in enumerate(program.inputs)}
+
+
 def _around_smallest(
     program: Program, run: Run, trajectory: Trajectory, kept: KeptStates
 ) -> Request | None:
     """Return how to take the steps again at which M was small, if a run has not all its states."""
-    small = run.value("PIVOT_LIMIT") < SMALL_PIVOT and not run.header.inputs
-    if trajectory.every == 1 or not small:
+    if trajectory.every == 1 or not run.value("PIVOT_TIME") < np.inf:
         return None
     place = round(float((run.value("PIVOT_TIME") - run.t0) / run.h))
     # a retimed run has its rate from its start
@@ -173,8 +195,11 @@ def _around_smallest(
     steps = min(place + AROUND, trajectory.steps) - first
     free = {name: trajectory.parameters[name] for name in program.free_values()}
     t = run.t0 + run.h * first
-    asked = Request(q, p0=p, h=run.h, steps=steps, t0=t, parameters=free, every=1)
-    return asked if steps <= MOST_AGAIN else None
+    if steps > MOST_AGAIN:
+        return None
+    inputs = inputs_again(program, trajectory.input_values, first, first + steps) or None
+    again = {"t0": t, "steps": steps, "every": 1, "parameters": free, "inputs": inputs}
+    return Request(q, p0=p, h=run.h, **again)
 
 
 def _stays_regular(program: Program, trajectory: Trajectory) -> bool:

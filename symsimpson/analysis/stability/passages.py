@@ -27,10 +27,11 @@ from symsimpson.reference.first_order import Lines
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.ended import uninterrupted
 from symsimpson.run.requested import run as run_again
+from symsimpson.run.verdict import inputs_again
 from symsimpson.stepping.request import Request
 from symsimpson.support.array_types import Floats
 
-__all__ = ["at_pole", "regular_box", "unresolved_pole"]
+__all__ = ["at_pole", "regular_box", "unresolved_pole", "unresolved_step"]
 
 #: In larger systems det M is not looked at.
 MOST_COORDINATES = 12
@@ -134,6 +135,50 @@ def unresolved_pole(
     return None
 
 
+def unresolved_step(
+    program: Program,
+    system: MechanicalSystem,
+    states: Sequence[tuple[float, Floats, Floats]],
+    h: float,
+    values: Floats,
+    inputs: Floats,
+) -> tuple[float, str, bool] | None:
+    """Return what :func:`unresolved_pole` does, of steps from the last of two states on.
+
+    The first state is where a run began, at which det M is ordinary. The ``inputs`` of a step are
+    those of all.
+    """
+    if _mass(system)[0] is None or _looking.get():
+        return None
+    steps, named = 1 + BEHIND, dict(zip(program.parameters, values, strict=True))
+    runs = [
+        _run_quietly(
+            program,
+            Request(
+                q,
+                p0=p,
+                h=h * _rate(program, q, p, values),
+                steps=steps,
+                t0=t,
+                parameters={name: named[name] for name in program.free_values()},
+                inputs=inputs_again(program, inputs, 0, steps) or None,
+                every=1,
+            ),
+        )
+        for t, q, p in states
+    ]
+    if not all(run.success for run in runs):
+        return None
+    usual, apart = (_apart(program, system, run, 1) for run in runs)
+    if not (apart > APART and apart > ORDINARY * usual):
+        return None
+    t, q, numbers = _states(runs[1])
+    sizes = _sizes(system, t, q, numbers)
+    place, ordinary = int(sizes.argmin()), _sizes(system, *_states(runs[0]))[0]
+    singular = _vanishes_near(system, t[place], q[place], numbers, ordinary)
+    return float(t[place]), _named(system, runs[1], place), singular
+
+
 def _run_quietly(program: Program, asked: Request) -> Trajectory:
     """Run without warnings; nobody looks at the passages of this run."""
     token = _looking.set(True)
@@ -212,24 +257,9 @@ def _named(system: MechanicalSystem, run: Trajectory, place: int) -> str:
 
 
 def _apart(program: Program, system: MechanicalSystem, run: Trajectory, place: int) -> float:
-    """Return how far from the run much finer steps past a state lead, in moves of a step, squared.
-
-    Nothing is known where inputs are polynomials of the steps: 0.
-    """
+    """Return how far from a run much finer steps past a state lead, in moves of steps, squared."""
     first, last = max(0, place - BEFORE), min(run.steps, place + BEHIND)
-    rate = 1.0
-    if program.header.retimed:  # whose rate is 1 where a run begins
-        here = np.zeros(1), run.q[[first]], run.p[[first]]
-        rate = evaluate(program, "energy", "RATE", 1, here, run.parameter_values).item()
-    inputs: Any = None
-    if program.inputs:
-        if run.input_values.shape[2] > 1:
-            return 0.0
-        input_rows = run.input_values[0, min(first, run.input_values.shape[1] - 1) : last, 0]
-        inputs = {
-            name: input_rows[0, k] if len(input_rows) == 1 else np.repeat(input_rows[:, k], FINER)
-            for k, name in enumerate(program.inputs)
-        }
+    rate = _rate(program, run.q[first], run.p[first], run.parameter_values)
     free = {name: run.parameters[name] for name in program.free_values()}
     try:
         asked = Request(
@@ -239,7 +269,7 @@ def _apart(program: Program, system: MechanicalSystem, run: Trajectory, place: i
             steps=FINER * (last - first),
             t0=run.t[first],
             parameters=free,
-            inputs=inputs,
+            inputs=inputs_again(program, run.input_values, first, last, FINER) or None,
         )
         finer = _run_quietly(program, asked)
     except KeyboardInterrupt:
@@ -256,6 +286,14 @@ def _apart(program: Program, system: MechanicalSystem, run: Trajectory, place: i
     moved = np.einsum("ki,kij,kj->k", moves, masses, moves).max()
     end = _masses(system, t[last : last + 1], q[last : last + 1], values)[0]
     return float(gap @ end @ gap / moved) if moved > 0 else 0.0
+
+
+def _rate(program: Program, q: Floats, p: Floats, values: Floats) -> float:
+    """Return dt/dtau in units of that where a run begins."""
+    if not program.header.retimed:
+        return 1.0
+    here = np.zeros(1), q[None], p[None]
+    return float(evaluate(program, "energy", "RATE", 1, here, values).item())
 
 
 def _within(moves: Floats, turn: Floats) -> Floats:

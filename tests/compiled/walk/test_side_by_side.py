@@ -237,7 +237,7 @@ def test_every_statement_is_walked_once_behind_what_it_needs():
         (loop,) = (node for node in text.functions[kernel].body if isinstance(node, ast.For))
         walked = [node for _, some in in_order(loop.body, text) for node in some]
         assert sorted(map(id, walked)) == sorted(map(id, loop.body))
-        known = {"W", "lane", "h", "t", "abs", *text.functions, *text.constants}
+        known = {"W", "lane", "h", "t", "abs", "min", *text.functions, *text.constants}
         for node in walked:
             names = [x for x in ast.walk(node) if isinstance(x, ast.Name)]
             assert {x.id for x in names if isinstance(x.ctx, ast.Load)} <= known

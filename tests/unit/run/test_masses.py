@@ -1,5 +1,8 @@
 """Mass matrices that lose their definiteness along a run, and passages where they are small."""
 
+import pickle
+import warnings
+
 import numpy as np
 import pytest
 import sympy as sp
@@ -188,3 +191,89 @@ def test_a_pole_is_noticed_whatever_is_stored():
         stepper.ensemble([1.0, 0.0], p0=p0, **given)
     wide = {"h": 0.01, "steps": 2000, "every": None}
     assert stepper.integrate([1.0, 0.0], p0=[0.0, 0.3], **wide).success  # in silence
+
+
+#: The pendulum, and the same with a torque as input; it passes 3e-5 rad from the pole.
+NEAR_POLE = {"q0": [1.0, 0.0], "p0": [0.0, 1e-4], "h": 0.05}
+UNRESOLVED = "singular point of the coordinates, near theta="
+
+
+@pytest.fixture(scope="module")
+def pendulum():
+    return ss.compile(ss.systems.spherical_pendulum())
+
+
+def driven_pendulum():
+    theta, phi = ss.coordinates("theta phi")
+    u = sp.Symbol("u")
+    return ss.MechanicalSystem(
+        "driven",
+        coordinates=(theta, phi),
+        kinetic=(theta.diff() ** 2 + sp.sin(theta) ** 2 * phi.diff() ** 2) / 2,
+        potential=-9.81 * sp.cos(theta),
+        forces={theta: u},
+        inputs=(u,),
+    )
+
+
+def take(loop, count, *given):
+    """Return at which of so many steps a loop warns."""
+    warned = []
+    for number in range(count):
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            loop.step(*given)
+        warned += [number] * len(told)
+    return warned
+
+
+@pytest.mark.slow
+def test_loops_notice_a_pole_once(pendulum):
+    """The bob is at the lowest point at 0.54 s, a quarter of its period: in step 10."""
+    loop = pendulum.start(**NEAR_POLE)
+    assert take(loop, 10) == []
+    assert take(pickle.loads(pickle.dumps(loop)), 40) == [0]
+    with pytest.warns(ss.ResolutionWarning, match=UNRESOLVED):
+        loop.step()
+    assert take(loop, 389) == []
+    wide = NEAR_POLE | {"p0": [0.0, 0.3], "h": 0.01}
+    assert take(pendulum.start(**wide), 400) == []
+
+
+@pytest.mark.slow
+def test_ensembles_notice_a_pole_wherever_they_are(pendulum, tmp_path):
+    p0 = np.tile([0.0, 2.0], (9, 1))
+    p0[7] = NEAR_POLE["p0"]
+    given = NEAR_POLE | {"p0": p0, "steps": 400}
+    for more in ({}, {"store": tmp_path / "s"}, {"every": None}):
+        with pytest.warns(ss.ResolutionWarning, match=f"member 7.*{UNRESOLVED}"):
+            pendulum.ensemble(**given, **more)
+
+
+@pytest.mark.slow
+def test_runs_with_inputs_notice_a_pole():
+    stepper = ss.compile(driven_pendulum())
+    inputs = 0.0, np.zeros(400), lambda t: 0.0 * t
+    for every in (1, 13, None):
+        for u in inputs:
+            with pytest.warns(ss.ResolutionWarning, match=UNRESOLVED):
+                stepper.integrate(**NEAR_POLE, steps=400, every=every, inputs={"u": u})
+    assert take(stepper.start(**NEAR_POLE), 40, 0.0) == [10]
+    wide = NEAR_POLE | {"p0": [0.0, 0.3], "h": 0.01}
+    for every in (1, 13, None):  # in silence
+        stepper.integrate(**wide, steps=400, every=every, inputs={"u": lambda t: np.sin(t) / 9})
+
+
+@pytest.mark.slow
+def test_a_regular_motion_is_not_run_again(monkeypatch):
+    """The axis of the top comes to 0.047 rad from the vertical, in steps of 0.008 rad."""
+    top = ss.systems.lagrange_top()
+    stepper = ss.compile(top)
+    again = []
+    for steps in (5000, 100_000):
+        run = stepper.integrate(**top.reference_state, h=0.001, steps=steps, every=None)
+        with monkeypatch.context() as patch:
+            patch.setattr("symsimpson.run.verdict.Request", lambda *x, **y: again.append(x))
+            same = stepper.integrate(**top.reference_state, h=0.001, steps=steps, every=None)
+        assert again == []
+        assert (same.q == run.q).all()
