@@ -350,7 +350,8 @@ class ControlResult:
             If the name does not end in ``.npz``.
         """
         text: dict[str, Any] = {name: getattr(self, name) for name in SAVED}
-        text |= {"scheme": self.layout.scheme.name, "steps": self.layout.grid.steps}
+        steps = self.layout.grid.steps
+        text |= {"scheme": self.layout.scheme.name, "steps": steps if len(steps) > 1 else steps[0]}
         write_solution(path, text | {"status": self.status.name}, self.x, self.multipliers)
 
     def plot(self) -> Any:
