@@ -114,22 +114,10 @@ def actions_of(run: Any, name: str) -> Actions:
 
 def energies_given(run: Any) -> Floats:
     """Return the energy that events gave up to each stored state of a run."""
-    program, values = run.program, run.parameter_values
-    t, step = (
-        np.array([getattr(record, name) for record in run.records]) for name in ("t", "step")
-    )
-    sides = (("q", "p"), ("q_after", "p_after"))
-    before, behind = (
-        States(
-            t=t,
-            q=np.array([getattr(record, q) for record in run.records]),
-            p=np.array([getattr(record, p) for record in run.records]),
-            program=program,
-            parameter_values=values,
-            driven=None,
-        )
-        for q, p in sides
-    )
+    names = ("t", "step", "q", "p", "q_after", "p_after")
+    t, step, *sides = (np.array([getattr(x, name) for x in run.records]) for name in names)
+    about = {"program": run.program, "parameter_values": run.parameter_values, "driven": None}
+    before, behind = (States(t=t, q=q, p=p, **about) for q, p in (sides[:2], sides[2:]))
     stays = (before.q == behind.q).all(axis=1)  # and V, which may be NaN at the zero of a root
     moved, pushed = behind.energy - before.energy, behind.kinetic_energy - before.kinetic_energy
     total = np.concatenate([[0.0], np.cumsum(np.where(stays, pushed, moved))])

@@ -66,12 +66,8 @@ def _dataset(run: Stored) -> Any:
 
 def _of_events(run: Stored) -> str:
     """Return what events did, as JSON."""
-    about = {
-        "names": run.event_names,
-        "ended_by": run.ended_by,
-        "records": [x.as_json for x in run.records],
-    }
-    return json.dumps(about)
+    records = [record.as_json for record in run.records]
+    return json.dumps({"names": run.event_names, "ended_by": run.ended_by, "records": records})
 
 
 def digest_of(run: Stored) -> str:
