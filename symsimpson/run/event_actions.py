@@ -76,13 +76,9 @@ class EventActions:
         """Return the expressions of events at a state."""
         return self.row(t, state)[: len(self._events.events)]
 
-    def is_impact(self, k: int) -> bool:
-        """Return whether an event is an impact."""
-        return bool(self.impacts[k])
-
     def loses(self, k: int, before: State, behind: State, t: float) -> bool:
         """Return whether an event is an impact that left a slower rate, or a change."""
-        if not self.is_impact(k):
+        if not self.impacts[k]:
             return bool(self._events.changes[k])
         rates = [abs(self.row(t, state)[self.rate(k)]) for state in (before, behind)]
         return bool(rates[1] < (1 - 1e-9) * rates[0])
@@ -101,7 +97,7 @@ class EventActions:
     def may_all_hit(self, t: float, state: State, events: Sequence[int]) -> bool:
         """Return whether all of some events are impacts that may act on a state."""
         row = self.row(t, state)
-        return all(self.is_impact(k) and self.allowed(row, k) for k in events)
+        return all(self.impacts[k] and self.allowed(row, k) for k in events)
 
     def sizes(self, row: Floats, q: Floats) -> Floats:
         """Return the sizes of terms of which expressions are made, to tell what rounding is."""
@@ -222,12 +218,12 @@ class EventActions:
         Yields the number of each, the states before and behind it, and its impulse.
         """
         for k in events:
-            if not self.is_impact(k):
+            if not self.impacts[k]:
                 before, state = state, self._changed(t, state, k)
                 yield k, before, state, 0.0
                 if self.failed:
                     return
-        forced = {k for k in events if self.is_impact(k)}
+        forced = {k for k in events if self.impacts[k]}
         for _ in range(MOST_MAPS):
             row = self.row(t, state)
             touch = self.touching(row[: len(small)], small)

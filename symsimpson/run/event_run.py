@@ -314,7 +314,7 @@ class EventRun(Run):
         row, small, given = self._actions.row(t, state), self.sides.small, state
         allowed = [k for k in events if self._actions.allowed(row, k)]
         for k in events:  # an impact leads back to its side, unless it is not allowed
-            if not (k in allowed and self._actions.is_impact(k)):
+            if not (k in allowed and self._actions.impacts[k]):
                 self.sides.side[k] = -np.sign(self.sides.side[k])
         done = list(self._actions.acted(t, state, allowed, small))
         several = len({k for k, *_, impulse in done if impulse}) > 1
@@ -322,8 +322,8 @@ class EventRun(Run):
             state = behind
             if self._saltation is not None:
                 self._saltation.act(t, before, k, step)
-            direction = -1 if self._actions.is_impact(k) else int(self.sides.side[k])
-            together = several and self._actions.is_impact(k)
+            impact = bool(self._actions.impacts[k])
+            direction, together = -1 if impact else int(self.sides.side[k]), several and impact
             self.records.append(Record(k, t, step, *before, *behind, direction, impulse, together))
             if self._actions.loses(k, before, behind, t):
                 times.setdefault(k, []).append(t)
@@ -338,7 +338,11 @@ class EventRun(Run):
         if state is not given and self._actions.beyond is None:
             share = (t - float(self.t0 + self.h * step)) / float(self.h)
             self.sides.renew(allowed, t, given, state, (step, share))
-        return None if self._accumulates(times) else state
+        if (limit := accumulation(times, abs(float(self.h)))) is None:
+            return state
+        k, about = limit
+        why = f"{self._events.names[k]!r} acts ever faster up to t={about!r}. "
+        return self._fail(Status.EVENTS_ACCUMULATE, why)
 
     @property
     def _worked(self) -> Floats:
@@ -349,15 +353,6 @@ class EventRun(Run):
     def _variations(self) -> Floats:
         """Rows in which variations of the state stand, one after the other."""
         return self.rows("TANGENT", 2 * self.header.n * int(self.value("TANGENTS")))
-
-    def _accumulates(self, times: Times) -> bool:
-        """Return whether impacts follow each other ever faster: the run ends."""
-        limit = accumulation(times, abs(float(self.h)))
-        if limit is not None:
-            k, about = limit
-            why = f"{self._events.names[k]!r} acts ever faster up to t={about!r}. "
-            self._fail(Status.EVENTS_ACCUMULATE, why)
-        return limit is not None
 
     def _look_for_end(self) -> bool:
         """Look whether an event has ended the run."""

@@ -107,11 +107,15 @@ class Saltation:
     def _is_behind(self, event: int, t: float, state: State, field: Floats) -> bool:
         """Return whether the expression of an event is further from zero than roundings make it."""
         with workdps(DIGITS):
-            at = self._jumps.point(t, *state)
-            value: Callable[[Any], Any] = lambda z: [self._jumps.value(event, z)]  # noqa: E731
-            (motion,) = self._jumps.ways(np.ones(1), field[:, None], ())
-            (rate,) = slope(value, at, motion)
+            value, at, rate = self._watched(event, t, state, field)
             return bool(abs(value(at)[0]) > AWAY * abs(rate * self._h))
+
+    def _watched(self, event: int, t: float, state: State, field: Floats) -> tuple[Any, Any, Any]:
+        """Return the expression of an event, the point of a state, and its rate there."""
+        at = self._jumps.point(t, *state)
+        value: Callable[[Any], Any] = lambda z: [self._jumps.value(event, z)]  # noqa: E731
+        (motion,) = self._jumps.ways(np.ones(1), field[:, None], ())
+        return value, at, slope(value, at, motion)[0]
 
     def _field(self, t: float, state: State, step: int) -> Floats:
         """Return the derivative by the length of parts of no length: the vector field."""
@@ -136,11 +140,8 @@ class Saltation:
 
         ``mean`` is the rate at which the expression came to be zero, over the part of the step.
         """
-        at = self._jumps.point(t, *end)
-        value: Callable[[Any], Any] = lambda z: [self._jumps.value(event, z)]  # noqa: E731
+        value, at, rate = self._watched(event, t, end, by_length)
         ways = self._jumps.ways(self.moved, columns, self._own)
-        (motion,) = self._jumps.ways(np.ones(1), by_length[:, None], ())
-        (rate,) = slope(value, at, motion)
         if abs(rate) <= GRAZED * abs(mean):
             warn(
                 f"{self._program.system}: at t={t:g} {self._events.names[event]!r} is grazed: the "

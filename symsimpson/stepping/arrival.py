@@ -30,16 +30,9 @@ def last_part(program: Program, run: Run, t_end: Any) -> tuple[Any, Reals, Reals
     Returned are the part, of tau, q and p there, each of shape (1, n), and the status.
     """
     q, p = run.end()
-    start = np.zeros(1, dtype=np.int64)
-    part, q, p, fine = states_at(
-        program,
-        run.parameters,
-        run.h,
-        (run.rows("TIME", 1).copy(), q, p),
-        start,
-        np.full(1, t_end),
-        1,
-    )
+    states, start = (run.rows("TIME", 1).copy(), q, p), np.zeros(1, dtype=np.int64)
+    ends = np.full(1, t_end)
+    part, q, p, fine = states_at(program, run.parameters, run.h, states, start, ends, 1)
     return part[0], q, p, Status.SUCCESS if fine[0] else Status.NOT_CONVERGED
 
 
