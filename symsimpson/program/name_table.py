@@ -98,10 +98,6 @@ class Names:
 
     def varied(self, names: Iterable[str]) -> tuple[str, ...]:
         """Return what a user calls parameters and inputs that have these names in the module."""
-        tables = self.parameters, self.inputs
-        known = {
-            identifier: shown
-            for x in tables
-            for identifier, shown in zip(x.own, x.shown, strict=True)
-        }
+        pairs = (zip(x.own, x.shown, strict=True) for x in (self.parameters, self.inputs))
+        known = dict(chain(*pairs))
         return tuple(known.get(name, name) for name in names)

@@ -25,12 +25,8 @@ _FUNCTIONS = dict.fromkeys([*OF_MATH.split(", "), "abs"], (1, 1))
 _FUNCTIONS |= {"atan2": (2, 2), "min": (1, 50), "max": (1, 50)}
 _SPELLED = {"Abs": "abs", "Min": "min", "Max": "max"}
 _SIGNS: dict[type[ast.AST], str] = {
-    ast.Add: "+",
-    ast.Sub: "-",
-    ast.Mult: "*",
-    ast.Div: "/",
-    ast.Pow: "**",
-    ast.Mod: "%",
+    **{ast.Add: "+", ast.Sub: "-", ast.Mult: "*"},
+    **{ast.Div: "/", ast.Pow: "**", ast.Mod: "%"},
 }
 #: What the text of an expression is made of, beside names.
 SYNTAX = re.compile(r"[\w\s.+\-*/%(),]*")
@@ -111,21 +107,16 @@ class Reader:
 
         Those are the module's own; ``text`` is what was written of the expression.
         """
-        identifiers = {"q": self._header.coordinates, "a": self._header.parameters}
-        known = {"t": "t", "pi": self._known["pi"]} | {
-            scalar.name: scalar.symbol for scalar in SCALARS
-        }
-        for kind in "qpva":
-            before = f"{kind}_" if kind in "pv" else ""
-            names = identifiers.get(kind, self._header.coordinates)
-            known |= {f"{before}{name}": f"{kind}_{i}" for i, name in enumerate(names)}
+        prefixes = {"q": "", "p": "p_", "v": "v_", "a": ""}
+        tables = dict.fromkeys("qpv", self._header.coordinates) | {"a": self._header.parameters}
+        known = {"t": "t", "pi": self._known["pi"]} | {x.name: x.symbol for x in SCALARS}
+        for kind, names in tables.items():
+            known |= {f"{prefixes[kind]}{name}": f"{kind}_{i}" for i, name in enumerate(names)}
         if all(known.get(name) == self._known[name] for name in self._used):
             return str(expression)
 
         def name(match: re.Match[str]) -> str:
-            kind, place = match[1], int(match[2])
-            before = f"{kind}_" if kind in "pv" else ""
-            return before + identifiers.get(kind, self._header.coordinates)[place]
+            return prefixes[match[1]] + tables[match[1]][int(match[2])]
 
         return re.sub(r"\b([qpva])_(\d+)\b", name, text)
 
