@@ -100,12 +100,12 @@ def certify(options: argparse.Namespace) -> int:
     from symsimpson.api.compiling import load
 
     path = Path(options.stepper)
-    if path.suffix == ".py" and options.retimed:
-        raise InputError(
-            "--retimed does not go with a generated file.\n"
-            "Generate the file from the retimed system."
-        )
     if path.suffix == ".py":
+        if options.retimed:
+            raise InputError(
+                "--retimed does not go with a generated file.\n"
+                "Generate the file from the retimed system."
+            )
         stepper = load(path)
     elif options.save:
         raise InputError(

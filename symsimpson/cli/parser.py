@@ -44,7 +44,10 @@ def parser() -> argparse.ArgumentParser:
         return command_parser
 
     command("list", commands.list_systems, "list the systems of the catalogue")
-    command("run", runs.run, "integrate a system and report", _state(), _length(), _file())
+    subparser = command("run", runs.run, "integrate a system and report", _state(), _length())
+    subparser.add_argument(
+        "--out", help="write the run to this .nc, .zarr, .npz, .csv or .parquet file"
+    )
     subparser = command("plot", runs.plot, "draw a run", _state(), _length())
     subparser.add_argument(
         "names", nargs="*", help="quantities over time, as q1 energy; or x y: points"
@@ -177,14 +180,6 @@ def _length() -> argparse.ArgumentParser:
     parent.add_argument("--every", type=int, default=1, help="steps between stored states")
     parent.add_argument(
         "--inputs", help="a .csv file with a column for each input, a row for a step"
-    )
-    return parent
-
-
-def _file() -> argparse.ArgumentParser:
-    parent = argparse.ArgumentParser(add_help=False)
-    parent.add_argument(
-        "--out", help="write the run to this .nc, .zarr, .npz, .csv or .parquet file"
     )
     return parent
 

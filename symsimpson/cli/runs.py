@@ -160,17 +160,12 @@ def _inputs(options: argparse.Namespace, stepper: Stepper, steps: int) -> dict[s
     return {"inputs": {name: table[name][:steps] for name in names}}
 
 
-def _end(trajectory: Trajectory) -> float:
-    """Return the time behind the last step, whose state need not be stored."""
-    if trajectory.program.header.retimed or trajectory.every is None:
-        return float(trajectory.t[-1])
-    return float(trajectory.t[0] + trajectory.h * trajectory.steps)
-
-
 def _report(trajectory: Trajectory, given: dict[str, Any]) -> None:
     from symsimpson.results.outcome import iterations_a_step
 
-    program, end = trajectory.program, _end(trajectory)
+    program, end = trajectory.program, float(trajectory.t[-1])
+    if trajectory.every is not None and not program.header.retimed:
+        end = float(trajectory.t[0] + trajectory.h * trajectory.steps)  # its state may be missing
     print(f"{program.system}, {program.scheme} (order {program.order}), h = {trajectory.h:g}")
     for name in ("q0", "v0", "p0"):
         if name in given:

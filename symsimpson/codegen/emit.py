@@ -32,7 +32,6 @@ from symsimpson.codegen.library import library_sources
 from symsimpson.codegen.printer import NAMED_CONSTANTS, Printer, count_operations
 from symsimpson.codegen.thresholds import thresholds
 from symsimpson.discrete.equations import DiscreteEquations
-from symsimpson.mechanics.domain import has_real_energy
 from symsimpson.module.interface import INTERFACE, OPTIONS, SIGNATURE
 
 __all__ = ["emit"]
@@ -147,7 +146,7 @@ def _facts(equations: DiscreteEquations, module: Module) -> dict[str, object]:
         "parameters": names.parameters,
         "defaults": tuple(float(value) for value in system.parameters.values()),
         "signs": tuple(signs),
-        "real_everywhere": has_real_energy(plain),
+        "real_everywhere": plain.signs.real_everywhere(n for _, n in plain.energies),
     }
     others = {
         "invariants": names.invariants,

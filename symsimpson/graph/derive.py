@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 
 from symsimpson.graph.nodes import ONE, ZERO, Graph, Value, scaled
@@ -97,37 +97,30 @@ def _outer(graph: Graph, n: int, name: str, arguments: Sequence[Value]) -> list[
     def with_one(sign: int, of_square: int) -> Value:
         return graph.add([(sign, 0), graph.multiply([(of_square, 0), square])])
 
+    def logistic() -> Value:
+        """Return exp(x)/(1 + exp(x))."""
+        return graph.function("exp", scaled(-1, graph.function("softplus", scaled(-1, x))))
+
+    slopes_of: dict[str, Callable[[], Value]] = {
+        "sin": lambda: graph.function("cos", x),
+        "cos": lambda: scaled(-1, graph.function("sin", x)),
+        "asin": lambda: graph.power(with_one(1, -1), -half),
+        "acos": lambda: scaled(-1, graph.power(with_one(1, -1), -half)),
+        "atan": lambda: graph.power(with_one(1, 1), -1),
+        "sinh": lambda: graph.function("cosh", x),
+        "cosh": lambda: graph.function("sinh", x),
+        "tanh": lambda: graph.add([ONE, scaled(-1, graph.power(value, 2))]),
+        "asinh": lambda: graph.power(with_one(1, 1), -half),
+        "acosh": lambda: graph.power(with_one(-1, 1), -half),
+        "atanh": lambda: graph.power(with_one(1, -1), -1),
+        "exp": lambda: value,
+        "logcosh": lambda: graph.function("tanh", x),
+        "softplus": logistic,
+        "log": lambda: graph.power(x, -1),
+    }
+    if name in slopes_of:
+        return [slopes_of[name]()]
     match name:
-        case "sin":
-            return [graph.function("cos", x)]
-        case "cos":
-            return [scaled(-1, graph.function("sin", x))]
-        case "asin":
-            return [graph.power(with_one(1, -1), -half)]
-        case "acos":
-            return [scaled(-1, graph.power(with_one(1, -1), -half))]
-        case "atan":
-            return [graph.power(with_one(1, 1), -1)]
-        case "sinh":
-            return [graph.function("cosh", x)]
-        case "cosh":
-            return [graph.function("sinh", x)]
-        case "tanh":
-            return [graph.add([ONE, scaled(-1, graph.power(value, 2))])]
-        case "asinh":
-            return [graph.power(with_one(1, 1), -half)]
-        case "acosh":
-            return [graph.power(with_one(-1, 1), -half)]
-        case "atanh":
-            return [graph.power(with_one(1, -1), -1)]
-        case "exp":
-            return [value]
-        case "logcosh":
-            return [graph.function("tanh", x)]
-        case "softplus":  # exp(x)/(1 + exp(x))
-            return [graph.function("exp", scaled(-1, graph.function("softplus", scaled(-1, x))))]
-        case "log":
-            return [graph.power(x, -1)]
         case "erf" | "erfc":
             bell = graph.function("exp", scaled(-1, square))
             factor = graph.power(graph.constant("pi"), -half)

@@ -65,7 +65,7 @@ class _Powers:
         self._of_base = {1: base}
         needed = {abs(self._steps(e)) for e in uses if e not in self._plain}
         for k in sorted(k for k in needed if k):
-            self._power(k)
+            self._in_chain(self._chain, k)
 
     def _steps(self, e: Exact) -> int:
         """Return how often the unit stands in a power; 0 if the base itself serves better."""
@@ -79,22 +79,18 @@ class _Powers:
             return [(self._base, e)]
         steps = self._steps(e)
         if steps:
-            return [(self._power(abs(steps)), 1 if steps > 0 else -1)]
+            return [(self._in_chain(self._chain, abs(steps)), 1 if steps > 0 else -1)]
         if e.denominator == 1:
             return [(self._whole(int(e)), 1)]
         if self._unit < 0 < e:  # sqrt(x) = x/sqrt(x)
             whole = -int(-e // 1)
             rest = int((e - whole) / self._unit)
-            return [(self._whole(whole), 1), (self._power(rest), 1)]
+            return [(self._whole(whole), 1), (self._in_chain(self._chain, rest), 1)]
         return [(self._base, e)]
 
     def _whole(self, k: int) -> int:
         """Return a line with a whole power of the base."""
         return self._in_chain(self._chain if self._unit == 1 else self._of_base, k)
-
-    def _power(self, k: int) -> int:
-        """Return a line with a power of the unit."""
-        return self._in_chain(self._chain, k)
 
     def _in_chain(self, chain: dict[int, int], k: int) -> int:
         """Return a power: one product of two that are there, if there are."""
@@ -104,10 +100,7 @@ class _Powers:
             if pair is None:
                 pair = (k - k // 2, k // 2)
                 self._in_chain(chain, pair[1])
-            first, second = self._in_chain(chain, pair[0]), self._in_chain(chain, pair[1])
-            chain[k] = self._product(first, second)
+            a, b = sorted(self._in_chain(chain, j) for j in pair)
+            parts = [(a, 2)] if a == b else [(a, 1), (b, 1)]
+            chain[k] = self._program.line("product", parts, self._level)
         return chain[k]
-
-    def _product(self, a: int, b: int) -> int:
-        parts = [(a, 2)] if a == b else [(min(a, b), 1), (max(a, b), 1)]
-        return self._program.line("product", parts, self._level)

@@ -72,9 +72,13 @@ def _dependent(graph: Graph, bases: list[int], angles: Angles, varied: int | Non
         at = Evaluation(graph, bases, _Rows(len(bases) + MORE, name), angles=angles)
     except ZeroDivisionError:
         return set(bases)
-    bits = [_bits(np.broadcast_to(at.values[m], len(bases) + MORE)) for m in bases]
+    count, bits = len(bases) + MORE, []
+    for m in bases:  # a bit for each point, 1 where the radicand is no square
+        values = np.broadcast_to(at.values[m], count).astype(np.int64)
+        character = _power(values, (PRIME - 1) // 2)
+        bits.append(int("".join("1" if c == PRIME - 1 else "0" for c in character), 2))
     # a character that never changes is one of a constant, of either kind
-    constant = (1 << (len(bases) + MORE)) - 1
+    constant = (1 << count) - 1
     places = _kernel(bits if varied is None else [*bits, constant])
     return {bases[k] for k in places if k < len(bases)}
 
@@ -115,12 +119,6 @@ class _Rows:
 def _power(x: Ints, e: int) -> Ints:
     power: Ints = raised(lambda a, b: a * b % PRIME, np.ones_like(x), x, e)
     return power
-
-
-def _bits(values: Ints) -> int:
-    """Return the points at which a radicand is no square, as the bits of a number."""
-    character = _power(values.astype(np.int64), (PRIME - 1) // 2)
-    return int("".join("1" if c == PRIME - 1 else "0" for c in character), 2)
 
 
 def _kernel(bits: list[int]) -> set[int]:

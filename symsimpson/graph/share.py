@@ -13,7 +13,6 @@ References
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable
 from fractions import Fraction
 from itertools import combinations
 from typing import Any
@@ -75,7 +74,8 @@ class _Pairs:
         """Name pairs until none is shared."""
         for n in self._program.order():
             if self._program.lines[n].kind == self.kind and self._program.lines[n].level:
-                self._count(n, self._pairs(n))
+                for pair in self._pairs(n):
+                    self._where.setdefault(pair, {})[n] = None
         for pair in self._where:
             self._push(pair)
         while self._heap:
@@ -117,10 +117,6 @@ class _Pairs:
         for other in touched:
             if other in self._where:
                 self._push(other)
-
-    def _count(self, n: int, pairs: Iterable[Pair]) -> None:
-        for pair in pairs:
-            self._where.setdefault(pair, {})[n] = None
 
     def _pairs(self, n: int) -> dict[Pair, None]:
         raise NotImplementedError

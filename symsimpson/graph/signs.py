@@ -49,9 +49,7 @@ class Signs:
             case "unit" | "constant":
                 return 1, True
             case "sum":
-                signs = [
-                    (s if c > 0 else -s, strict) for c, m in parts for s, strict in [self._done[m]]
-                ]
+                signs = [self((c, m)) for c, m in parts]
                 if len({s for s, _ in signs}) == 1:
                     return signs[0][0], any(strict for _, strict in signs)
             case "product":

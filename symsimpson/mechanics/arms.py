@@ -183,8 +183,7 @@ def arm_energies(
 def _joint(link: Link, x: Any, *, modified: bool) -> tuple[Vector, ...]:
     """Return rotation and shift from the frame before, and the joint's axis in that frame."""
     theta, d = (link.theta, link.d + x) if link.prismatic else (link.theta + x, link.d)
-    c, s = (_number(f(theta)) for f in (sp.cos, sp.sin))
-    ca, sa = _cosine_and_sine(link.alpha)
+    (c, s), (ca, sa) = map(_cosine_and_sine, (theta, link.alpha))
     if modified:
         rotation = (c, -s, 0), (s * ca, c * ca, -sa), (s * sa, c * sa, ca)
         shift, axis = (link.a, -d * sa, d * ca), (0, -sa, ca)
@@ -235,8 +234,5 @@ def _cosine_and_sine(angle: Any) -> tuple[Any, Any]:
         quarters = round(2 * angle / math.pi)
         if abs(angle - quarters * math.pi / 2) < CLOSE:
             return ((1, 0), (0, 1), (-1, 0), (0, -1))[quarters % 4]
-    return _number(sp.cos(angle)), _number(sp.sin(angle))
-
-
-def _number(value: Any) -> Any:
-    return value if value != 0 else sp.S.Zero
+    cosine, sine = sp.cos(angle), sp.sin(angle)
+    return cosine if cosine != 0 else sp.S.Zero, sine if sine != 0 else sp.S.Zero

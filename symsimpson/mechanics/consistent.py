@@ -66,7 +66,7 @@ def consistent(
     values = read_values("parameters", "parameter", system.parameters, parameters)
     if not (system.constraints or system.velocity_constraints):
         return q, v
-    free, start = [i for i, name in enumerate(names) if name not in held], q
+    free = [i for i, name in enumerate(names) if name not in held]
     at = _functions(system, values, t)
     m = len(system.constraints)
     _, slopes, mass = at(q)
@@ -80,20 +80,17 @@ def consistent(
     # reaches along the constraints
     for nearest in (True, False):
         configuration, left = _followed(of_positions, q, free, metric, nearest=nearest)
-        met = left <= MET or _rounded(of_positions, configuration)
-        if met:
+        if left <= MET or _rounded(of_positions, configuration):
             break
-    if met:
-        configuration = _unwound(of_positions, configuration, q, free)
-        configuration = _slid(of_positions, configuration, q[free], free, metric)
-    if not met:
+    else:
         raise InputError(
-            f"{system.name}: there is no state near q0={_shown(start)} "
+            f"{system.name}: there is no state near q0={_shown(q)} "
             "that satisfies the constraints"
             + (f" with {', '.join(sorted(held))} as given" if held else "")
             + ".\nGive a start that is nearer, or hold fewer coordinates fixed."
         )
-    q = configuration
+    configuration = _unwound(of_positions, configuration, q, free)
+    q = _slid(of_positions, configuration, q[free], free, metric)
     b, slopes, mass = at(q)
     b = np.where(np.arange(len(b)) < m, 0.0, b)
     if not all(np.isfinite(x).all() for x in (b, slopes, mass)):

@@ -10,7 +10,6 @@ from typing import Any
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from symsimpson.errors import ModelError
 from symsimpson.graph.findings import Findings
 from symsimpson.graph.nodes import ZERO, Value, scaled
 from symsimpson.graph.read import tree_size
@@ -51,8 +50,7 @@ def energies(
         restored(value) * velocities[i] * velocities[j] / (2 if i == j else 1)
         for (i, j), value in parts.M.items()
     )
-    kinetic = sp.Add(*terms)
-    return kinetic, linear, potential
+    return sp.Add(*terms), linear, potential
 
 
 def read_energies(
@@ -141,9 +139,9 @@ def read_energies(
     values: dict[str, Value] = {}
     for key, quantity in _by_name(name, "invariants", given.invariants, "{'J': x**2}").items():
         if not isinstance(key, str):
-            raise ModelError(
-                f"system '{name}': the invariant's name {key!r} is not a string.\n"
-                "Write invariants={'angular momentum': ...}."
+            raise refuse(
+                f"the invariant's name {key!r} is not a string.",
+                "Write invariants={'angular momentum': ...}.",
             )
         values[key] = read_expression(
             name, f"invariant {key!r}", quantity, s, watch, (*s.q, *s.v, *s.p, *s.a, s.t)
@@ -169,9 +167,8 @@ def read_energies(
     warn_of_lengths(name, coordinates, [*given.constraints.values()] if given.constraints else [])
     names = [q.func.__name__ for q in coordinates]
     written_out = _momenta_written_out(plain, names)
-    held = [f"lambda_{key}" for key in rows]
     check_names(name, names, (key for key in invariants if key not in written_out))
-    for key in held:
+    for key in (f"lambda_{key}" for key in rows):
         taken = {*names, *(str(a) for a in parameters), *invariants}
         # those of a list have numbers for names, which need not be found by them
         if key in taken and not key.removeprefix("lambda_").isdigit():

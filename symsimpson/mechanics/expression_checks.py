@@ -32,12 +32,7 @@ ROUGH = (sp.Abs, sp.sign, sp.floor, sp.ceiling, sp.Heaviside, sp.DiracDelta, sp.
 #: What is defined by cases.
 CASES = (sp.Piecewise, sp.Max, sp.Min, Relational, BooleanFunction)
 UNEVALUATED = (
-    sp.Derivative,
-    sp.Integral,
-    sp.Sum,
-    sp.Product,
-    sp.Limit,
-    sp.Subs,
+    *(sp.Derivative, sp.Integral, sp.Sum, sp.Product, sp.Limit, sp.Subs),
     sp.UnevaluatedExpr,
 )
 #: What expressions are made of, besides functions.

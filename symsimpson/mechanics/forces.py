@@ -222,27 +222,25 @@ def _components(
         )
     taken: set[str] = set()
     for key, value in forces.items():
-        if isinstance(key, str):
-            if key in taken or key in (*OTHERS, DISSIPATION):
-                raise _taken(name, key)
-            if not isinstance(value, Mapping):
-                names = [q.func.__name__ for q in coordinates]
-                way = f"forces={{{key!r}: {{q: ...}}}}, with the coordinate itself for q"
-                if key in names:
-                    way = f"forces={{{key}: ...}}, with the coordinate itself, not its name"
-                raise fail(
-                    name,
-                    f"the force {key!r} is {spell(value)}, not a mapping from coordinates.",
-                    f"Say on which coordinates it acts: {way}.",
-                )
-            taken.add(key)
-            yield from ((key, coordinate, part) for coordinate, part in value.items())
-            continue
         force_name = key.func.__name__ if key in coordinates else ""
+        if isinstance(key, str):
+            force_name = key
         if force_name in taken or force_name in (*OTHERS, DISSIPATION):
             raise _taken(name, force_name)
         taken.add(force_name)
-        yield force_name, key, value
+        if not isinstance(key, str):
+            yield force_name, key, value
+            continue
+        if not isinstance(value, Mapping):
+            way = f"forces={{{key!r}: {{q: ...}}}}, with the coordinate itself for q"
+            if key in (q.func.__name__ for q in coordinates):
+                way = f"forces={{{key}: ...}}, with the coordinate itself, not its name"
+            raise fail(
+                name,
+                f"the force {key!r} is {spell(value)}, not a mapping from coordinates.",
+                f"Say on which coordinates it acts: {way}.",
+            )
+        yield from ((key, coordinate, part) for coordinate, part in value.items())
 
 
 def _taken(name: str, key: str) -> Exception:

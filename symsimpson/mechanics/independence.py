@@ -38,7 +38,9 @@ class Dependence(Enum):
 
 def certain(plain: Plain, findings: Findings, value: Value) -> bool:
     """Return whether all that moves a value in a field truly does, and by no rounding of floats."""
-    return not findings.opaque(value) and not _has_floats(plain, value)
+    nodes = map(plain.graph.nodes.__getitem__, plain.graph.reached([value[1]]))
+    sums = (node.parts for node in nodes if node.kind == "sum")
+    return not findings.opaque(value) and not any(was_float(c) for x in sums for c, _ in x)
 
 
 class Samples:
@@ -117,14 +119,3 @@ def _point(plain: Plain, sample: mpmath.mpf) -> dict[int, mpmath.mpf]:
         value = sample + mpmath.mpf(k) / (7 + k)
         values[n] = abs(value) * (-1 if s.is_negative else 1) if s in parameters else value
     return values
-
-
-def _has_floats(plain: Plain, value: Value) -> bool:
-    """Return whether a value holds numbers that were floats, and no round ones."""
-    graph = plain.graph
-    return any(
-        was_float(c)
-        for n in graph.reached([value[1]])
-        if graph.nodes[n].kind == "sum"
-        for c, _ in graph.nodes[n].parts
-    )

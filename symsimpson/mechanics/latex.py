@@ -65,14 +65,13 @@ def _equations(declared: Any) -> str:
 
 def _safe(declared: Any) -> dict[Any, Any]:
     """Map what is named oddly to plain symbols."""
-    t = time
     replace: dict[Any, Any] = {
         a: sp.Symbol(f"a_{i}") for i, a in enumerate(declared.parameters) if not _is_plain(a.name)
     }
     for i, q in enumerate(declared.coordinates):
         if not _is_plain(q.func.__name__):
-            plain = sp.Function(f"q_{i}")(t)
-            replace |= {q: plain, q.diff(t): plain.diff(t)}
+            plain = sp.Function(f"q_{i}")(time)
+            replace |= {q: plain, q.diff(time): plain.diff(time)}
     return replace
 
 

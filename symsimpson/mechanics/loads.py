@@ -127,8 +127,11 @@ def _integrated(
     for x, part in zip(plain.values(), f, strict=True):
         slope = part + V.diff(x)
         if not vanish([slope.xreplace(back)]):
-            terms = sp.Add.make_args(_multiplied_out(slope))
-            V -= sp.Add(*(_integral(group, x) for group in _by_distance(terms, x)))
+            # of terms with the same distances together: of each alone there may be no V
+            groups: dict[frozenset[sp.Expr], list[sp.Expr]] = {}
+            for term in sp.Add.make_args(_multiplied_out(slope)):
+                groups.setdefault(_distances(term, x), []).append(term)
+            V -= sp.Add(*(_integral(sp.Add(*group), x) for group in groups.values()))
             if V.has(sp.Integral, sp.nan) or {g.func for g in V.atoms(sp.Function)} - ALLOWED:
                 return None
     V = V.xreplace(back)
@@ -141,14 +144,6 @@ def _apart(f: sp.Expr, nothing: sp.Dummy) -> sp.Expr:
     roots = [x for x in _roots_and_inverses(f) if not x.exp.is_Integer]
     squares = {x.base for x in roots if x.base.is_Pow and x.base.exp == 2}
     return f.xreplace({square: square + nothing for square in squares})
-
-
-def _by_distance(terms: Iterable[sp.Expr], x: sp.Dummy) -> list[sp.Expr]:
-    """Add up the terms that are made of the same distances: of each alone there may be no V."""
-    groups: dict[frozenset[sp.Expr], list[sp.Expr]] = {}
-    for term in terms:
-        groups.setdefault(_distances(term, x), []).append(term)
-    return [sp.Add(*group) for group in groups.values()]
 
 
 def _distances(term: sp.Expr, x: sp.Dummy) -> frozenset[sp.Expr]:

@@ -276,7 +276,6 @@ class Symbols:
         parameters: Mapping[sp.Symbol, float],
         inputs: Sequence[sp.Expr] = (),
     ) -> None:
-        t = time
         n = len(coordinates)
         self.q = tuple(sp.Symbol(f"q_{i}", real=True) for i in range(n))
         self.v = tuple(sp.Symbol(f"v_{i}", real=True) for i in range(n))
@@ -284,21 +283,18 @@ class Symbols:
         self.a = tuple(_real(f"a_{i}", a) for i, a in enumerate(parameters))
         self.u = tuple(sp.Symbol(f"u_{i}", real=True) for i in range(len(inputs)))
         self.replace: dict[sp.Basic, sp.Symbol] = {
-            **{q.diff(t): v for q, v in zip(coordinates, self.v, strict=True)},
+            **{q.diff(time): v for q, v in zip(coordinates, self.v, strict=True)},
             **dict(zip(coordinates, self.q, strict=True)),
             **dict(zip(parameters, self.a, strict=True)),
-            t: TIME,
+            time: TIME,
             **dict(zip(inputs, self.u, strict=True)),
         }
-        self.back: dict[sp.Basic, sp.Basic] = {
-            symbol: user for user, symbol in self.replace.items()
-        }
+        self.back: dict[sp.Basic, sp.Basic] = {x: user for user, x in self.replace.items()}
         self.t = TIME
         self.graph = Graph()  #: Its first nodes are q, v, p, a, t and u, in this order.
         every = (*self.q, *self.v, *self.p, *self.a, TIME, *self.u)
         self._nodes = {symbol: self.graph.symbol(symbol.name)[1] for symbol in every}
         self.known = {user: (1, self._nodes[symbol]) for user, symbol in self.replace.items()}
-
         self.signs = _signs(self.graph, self.a)
 
     def numbers(self, symbols: Iterable[sp.Symbol]) -> tuple[int, ...]:
@@ -313,8 +309,7 @@ class Symbols:
 
 def _real(name: str, user: sp.Symbol) -> sp.Symbol:
     """Return a real symbol with the sign that the user's symbol is assumed to have."""
-    signs = ("positive", "negative", "nonnegative", "nonpositive", "nonzero")
-    assumed = {sign: True for sign in signs if getattr(user, f"is_{sign}")}
+    assumed = {sign: True for sign in (*SIGNS, "nonzero") if getattr(user, f"is_{sign}")}
     return sp.Symbol(name, real=True, **assumed)
 
 

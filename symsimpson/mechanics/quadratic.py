@@ -93,16 +93,8 @@ def polynomial(system: str, what: str, energy: Value, symbols: Symbols) -> Quadr
     if entries:
         findings = Findings(graph, list(entries.values()))
         entries = {place: entry for place, entry in entries.items() if not findings.vanishes(entry)}
-    rest = dict.fromkeys(v, ZERO)
-    *a, constant = _at_rest(system, what, symbols, [*momenta, energy], rest)
-    return QuadraticInVelocities(entries, tuple(a), constant)
-
-
-def _at_rest(
-    system: str, what: str, symbols: Symbols, values: Sequence[Value], rest: Mapping[int, Value]
-) -> list[Value]:
     try:
-        return rebuilt(symbols.graph, values, rest)
+        *a, constant = rebuilt(graph, [*momenta, energy], dict.fromkeys(v, ZERO))
     except ZeroDivisionError:
         raise fail(
             system,
@@ -110,6 +102,7 @@ def _at_rest(
             "Newton's equations follow from L = v.M(q).v/2 + a(q).v - V(q). "
             "Write the velocities as a polynomial of degree two.",
         ) from None
+    return QuadraticInVelocities(entries, tuple(a), constant)
 
 
 def _simplified(

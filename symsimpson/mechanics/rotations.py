@@ -203,15 +203,10 @@ def _listed(given: Any) -> list[Any] | None:
 def _four(q: Sequence[Any]) -> tuple[sp.Expr, sp.Expr, sp.Expr, sp.Expr]:
     """Read the four components of a quaternion."""
     components = _listed(q)
-    if components is None:
-        raise ModelError(
-            f"a quaternion has four components, and {q!r} has none.\n"
-            "Make one: q = symsimpson.quaternion('q')."
-        )
-    parts = tuple(read_scalar("a component of a quaternion", x) for x in components)
+    parts = tuple(read_scalar("a component of a quaternion", x) for x in components or ())
     if len(parts) != 4:
         raise ModelError(
-            f"a quaternion has four components, not {len(parts)}.\n"
+            f"a quaternion has four components, and {q!r} has {len(parts) or 'none'}.\n"
             "Make one: q = symsimpson.quaternion('q')."
         )
     return parts

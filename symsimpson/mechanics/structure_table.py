@@ -17,15 +17,8 @@ HEAD: Row = ("finding", "here", "because", "removes")
 def rows(structure: Any) -> list[Row]:
     """List the findings: name, what holds here, the sentence that justifies it, what it removes."""
     names = [user.func.__name__ for user in structure.system.coordinates]
-
-    mass = ", ".join(
-        word
-        for word, holds in (
-            ("constant", structure.constant_mass),
-            ("diagonal", structure.diagonal_mass),
-        )
-        if holds
-    )
+    words = {"constant": structure.constant_mass, "diagonal": structure.diagonal_mass}
+    mass = ", ".join(word for word, holds in words.items() if holds)
     rows_of = _some(structure.constant_rows)
     some_rows = bool(rows_of) and not structure.constant_mass
     table: list[Row] = []

@@ -207,7 +207,7 @@ class MechanicalSystem(Described):
         """
         name = read_name(name)
         functions = read_coordinates(name, coordinates)
-        values = read_parameters(name, parameters, functions)
+        values, held = read_parameters(name, parameters, functions), names_of(name, constraints)
         given = read_inputs(name, inputs, functions, values)
         symbols = Symbols(functions, values, given)
         allowed = (*symbols.q, *symbols.v, *symbols.a, symbols.t)
@@ -227,10 +227,8 @@ class MechanicalSystem(Described):
             forces=forces,
             dissipation=dissipation,
             inputs=tuple(given),
-            constraints=names_of(name, constraints),
-            velocity_constraints=names_of(
-                name, velocity_constraints, tuple(names_of(name, constraints))
-            ),
+            constraints=held,
+            velocity_constraints=names_of(name, velocity_constraints, tuple(held)),
             units=units,
         )
 

@@ -128,9 +128,7 @@ def watching(
     # asked for one state often: all but the states is found once
     addresses = prepare, energy if any(quantity.energetic for quantity in observed) else 0, kernel
     driver = numbers.driver("evaluate")
-    first = header.rows
-    about = header.driver_layout
-    count = len(observed)
+    first, about, count = header.rows, header.driver_layout, len(observed)
 
     def watch(t: Reals, q: Reals, p: Reals) -> Reals:
         out = np.zeros((len(q), count))

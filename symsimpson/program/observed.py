@@ -143,9 +143,8 @@ def read_reductions(
 ) -> tuple[Reduction, ...]:
     """Read a mapping from names to pairs of a kind and an expression, or the name of an event.
 
-    Raises InputError if a kind is unknown, or an expression contains something else than
-    arithmetic, functions and the names of coordinates, momenta, parameters, t, energy and
-    kinetic_energy; or if none of the ``event_names`` has the name.
+    Raises InputError if a kind is unknown, if none of the ``event_names`` has the name, and for
+    expressions as :func:`read_expression`.
     """
     if given is None:
         return ()

@@ -25,12 +25,8 @@ _FUNCTIONS = dict.fromkeys([*OF_MATH.split(", "), "abs"], (1, 1))
 _FUNCTIONS |= {"atan2": (2, 2), "min": (1, 50), "max": (1, 50)}
 _SPELLED = {"Abs": "abs", "Min": "min", "Max": "max"}
 _SIGNS: dict[type[ast.AST], str] = {
-    ast.Add: "+",
-    ast.Sub: "-",
-    ast.Mult: "*",
-    ast.Div: "/",
-    ast.Pow: "**",
-    ast.Mod: "%",
+    **{ast.Add: "+", ast.Sub: "-", ast.Mult: "*"},
+    **{ast.Div: "/", ast.Pow: "**", ast.Mod: "%"},
 }
 #: What the text of an expression is made of, beside names.
 SYNTAX = re.compile(r"[\w\s.+\-*/%(),]*")

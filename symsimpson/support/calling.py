@@ -155,14 +155,10 @@ def _problem(
         if key not in arguments:
             meant = [x for x, others in ELSEWHERE.items() if key in others.split()]
             here = next((x for x in meant if x in arguments), "")
-            hint = f" Did you mean {here}=?" if here else ""
             advice = ADVICE.get(function.__qualname__, {})
             known_as = (x for x in (key, *meant) if x in advice)
-            hint = (
-                hint
-                or advice.get(next(known_as, ""), "")
-                or did_you_mean(key, arguments).replace("?", "=?")
-            )
+            hint = f" Did you mean {here}=?" if here else advice.get(next(known_as, ""), "")
+            hint = hint or did_you_mean(key, arguments).replace("?", "=?")
             times = [text for time, text in TIMES.items() if time in arguments]
             about = here in TIMES and len(times) > 1
             return (
@@ -186,13 +182,9 @@ def _problem(
             return said + (several.lstrip() or "Leave out what is behind.")
         every = ", ".join([*placed, *(f"{key}=..." for key in others)])
         return f"{said}Name the others: {short}({every}).{several}"
-    needed = [key for key in arguments if known[key].default is inspect.Parameter.empty]
     filled = {*placed[:count], *named}
-    missing = [
-        f"{key}="
-        for key in needed
-        if key not in filled and known[key].kind not in (VARIADIC, KEYWORDS)
-    ]
+    needed = [key for key in named_here if known[key].default is inspect.Parameter.empty]
+    missing = [f"{key}=" for key in needed if key not in filled]
     if missing:
         alone = missing == ["h="] and function.__qualname__ in ADVICE
         what = f"{', '.join(missing)}{NO_STEP if alone else ''}"

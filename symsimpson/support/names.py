@@ -140,10 +140,7 @@ class Named:
         return self.places.get(spelled(key))
 
     def found(self, key: Any) -> int:
-        """Return the place of what a name or a symbol means.
-
-        Raises InputError if it is none of them.
-        """
+        """Return the place of what a name or a symbol means; InputError if it is none of them."""
         place = self.place(key)
         if place is None:
             raise InputError(self.unknown(key))

@@ -228,29 +228,24 @@ class Blocks(Rows):
 
         What is to be freed when the function is left goes to a list, as a place of its address.
         """
-        builder, module = self.builder, self.builder.module
+        builder = self.builder
         size: Any = 1
         for extent in shape:
             size = self.multiply(size, extent)
         raw = BYTE.as_pointer()
-        kinds = {
-            "malloc": ir.FunctionType(raw, [INT]),
-            "free": ir.FunctionType(ir.VoidType(), [raw]),
-        }
-        known_as = {
-            name: module.globals.get(name) or ir.Function(module, signature, name)
-            for name, signature in kinds.items()
-        }
+        malloc = self._external("malloc", raw, [INT])
+        free = self._external("free", ir.VoidType(), [raw])
         with builder.goto_entry_block():
             place = builder.alloca(raw)
             builder.store(ir.Constant(raw, None), place)
         if not freed:
-            freed.append(known_as["free"])
+            freed.append(free)
         freed.append(place)
-        least = self.multiply(self._largest(size), 8)  # a size of 0 has an address, too
-        address = builder.call(known_as["malloc"], [self.whole(least)])
+        # a size of 0 has an address, too
+        least = self.multiply(max(size, 1) if known(size) else self.add(size, 1), 8)
+        address = builder.call(malloc, [self.whole(least)])
         # an array that is made again in a loop takes the place of the one before
-        builder.call(known_as["free"], [builder.load(place)])
+        builder.call(free, [builder.load(place)])
         builder.store(address, place)
         array = self.contiguous(builder.bitcast(address, kind.as_pointer()), shape)
         if value is not None:
@@ -272,6 +267,3 @@ class Blocks(Rows):
         """Free what a function had."""
         for place in freed[1:]:
             self.builder.call(freed[0], [self.builder.load(place)])
-
-    def _largest(self, size: Any) -> Any:
-        return max(size, 1) if known(size) else self.add(size, 1)

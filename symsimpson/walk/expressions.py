@@ -7,6 +7,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -260,9 +261,7 @@ class Expressions(ABC):
                 truth = self._value(part, env)
                 continue
 
-            def rest(part: ast.expr = part) -> Any:
-                return self._value(part, env)
-
+            rest = partial(self._value, part, env)
             if self._width or not must_wait(part, self._text):
                 join = self._values.either if settles else self._values.both
                 truth = join(truth, rest())
@@ -276,12 +275,7 @@ class Expressions(ABC):
         if known(truth):
             return self._value(body if truth else other, env)
 
-        def one() -> Any:
-            return self._value(body, env)
-
-        def two() -> Any:
-            return self._value(other, env)
-
+        one, two = partial(self._value, body, env), partial(self._value, other, env)
         if not self._width and (must_wait(body, self._text) or must_wait(other, self._text)):
             return self._values.picked(truth, one, two)
         return self._values.choose(truth, one(), two())

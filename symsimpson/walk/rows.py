@@ -69,7 +69,7 @@ class Rows(Arrays):
     def load(self, array: Array, places: list[Any], width: int) -> Any:
         """Return a number, or part of an array where there are fewer places, or ranges."""
         if isinstance(places[0], PrivateRow):
-            return self._own(places[0])
+            return self.builder.load(self._place_of(places[0]))
         first, rows = self._range(array, places, width)
         if first is None:
             if array.values:
@@ -121,9 +121,6 @@ class Rows(Arrays):
         """Return the first of so many rows of each lane."""
         with self.builder.goto_entry_block():
             return PrivateRow(self.builder.alloca(ir.VectorType(DOUBLE, width), INT(rows)), rows, 0)
-
-    def _own(self, row: PrivateRow) -> Any:
-        return self.builder.load(self._place_of(row))
 
     def _place_of(self, row: PrivateRow) -> Any:
         if known(row.place) and not 0 <= row.place < row.rows:

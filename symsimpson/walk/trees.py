@@ -51,17 +51,11 @@ def leaves(node: ast.For) -> bool:
 
 
 @lru_cache(maxsize=65536)
-def reads_rows(node: ast.expr) -> bool:
-    """Return whether an expression reads where nothing may be, or divides whole numbers."""
-    risky = (ast.Subscript, ast.FloorDiv, ast.Mod)
-    return any(isinstance(part, risky) for part in ast.walk(node))
-
-
 def must_wait(node: ast.expr, text: Text) -> bool:
     """Return whether an expression must not be evaluated before it is known to be needed."""
-    return reads_rows(node) or any(
-        name in text.functions and not _straight(text.functions[name]) for name in _calls(node)
-    )
+    risky = (ast.Subscript, ast.FloorDiv, ast.Mod)  # reads outside of arrays, divisions by zero
+    called = (text.functions[name] for name in _calls(node) if name in text.functions)
+    return any(isinstance(x, risky) for x in ast.walk(node)) or not all(map(_straight, called))
 
 
 @lru_cache(maxsize=16384)

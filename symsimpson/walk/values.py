@@ -373,8 +373,11 @@ class Values:
         a = given[0]
         vector = isinstance(a.type, ir.VectorType)
         full = f"llvm.{name}.{f'v{a.type.count}' if vector else ''}f64"
-        module = self.builder.module
-        intrinsic = module.globals.get(full)
-        if intrinsic is None:
-            intrinsic = ir.Function(module, ir.FunctionType(a.type, [x.type for x in given]), full)
+        intrinsic = self._external(full, a.type, [x.type for x in given])
         return self.builder.call(intrinsic, given, fastmath=self._flags)
+
+    def _external(self, name: str, result: Any, kinds: list[Any]) -> Any:
+        """Return a function that others define."""
+        module = self.builder.module
+        declared = module.globals.get(name)
+        return declared or ir.Function(module, ir.FunctionType(result, kinds), name)
