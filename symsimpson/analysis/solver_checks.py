@@ -6,12 +6,15 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import mpmath
+import numpy as np
 
 from symsimpson.analysis.certificate import Check
 from symsimpson.analysis.subject import DIGITS, Subject
+from symsimpson.derivatives.step_equations import At, evaluate_equations
 
 __all__ = [
     "EXACT",
+    "equations",
     "fallbacks",
     "iterations",
     "jacobian",
@@ -26,6 +29,39 @@ EXACT = 1e-25
 HALVINGS = 8
 #: The first Newton correction makes at most so much of its square, as a logarithm.
 FIRST = 7.0
+
+
+def equations(s: Subject) -> Iterator[Check]:
+    """equations: derivatives of the residual against differences."""
+    if "equations" not in s.stepper.program.header.functions:
+        return
+    precise, n, d = s.precise, s.n, s.stepper.program.header.degree
+    q, p = s.path.q, s.path.p
+    share = np.arange(1, d + 1)[:, None] / precise.context.mpf(d)
+    # forces may have one derivative at rest: moving nodes, each coordinate at another speed
+    moving = np.arange(1, n + 1) / precise.context.mpf(2**30 * n) * precise.sizes[:n]
+    nodes = q[0] + share * (q[1] - q[0] + moving)
+
+    def evaluate(points: Any) -> tuple[Any, Any]:
+        at = At(q[0], points, s.h, precise.parameters, 0)
+        return evaluate_equations(precise.program, at, p[0])
+
+    exact = evaluate(nodes)[1]
+    columns = []
+    for k in range(d * n):
+        move = np.zeros((d, n), dtype=object)
+        size = precise.small * precise.sizes[k % n]
+        move[k // n, k % n] = size
+        up, down = (evaluate(nodes + x)[0] for x in (move, -move))
+        columns.append((up - down) / (2 * size))
+    difference = max(map(abs, (exact - np.array(columns, dtype=object).T).ravel()))
+    yield Check.at_most(
+        "equations",
+        float(difference / max(map(abs, exact.ravel()))),
+        EXACT,
+        "exact derivatives of the residual against differences",
+        f"Equal, but for the differences, in {DIGITS} digits.",
+    )
 
 
 def starts(s: Subject) -> Iterator[Check]:

@@ -245,14 +245,19 @@ def _energy_at_rest(system: MechanicalSystem) -> sp.Expr:
     V0, V1 = (_where_all_are(number, system.potential, system) for number in (0, 1))
     if V0 is None:  # infinite
         V0, V1 = (_where_all_are(number, sp.Add(*smooth), system) for number in (0, 1))
-    change = sp.S.Zero if V0 is None or V1 is None else sp.sqrt((V1 - V0) ** 2)
+    change = sp.S.Zero if V0 is None or V1 is None else V1 - V0
     part = REST
     if near and not wrong:
         part = REST_OF_ATTRACTION
     elif not change:
         change = sp.S.One
-    squared = (energy - (V0 or 0)) ** 2
-    return part * squared / sp.sqrt(squared + NOTHING) + change * NOTHING / (squared + NOTHING)
+    size = _size(energy - (V0 or 0))
+    return part * size + _size(change) * NOTHING / (size**2 + NOTHING)
+
+
+def _size(value: sp.Expr) -> sp.Expr:
+    """Return the absolute value as compiled code has it, with a derivative at 0."""
+    return abs(value) if value.is_number else value**2 / sp.sqrt(value**2 + NOTHING)
 
 
 def _where_all_are(number: int, V: sp.Expr, system: MechanicalSystem) -> sp.Expr | None:
@@ -261,7 +266,7 @@ def _where_all_are(number: int, V: sp.Expr, system: MechanicalSystem) -> sp.Expr
         value = V.subs(dict.fromkeys(system.coordinates, number))
     except (ArithmeticError, ValueError):
         return None
-    return None if value.has(sp.nan, sp.zoo, sp.oo, -sp.oo) else value
+    return None if value.has(sp.nan, sp.zoo, sp.oo, -sp.oo) else value.replace(sp.Abs, _size)
 
 
 def attracts(system: MechanicalSystem) -> bool:

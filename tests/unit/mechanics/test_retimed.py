@@ -45,6 +45,28 @@ def test_rates_by_name():
     assert {str(a) for a in kinetic.parameters} == {"m", "k", "c_rest", "E0", "g_start"}
 
 
+@pytest.mark.parametrize("potential", [0, x**2 / 2 + y**3, 1 - sp.cos(x)])
+def test_the_kinetic_rate_of_potentials_without_parameters(potential):
+    assert "c_rest" in map(str, system(potential=potential).retimed("kinetic").parameters)
+
+
+def test_the_kinetic_rate_does_not_depend_on_the_origin_of_the_potential():
+    b = sp.Symbol("b", real=True)
+    softened = -k / sp.sqrt(x**2 + y**2 + b**2)  # SymPy writes -k/Abs(b) at the origin
+    for potential in (softened, k * x**2 / 2, ATTRACTS):
+        plain, moved = (
+            ss.MechanicalSystem(
+                "plane",
+                coordinates=(x, y),
+                kinetic=m * (x.diff() ** 2 + y.diff() ** 2) / 2,
+                potential=potential + constant,
+                parameters={m: 2.0, k: 3.0, b: 0.5},
+            ).retimed("kinetic")
+            for constant in (0, 7)
+        )
+        assert sp.simplify(moved.rate.subs(ss.energy, ss.energy + 7) - plain.rate) == 0
+
+
 def test_functions_of_the_potential_are_known():
     r = sp.sqrt(x**2 + y**2)
     for rate, power in ((r, -1), (5 * r ** sp.Rational(3, 2), sp.Rational(-3, 2)), (k / r, 1)):

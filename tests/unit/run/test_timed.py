@@ -195,3 +195,56 @@ def test_a_first_step_that_is_lost_in_rounding(how):
     stepper = ss.compile(oscillator(K).retimed(sp.Integer(1)))
     with pytest.raises(ss.InputError, match="lost in rounding"):
         stepper.integrate([1.0], v0=[0.0], h=0.1, t0=1e20, **how)
+
+
+def _thrown(constant=0.0):
+    m, g = sp.symbols("m g", positive=True)
+    return ss.MechanicalSystem(
+        "stone",
+        coordinates=(X,),
+        kinetic=m * X.diff() ** 2 / 2,
+        potential=m * g * X + constant,
+        parameters={m: 1.0, g: 9.81},
+    ).retimed("kinetic")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mass", [1.0, 1e-27, 1e24])
+@pytest.mark.parametrize("speed", [0.0, 10.0])
+def test_a_stone_from_where_no_energy_is_known(mass, speed):
+    """At rest at the origin E0 = V = 0."""
+    run = ss.compile(_thrown(), "gauss8").integrate(
+        [0.0], v0=[speed], h=0.1, t_end=3.0, parameters={"m": mass}
+    )
+    assert run.q[-1, 0] == pytest.approx(3 * speed - 9.81 * 4.5, abs=1e-4)
+
+
+@pytest.mark.slow
+def test_a_constant_in_the_potential_does_not_change_the_kinetic_rate():
+    how = {"v0": [10.0], "h": 0.1, "t_end": 3.0}
+    runs = [ss.compile(_thrown(C), "gauss8").integrate([0.0], **how) for C in (0, 1000)]
+    assert runs[0].steps == runs[1].steps
+    np.testing.assert_allclose(runs[0].t, runs[1].t, rtol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("unit", [1.0, 1.5e11])
+@pytest.mark.parametrize("constant", [0.0, 3.0])
+@pytest.mark.parametrize("mass", [1.0, 1e-27, 1e24])
+def test_the_kinetic_rate_resolves_an_eccentric_orbit(unit, constant, mass):
+    x, y = ss.coordinates("x y")
+    m, GM = sp.symbols("m GM", positive=True)
+    C = sp.Symbol("C", real=True)
+    system = ss.MechanicalSystem(
+        "kepler_units",
+        coordinates=(x, y),
+        kinetic=m * (x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=m * (C - GM / sp.sqrt(x**2 + y**2)),
+        parameters={m: mass, GM: 1.0, C: constant / unit},
+    )
+    start, speed, period = [-1.95 * unit, 0.0], -((0.05 / 1.95) ** 0.5), 2 * np.pi * unit**1.5
+    run = ss.compile(system.retimed("kinetic"), "gauss12").integrate(
+        start, v0=[0.0, speed / unit**0.5], h=period / 30, t_end=3 * period
+    )
+    assert run.steps == pytest.approx(390, abs=10)
+    np.testing.assert_allclose(run.q[-1] / unit, [-1.95, 0.0], atol=1e-9)
