@@ -33,9 +33,8 @@ PATIENCE = 0.02
 #: After so many steps in which it does not change at all, the time of a retimed run stands still.
 STANDSTILL = 1024
 #: Failures that no other kernels would help.
-HOPELESS = (*(Status.COORDINATE_SINGULARITY, Status.SINGULAR_LEGENDRE), Status.RATE_NOT_POSITIVE)
-#: After a step that only slower and more robust kernels could take, so many more are taken with
-#: them.
+HOPELESS = Status.COORDINATE_SINGULARITY, Status.SINGULAR_LEGENDRE, Status.RATE_NOT_POSITIVE
+#: After a step that only slower and more robust kernels could take, they take so many more.
 FALLBACK_STRETCH = 64
 #: What stops a run behind a step that is not taken then.
 BEHIND_A_STEP = (ARRIVED, RATE_NOT_POSITIVE)
@@ -86,8 +85,7 @@ class Run:
         self._heard, self._interrupted = list[int](), False
         #: What events did, in the order of time.
         self.records: list[Any] = []
-        #: What is said of how it ended, in place of what its status says of all runs; the event
-        #: that ended it, and where that was, the time and the state.
+        #: What the message says in place of its status; the event that ended it, time and state.
         self.reason = ""
         self.ended_by: str | None = None
         self.end_within: tuple[Any, Any, Any] | None = None
@@ -118,9 +116,7 @@ class Run:
         if self.header.retimed:
             if not onward:
                 self.apply("retime")
-                self._driver("begin")(
-                    self._kernels(), 0, self.h, self.t0, self.W, self.driver_layout
-                )
+                self._driver("begin")(self._kernels(), 0, *self._setting)
             self.rows("TIME", 1)[:] = self.t0
             self.rows("TIME_END", 2)[:] = (0, 0) if t_end is None else (1, t_end)
         self.store(0)
@@ -401,6 +397,4 @@ class Run:
         """Go on where another run was."""
         self.first, self._progress[0], self._set, self._set_until = position
         later = len(self._column) - len(workspace)  # rows that an older module had not
-        if later:
-            workspace = np.insert(workspace, self.header.rows - later, np.zeros(later))
-        self._column[:] = workspace
+        self._column[:] = np.insert(workspace, [self.header.rows - later] * later, 0.0)
