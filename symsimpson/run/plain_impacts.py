@@ -79,10 +79,8 @@ class PlainImpacts:
     def _acted(self) -> list[Record]:
         """Return the records of impacts in the rows for them."""
         rows = self._records[: self._count[0]].copy()
-        events, steps = rows[:, EVENT].astype(int).tolist(), rows[:, STEP_OF].astype(int).tolist()
-        numbers = events, rows[:, TIME_OF].tolist(), steps
+        events, steps = rows[:, [EVENT, STEP_OF]].T.astype(int).tolist()
+        times, impulses = rows[:, [TIME_OF, IMPULSE]].T.tolist()
         states = np.split(rows[:, STATES_OF:], 4, axis=1)
-        impulses = rows[:, IMPULSE].tolist()
-        # there may be many
-        every = zip(*numbers, *states, repeat(-1), impulses, repeat(False))
+        every = zip(events, times, steps, *states, repeat(-1), impulses, repeat(False))
         return [Record(*fields) for fields in every]

@@ -355,28 +355,26 @@ class Run:
         """Take steps in one go, with the same kernels, recovering those at which the loop stops."""
         kernels, setting, stop = self._kernels(), self._setting, stop - self.first
         self._progress[2:] = self.first
+        rest = stop, self.every, self._stores, self._inputs
         while True:
-            self._take_steps(
-                kernels, setting, self._progress, stop, self.every, self._stores, self._inputs
-            )
+            self._take_steps(kernels, setting, self._progress, *rest)
             event = self._progress.item(1)
             if event == 0:
                 if self.header.retimed and self._column[self._status] in BEHIND_A_STEP:
                     self._step_back()
                 return
             LOG.info("%s: step %d is solved again, or checked", self.header.system, self.step)
-            self._driver("recover")(
-                kernels, self.h, self._time(), self.W, self.driver_layout, event
-            )
+            here = self.h, self._time(), self.W, self.driver_layout
+            self._driver("recover")(kernels, *here, event)
             if not self.alive:
                 self._progress[1] = 0
                 return
 
     def _step_back(self) -> None:
         """Return to before the last step, the time too."""
-        for block, before, size in (("POSITION", "PREVIOUS", 4 * self.header.n), ("TIME", "", 2)):
-            rows = self.rows(before, size) if before else self.rows(block, 4)[2:]
-            self.rows(block, size)[:] = rows
+        size = 4 * self.header.n
+        self.rows("POSITION", size)[:] = self.rows("PREVIOUS", size)
+        self.rows("TIME", 2)[:] = self.rows("TIME", 4)[2:]
         self._progress[0] -= 1
 
     def forget(self) -> int:

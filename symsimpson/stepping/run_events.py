@@ -234,16 +234,7 @@ def _check_restitution(program: Program, event: Event) -> None:
 
 def _of_gap(program: Program, event: Event, place: Any) -> tuple[int, int]:
     """Return where the rate of a gap stands, and the first of its slopes."""
-    from sympy import (  # SymPy is slow to import, and is there by now
-        Abs,
-        Dummy,
-        Heaviside,
-        Max,
-        Min,
-        Piecewise,
-        Symbol,
-        sign,
-    )
+    import sympy as sp  # it is slow to import, and is there by now
     from sympy.core.function import AppliedUndef
 
     gap = _watched(event)
@@ -254,12 +245,12 @@ def _of_gap(program: Program, event: Event, place: Any) -> tuple[int, int]:
             f"the gap of an impact, {event.key!r}, is differentiated.\n"
             "Write it as a SymPy expression in the coordinates of the system."
         )
-    if kinks := gap.atoms(Max, Min, Heaviside, Piecewise):
+    if kinks := gap.atoms(sp.Max, sp.Min, sp.Heaviside, sp.Piecewise):
         raise InputError(
             f"the gap of an impact, {event.key!r}, contains {min(map(str, kinks), key=len)}, which "
             "has a kink, and a gap is differentiated.\nGive one event for each of the gaps."
         )
-    symbols = sorted(gap.free_symbols - {Symbol("t")}, key=str)
+    symbols = sorted(gap.free_symbols - {sp.Symbol("t")}, key=str)
     if strange := [x for x in symbols if program.names.parameters.place(x) is None]:
         raise InputError(
             f"the gap of an impact, {event.key!r}, contains the symbol {strange[0]}, and a gap is "
@@ -281,7 +272,7 @@ def _of_gap(program: Program, event: Event, place: Any) -> tuple[int, int]:
             f"the gap of an impact is a function of positions and t, and {event.key!r} contains "
             f"the velocity of {spelled(moving[0].expr)}.\nUse Change for what is to happen there."
         )
-    real = {q: Dummy(real=True) for q in coordinates.values()}  # |q| has a slope then
+    real = {q: sp.Dummy(real=True) for q in coordinates.values()}  # |q| has a slope then
     flat, back = gap.xreplace(real), {x: q for q, x in real.items()}
     if flat.is_nonnegative or flat.is_nonpositive:
         raise InputError(
@@ -290,7 +281,7 @@ def _of_gap(program: Program, event: Event, place: Any) -> tuple[int, int]:
         )
 
     def slope(x: Any) -> Any:
-        return flat.diff(x).replace(sign, lambda a: a / Abs(a)).xreplace(back)
+        return flat.diff(x).replace(sp.sign, lambda a: a / sp.Abs(a)).xreplace(back)
 
     slopes = {k: slope(real[q]) for k, q in coordinates.items()}
     first, *_ = [place(slopes.get(k, 0 * t)) for k in range(program.n)]
