@@ -27,6 +27,8 @@ __all__ = ["look_at_ends", "look_at_steps"]
 LOOKED_AT = 8
 #: So many of those whose energy changed most are run once more, each by itself.
 AGAIN = 2
+#: So many other members whose energy moved are named.
+SHOWN = 8
 #: A run of more steps than this keeps some of its states alone.
 WHOLE = 100_000
 
@@ -73,19 +75,24 @@ def look_at_ends(program: Program, task: Task, ensemble: Ensemble) -> None:
     if ensemble.small_pivots is not None:  # M was small
         pivots = ensemble.small_pivots[some]
         worst += some[np.argsort(pivots)[:AGAIN]][: int((pivots < SMALL_PIVOT).sum())].tolist()
+    off = some[left > LAST_LIMIT].tolist()
     for member in dict.fromkeys(worst):
+        others = [str(k) for k in off if k != member]
+        shown = ", ".join([*others[:SHOWN], *(["..."] if len(others) > SHOWN else [])])
+        who = f"member {member}, as others may"
+        who = f"member {member}, and probably {shown}" if others else who
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
             every = 1 if task.steps <= WHOLE else None
             asked = task.of_member(member, program, every=every)
             single = run(program, asked, None, False, "return")
         if not single.success:
-            message = f"member {member}, as others may, does not come to its end by itself"
-            warn(f"{message}: {single.message}", ResolutionWarning)
+            message = f"{who}, does not come to its end by itself: {single.message}"
+            warn(message, ResolutionWarning)
             return
         for warning in warned:
             if issubclass(warning.category, ResolutionWarning):
-                warn(f"member {member}, as others may: {warning.message}", ResolutionWarning)
+                warn(f"{who}: {warning.message}", ResolutionWarning)
                 return
 
 
