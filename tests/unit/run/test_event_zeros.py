@@ -1,10 +1,13 @@
 """Zeros at states of the grid, changes that accumulate, and forces with a kink at an event."""
 
+import re
+
 import numpy as np
 import pytest
 import sympy as sp
 
 import symsimpson as ss
+from symsimpson.stepping.run_events import read_events
 
 x, z = ss.coordinates("x z")
 ROTOR = ss.MechanicalSystem("rotor", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=0 * x)
@@ -199,3 +202,12 @@ def test_a_switch_goes_with_tangents_members_and_runs_backwards():
     back = {**given, "h": -0.06, "t0": 3.36}
     start = stepper.integrate(run.q[-1], p0=run.p[-1], **back)
     assert start.y[:, -1] == pytest.approx([0.0, 0.7], abs=1e-13)
+
+
+@pytest.mark.parametrize(("values", "rows"), [(False, {0, 1}), (True, {0, 1, 2})])
+def test_a_step_writes_the_side_and_size_of_an_expression_alone(values, rows):
+    """Only gaps and ensembles need values of the steps before."""
+    program = ss.compile(ROTOR).integrate([0.3], v0=[0.2], h=0.1, steps=1).program
+    events = read_events(program, [ss.Event(SINE, name="zero")])
+    *_, watch = events.watchers(program.header, 1000, values=values)
+    assert {int(row) - 1000 for row in re.findall(r"W\[(1\d\d\d), lane\]", watch.text)} == rows
