@@ -234,7 +234,6 @@ def watch(kernels, h, t, W, at):
         step_back(W, at, 0)
         W[at[LARGEST_SQUARED], 0] = W[at[COUNT], 0]
         W[at[STATUS], 0] = STEP_TOO_LARGE if change < np.inf else NOT_FINITE
-        name_failure(kernels, h, t, W, at, 0)
 
 
 @njit(**DRIVER_OPTIONS)
