@@ -31,6 +31,8 @@ AGAIN = 2
 SHOWN = 8
 #: A run of more steps than this keeps some of its states alone.
 WHOLE = 100_000
+#: Those at whose states M was small are run again if that is short, or a small part of all.
+SHORT, MANY = 2000, 128
 
 
 def look_at_steps(program: Program, task: Task) -> None:
@@ -72,7 +74,9 @@ def look_at_ends(program: Program, task: Task, ensemble: Ensemble) -> None:
     some = np.flatnonzero(status == Status.SUCCESS)
     left = _energies_left(program, task, ensemble, some)
     worst = some[np.argsort(-left)[:AGAIN]][: int((left > LAST_LIMIT).sum())].tolist()
-    if ensemble.small_pivots is not None:  # M was small
+    by_energy = len(worst)
+    cheap = task.steps <= SHORT or task.members >= MANY
+    if ensemble.small_pivots is not None and cheap:  # M was small
         pivots = ensemble.small_pivots[some]
         worst += some[np.argsort(pivots)[:AGAIN]][: int((pivots < SMALL_PIVOT).sum())].tolist()
     off = some[left > LAST_LIMIT].tolist()
@@ -83,7 +87,7 @@ def look_at_ends(program: Program, task: Task, ensemble: Ensemble) -> None:
         who = f"member {member}, and probably {shown}" if others else who
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
-            every = 1 if task.steps <= WHOLE else None
+            every = 1 if task.steps <= (WHOLE if member in worst[:by_energy] else SHORT) else None
             asked = task.of_member(member, program, every=every)
             single = run(program, asked, None, False, "return")
         if not single.success:

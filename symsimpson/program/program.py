@@ -37,7 +37,7 @@ class Tools:
     #: was first, as if it were not rounded, or None.
     changes_of_potential: Callable[..., Any]
     #: Takes a system and a run; returns at which singular point of the coordinates that ended.
-    at_pole: Callable[..., str]
+    at_pole: Callable[..., tuple[str, bool]]
     #: Takes a program, its system, a run, and how its steps are to be taken again; returns when and
     #: where that passed a small det M unresolved, and whether such a point is there.
     unresolved_pole: Callable[..., Any]

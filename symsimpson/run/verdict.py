@@ -241,10 +241,10 @@ def _at_pole(program: Program, trajectory: Trajectory) -> Trajectory:
     tools, system = program.tools, program.declared
     if trajectory.status not in AT_POLES or tools is None or system is None:
         return trajectory
-    where = tools.at_pole(system, trajectory)
-    if not where:
+    where, lost = tools.at_pole(system, trajectory)
+    status = Status.SINGULAR_LEGENDRE if lost else Status.COORDINATE_SINGULARITY
+    if not where or trajectory.status is status:
         return trajectory
-    status = Status.COORDINATE_SINGULARITY
     message = (
         f"{program.system}, {program.scheme}: step {trajectory.steps} at "
         f"t={float(trajectory.t[-1]):g} with h={float(trajectory.h):g} was not taken: near {where} "

@@ -86,21 +86,24 @@ def _sizes(system: MechanicalSystem, t: Floats, q: Floats, values: Sequence[floa
     return np.abs(np.linalg.det(_masses(system, t, q, values)))
 
 
-def at_pole(system: MechanicalSystem, run: Trajectory) -> str:
-    """Return which singular point of the coordinates the last state of a run is at, or ""."""
+def at_pole(system: MechanicalSystem, run: Trajectory) -> tuple[str, bool]:
+    """Return where det M vanishes near the last state of a run, or "", and if M is indefinite then.
+
+    If it is not, this is a singular point of the coordinates.
+    """
     if _mass(system)[0] is None or len(run) < 2:
-        return ""
+        return "", False
     some = np.unique(np.linspace(0, len(run) - 1, SAMPLES).astype(int))
     t, q, values = _states(run)
     sizes = _sizes(system, t[some], q[some], values)
     usual = float(np.median(sizes))
     at = sizes[-1] < CLOSE * usual and _vanishes_near(system, t[-1], q[-1], values, usual)
-    ahead = [x[-1] + k * (x[-1] - x[-2]) for k in (1, 2) for x in (t, q)]
+    every = run.every or 1
+    ahead = [x[-1] + k * (x[-1] - x[-2]) / every for k in (1, 2) for x in (t, q)]
     masses = _masses(system, np.array(ahead[::2]), np.array(ahead[1::2]), values)
-    regular = np.isfinite(masses).all()
-    if at and regular and np.linalg.eigvalsh(masses).min() < -VANISHES * abs(masses).max():
-        return ""  # M changes its sign there
-    return _named(system, run, -1) if at else ""
+    known = np.isfinite(masses).all()
+    lost = known and np.linalg.eigvalsh(masses).min() < -VANISHES * abs(masses).max()
+    return _named(system, run, -1) if at or lost else "", bool(lost)
 
 
 def unresolved_pole(

@@ -112,7 +112,7 @@ def test_of_newton_schemes():
 
 @pytest.mark.slow
 def test_of_schemes_by_stages():
-    for scheme in ("gauss8", "gauss16"):
+    for scheme in ("gauss6", "gauss8", "gauss16"):
         for ending in ENDINGS:
             ends_there(scheme, *ending)
 
