@@ -39,6 +39,9 @@ static int take(const kernels *kernels, double h, double t, double *W)
     //if watched
     if (kernels->mode == NEWTON_AFTER_STAGES && W[STATUS] == 0.0) {
         watch(kernels, h, t, W);
+        if (W[STATUS] != 0.0) {
+            recover(kernels, h, t, W, TAKEN_BACK);
+        }
     }
     //end watched
     //end solved

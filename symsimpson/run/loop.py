@@ -148,7 +148,7 @@ class ControlLoop:
         passed = None if program.tools is None else program.tools.unresolved_step(*about)
         if passed is not None:
             self._watching = False
-            words = passage_in_words(float(run.h), *passed)
+            words = passage_in_words(passed, float(run.h))
             warn(f"{program.system}, {program.scheme}: {words}", ResolutionWarning)
 
     def _trajectory(self, steps: int) -> Trajectory:

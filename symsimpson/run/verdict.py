@@ -107,7 +107,7 @@ def _unresolved(
     if tools is not None and plain and (unknown or asked is not None):
         passed = tools.unresolved_pole(program, system, trajectory, asked)
         if passed is not None:
-            return passage_in_words(h, *passed)
+            return passage_in_words(passed, h)
     if tools is not None and plain and unknown and not run.header.retimed:
         inputs = np.asarray(trajectory.input_values)[0, 0, 0]
         values = [*map(float, trajectory.parameter_values), *map(float, inputs)]
@@ -145,8 +145,9 @@ def _unresolved(
     )
 
 
-def passage_in_words(h: float, t: float, where: str, singular: bool) -> str:
+def passage_in_words(passed: tuple[float, str, bool], h: float) -> str:
     """Return what to say of a passage that steps did not resolve, near a singular point or not."""
+    t, where, singular = passed
     passes = f"{where}, where its inertia is small,"
     advice = "Take a smaller h, or a scheme of higher order."
     if singular:
