@@ -220,7 +220,7 @@ class _Writer:
             f"    Inputs, held constant during a step: {', '.join(header.inputs) or 'none'}\n\n"
             "Arrays q, v, p, parameters and inputs have this order; p are conjugate momenta dL/dv, "
             "units are those of the declaration, angles are not wrapped. Nothing is allocated, and "
-            f"nothing is kept outside the state, of {8 * header.rows + 16} bytes: threads may each "
+            f"nothing is kept outside the state, of {8 * header.rows + 24} bytes: threads may each "
             f"have one.{self._held()}"
         )
 
@@ -245,7 +245,7 @@ class _Writer:
         for name, value in blocks.items():
             line = f"    {name} = {value},"
             yield f"{line:<36}/* {BLOCKS[name].doc} */"
-        yield f"    ROWS = {whole.pop('ROWS')}"
+        yield f"    ROWS = {whole.pop('ROWS') + 1}"  # the last row is the driver's
         yield "};"
         yield ""
         yield "/* sizes and strides, limits, outcomes */"
@@ -306,7 +306,7 @@ class _Writer:
             n=n,
             parameters=len(header.parameters),
             inputs=len(header.inputs),
-            rows=header.rows,
+            rows=header.rows + 1,
             stack=_stack(header),
             defaults=", ".join(map(number, header.defaults)) or "0.0",
             said="\n".join(comment(self._faced())),
