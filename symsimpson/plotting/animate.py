@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import os
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cached_property, partial
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -46,7 +46,11 @@ class Animation:
         frames: int,
         size: tuple[int, int],
     ) -> None:
-        self._page, self._write, self.frames, self._size = cache(page), write, frames, size
+        self._make_page, self._write, self.frames, self._size = page, write, frames, size
+
+    @cached_property
+    def _page(self) -> str:
+        return self._make_page()
 
     def save(self, path: str | os.PathLike[str], *, frame: int = 0) -> Path:
         """Write the film as the ending of the name says.
@@ -72,7 +76,7 @@ class Animation:
         """
         place = read_path("the file of the animation", path)
         if place.suffix == ".html":
-            return write_text(path, self._page(), "animation")
+            return write_text(path, self._page, "animation")
         known = whole_number(frame)
         if place.suffix not in KINDS or known not in range(-self.frames, self.frames):
             raise InputError(
@@ -87,7 +91,7 @@ class Animation:
         width, height = self._size
         # a page of its own, so that its scripts run and disturb nobody
         return (
-            f'<iframe srcdoc="{html.escape(self._page())}" width="{width}" height="{height}" '
+            f'<iframe srcdoc="{html.escape(self._page)}" width="{width}" height="{height}" '
             'style="border: 0"></iframe>'
         )
 
