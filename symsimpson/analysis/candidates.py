@@ -154,7 +154,7 @@ class Motion:
     def measure(
         self, stepper: Stepper, steps: int, coarse: Trajectory, *, scout: bool = False
     ) -> tuple[PathError, Trajectory]:
-        """Return the error of a run of so many steps, and the last run with smaller ones."""
+        """Return the error of a run with this number of steps, and the finest run."""
         if not coarse.success:
             return PathError(math.inf, float(coarse.t[-1])), coarse
         if self.on == "energy":
@@ -169,7 +169,7 @@ class Motion:
         return worst, fine
 
     def least(self, stepper: Stepper) -> int:
-        """Return the fewest steps, of which none is warned of at the start."""
+        """Return the fewest steps for which no stability warning appears at the start."""
         program, steps = stepper.program, self.whole(4)
         state = self.q, self.v, [*self.parameters.values(), *self.inputs_at_start.values()]
         while steps < MOST_STEPS and program.tools and not program.header.retimed:
@@ -192,8 +192,8 @@ class Motion:
     ) -> Candidate | None:
         """Find the number of steps that reaches an error; None if there is none.
 
-        The search ends where it would take much longer than ``quickest``. In another time the
-        number is that of steps as long as the first.
+        The search ends where it would take much longer than ``quickest``. With a time
+        transformation, the number counts steps as long as the first.
         """
         least, errors = self.least(stepper), [math.inf] * STAGNANT
         steps = self.whole(max(least, abs(self.duration / h0) / math.sqrt(stepper.order)))
@@ -222,7 +222,7 @@ class Motion:
         return best
 
     def _timed(self, stepper: Stepper, steps: int) -> Candidate:
-        """Measure the error of so many steps, their work and time."""
+        """Measure the error, the work and the time of a run with this number of steps."""
         times: list[float] = []
         while len(times) < REPEATS and not (len(times) > 1 and times[-1] > LONG):
             begin = time.perf_counter()

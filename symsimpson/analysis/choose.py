@@ -137,8 +137,8 @@ def choose(
     t0 : float
         Time at the start, 0 by default.
     inputs : mapping, optional
-        For each input a number, a function of t, or an array of K values: each is held for the
-        K-th part of the time from ``t0`` to ``t_end``. The number of steps is a multiple of K.
+        For each input a number, a function of t, or an array of K values. Each value is constant
+        over one K-th of the time from ``t0`` to ``t_end``. The number of steps is a multiple of K.
     events : sequence of Event, optional
         Events that act on the run. If one ends the run, the bound holds up to there, and also for
         the time of the end relative to the time from ``t0`` to ``t_end``. Between the times at

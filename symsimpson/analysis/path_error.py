@@ -32,7 +32,7 @@ class PathError:
 
     @classmethod
     def of(cls, t: Floats, off: Floats, bound: float) -> PathError:
-        """Return that of differences at times."""
+        """Return the path error for the differences ``off`` at the times ``t``."""
         off = np.where(np.isnan(off), np.inf, off)
         beyond = np.flatnonzero(off > bound)
         return cls(float(off.max(initial=0.0)), float(t[beyond[0]]) if beyond.size else None)

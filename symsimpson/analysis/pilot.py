@@ -83,11 +83,11 @@ def choose_step(
     first: float | None = None,
     **given: Any,
 ) -> float:
-    """Choose a step size with small errors of energy and path, of which so many steps succeed.
+    """Choose a step size with small errors of energy and path, at which ``steps`` steps succeed.
 
-    The first that will do is taken, of ``first`` and its halves, if that is given; longer ones are
-    looked at up to ``longest`` alone, a negative one if the motion goes backwards. ``given`` are
-    further arguments of runs. Raises InputError if there is none.
+    The search tries ``first``, if given, and then its halves. It tries longer steps only up to
+    ``longest``, which is negative if the motion goes backwards. ``given`` has further arguments of
+    the runs. Raises InputError if no step size is small enough.
     """
     first = first or math.copysign(_first_step(stepper, q, p, parameters, abs(longest)), longest)
     given |= {"q0": q, "p0": p, "parameters": parameters}

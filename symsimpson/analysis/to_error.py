@@ -57,7 +57,7 @@ def integrate(
 ) -> Trajectory | Sampled | Saved:
     """Integrate with a given error tolerance: scheme and step size are chosen for it.
 
-    The choice is that of :func:`symsimpson.choose`, which takes some seconds. It is stored on disk,
+    :func:`symsimpson.choose` chooses them, which takes some seconds. The choice is stored on disk,
     unless events or functions of t act on the run: the same call runs at once the next time. For
     many runs of a system, choose once and take the stepper.
 

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from symsimpson.api.evaluator import Parameters
 from symsimpson.api.examining import Examining
-from symsimpson.results import html
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.requested import run
 from symsimpson.stepping.request import Request
@@ -49,7 +48,9 @@ class Stepper(Examining):
     """
 
     def _repr_html_(self) -> str:
-        return html.stepper(self.program)
+        from symsimpson.results.html import stepper
+
+        return stepper(self.program)
 
     @overload
     def integrate(
@@ -165,31 +166,31 @@ class Stepper(Examining):
             Values by symbol or by name, in place of the defaults.
         inputs : mapping, optional
             Values of the system's inputs, by symbol or by name: a number; an array of shape
-            (steps,), held over each step; (steps, s), at its nodes (:meth:`node_times`); a function
-            of time, which is evaluated at the nodes; or :func:`symsimpson.samples`. A result of
-            optimal control gives its own inputs.
+            (steps,), constant on each step; (steps, s), at its nodes (:meth:`node_times`); a
+            function of time, which is evaluated at the nodes; or :func:`symsimpson.samples`. A
+            result of optimal control gives its own inputs.
         every : int or None
-            Number of steps between stored states, of which the start is the first; the end is one
-            of them if this divides the number of steps. None stores only the last state.
+            Number of steps between stored states. The initial state is stored; the end is stored
+            if this divides the number of steps. None stores only the last state.
         t_eval : array_like, optional
             Times in the order of the run, at which alone states are kept.
         save : str, symbol or sequence of them, optional
             Quantities to keep in place of states, as in ``run["energy"]``; "q", "p" and "v" are all
             of theirs. Neither goes with derivatives, ``record`` or ``checkpoint``.
         tangents : int or array_like, shape (2 n, k), optional
-            Variations (dq, dp) of the initial state, one per column; k stands for the first k unit
-            vectors. ``run.tangent`` holds them.
+            Variations (dq, dp) of the initial state, one per column; k means the first k unit
+            vectors. ``run.tangent`` stores them.
         sensitivities : name, symbol or sequence of them, optional
-            Parameters and inputs to differentiate by, with q0 and v0 or p0 held fixed; gives
+            Parameters and inputs to differentiate by, at fixed q0 and v0 or p0; gives
             ``run.sensitivity``. An input is varied equally at all steps.
         record : "work", optional
-            Adds up ``run.work`` while the run goes on: for runs that store few states, or one.
+            Adds up ``run.work`` during the run: for runs that store few states, or one.
         reduce : mapping from str to (kind, expression), optional
             Quantities to evaluate at the start and after each step, stored or not, as for
             :meth:`ensemble`; gives ``run.reduced``.
         events : sequence of Event, optional
             Events that act on the run: impacts, changes of the state, ends; ``run.events(name)``
-            has the record of each. Stored states are those of the grid of times.
+            has the record of each. The stored states are at the sample times.
         exact_h : bool
             Whether an h that does not divide the time up to ``t_end`` is an error.
         checkpoint : path, optional

@@ -123,8 +123,8 @@ class Stepping(Evaluator):
         -------
         ControlLoop
             ``loop.step(u)`` takes a step. ``loop.t``, ``.q``, ``.p``, ``.v``, ``.energy``,
-            ``.multipliers`` and ``.constraint_forces`` describe the state. Its steps are those of
-            :meth:`integrate`, to the last bit.
+            ``.multipliers`` and ``.constraint_forces`` describe the state. Its steps are bitwise
+            identical to those from :meth:`integrate`.
 
         Raises
         ------

@@ -22,7 +22,7 @@ def make_dop853(f: Callable[..., None]) -> Callable[..., Any]:
     The function takes some steps, and returns the number of evaluations at the end, 0 before. Its
     last argument holds t, h, whether a step was rejected, and the evaluations, all 0 at first.
 
-    Coefficients are SciPy's; the control of the step is that of Hairer, Norsett and Wanner,
+    The coefficients are SciPy's. The step size control follows Hairer, Norsett and Wanner,
     Solving Ordinary Differential Equations I, sections II.4 and II.10.
     """
     from numba import njit

@@ -33,10 +33,10 @@ HOW = "Take the full form, condensed=False, in which states are unknowns."
 
 
 class Condensed:
-    """A programme whose states are eliminated; ``unknowns`` are those of the full form that stay.
+    """A programme without its states; ``unknowns`` are the remaining unknowns of the full form.
 
-    The ``layout`` tells where these stand in x, which has them at a guess. Bounds of states become
-    rows.
+    The ``layout`` has their places in x, the vector of all unknowns at a guess. Bounds of states
+    become rows.
     """
 
     def __init__(self, programme: Scaled, layout: Layout, x: Floats, bounds: Any) -> None:

@@ -79,7 +79,7 @@ def pressed(read: Reading, end: int, limits: Iterable[Limits]) -> list[bool]:
 
 
 def _number(read: Reading, value: Value, given: dict[int, Value]) -> float:
-    """Return a value where numbers are given; NaN if something else stands in it."""
+    """Return a value for given numbers; NaN if it depends on anything else."""
     (there,) = rebuilt(read.graph, [value], given)
     known = not there[0] or not read.graph.nodes[there[1]].symbols
     return read.number(there) if known else np.nan

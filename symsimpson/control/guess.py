@@ -144,10 +144,10 @@ def violation(layout: Layout, x: Floats, among: Any = None) -> float:
 
 
 def bent(layout: Layout, x: Floats) -> list[Floats]:
-    """Return guesses that are bent aside and violate less; those that violate least come first.
+    """Return bent guesses that violate the rows less; the guess that violates least comes first.
 
-    They are bent to both sides, across the way from start to end, in one wave or two. What an end
-    leaves free moves there.
+    The guesses bend to both sides, across the line from start to end, in one wave or two.
+    Coordinates that are free at an end move there.
     """
     read, q, ends = layout.read, x[layout.points], layout.grid.times(layout.sizes(x))
     off, lengths = violation(layout, x), sizes_at(layout, x)[0][layout.points[0, 0]]

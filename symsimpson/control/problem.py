@@ -160,7 +160,7 @@ class OptimalControl:
             guess begins as ``start`` says.
         progress : bool, optional
             Whether to show the cost and the iterations (needs tqdm); None shows them after a
-            second. What the solver tells of each stands in the result's ``history``.
+            second. The result's ``history`` has the solver's report on each.
 
         Returns
         -------

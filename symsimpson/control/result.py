@@ -68,7 +68,7 @@ class ControlResult:
     history : dict from str to list of float
         What the solver tells of each, of the last search: ``obj`` the cost, ``inf_pr`` ...
     error : float or None
-        An estimate of the error of the cost, if one was asked for: relative to the larger of the
+        An estimate of the error of the cost, if you requested one: relative to the larger of the
         cost and the cost of the first guess.
     """
 
@@ -309,9 +309,9 @@ class ControlResult:
         return arcs_of(self)
 
     def lqr(self, Q: ArrayLike, R: ArrayLike, of: tuple[str, str] = ("q", "p")) -> Floats:
-        """Return gains that hold a run near the solution: u = u_k - K_k (z - z_k), held over steps.
+        """Return gains that hold a run near the solution: u = u_k - K_k (z - z_k) on step k.
 
-        They are those of the linear regulator of the exact linear maps of the steps, of least
+        The gains belong to the linear regulator for the exact linear maps of the steps, with least
         sum of dz.Q.dz + du.R.du over the motion, and dz.Q.dz at its end.
 
         Parameters

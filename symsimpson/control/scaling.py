@@ -1,8 +1,8 @@
 """Units in which a solver sees a programme: masses of 1e-15 kg are as good as others.
 
-Solvers compare with 1. Unknowns and rows are divided by their sizes. Coordinates have that of how
-far they move, by the guess, by velocities that are given, or else by bounds; the time has that of
-the duration. Masses, and with them momenta, inputs, multipliers and the cost, follow from the
+Solvers compare with 1. Unknowns and rows are divided by their sizes. The size of a coordinate is
+how far it moves, by the guess, by given velocities, or else by bounds. The size of the time is the
+duration. Masses, and with them momenta, inputs, multipliers and the cost, follow from the
 equations at the guess. So neither the way to a solution nor the solution depends on units.
 """
 
@@ -98,7 +98,7 @@ def cost_size(layout: Layout, x: Floats) -> float:
 
 
 def sizes_at(layout: Layout, x: Floats) -> tuple[Floats, Floats]:
-    """Return sizes of unknowns, and those of rows as they are told."""
+    """Return the sizes of unknowns, and the sizes of rows in their scales."""
     of_unknowns, of_rows = _sizes(layout.programme[0], layout, x)
     scales = layout.scales.copy()
     scales[layout.step_rows - 1] /= _rounded(layout.scale * layout.steps)  # which are times
@@ -132,7 +132,7 @@ def _sizes(programme: Solvable, layout: Layout, x: Floats) -> tuple[Floats, Floa
 def _lengths(layout: Layout, masses: Floats, x: Floats, pushed: Floats) -> Floats:
     """Return how far coordinates move: on the path, at velocities that are given, else in bounds.
 
-    What bounds say counts where nothing else does: those of coordinates, or ``pushed``, how far
+    Bounds count only if nothing else is known: bounds of coordinates, or else ``pushed``, how far
     the largest inputs push.
     """
     q, (given, rates, bounds) = x[layout.points].reshape(-1, layout.n), layout.read.extents

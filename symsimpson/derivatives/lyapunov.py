@@ -57,7 +57,7 @@ def first_part(spec: Spec) -> Spec:
 def first_columns(derivative: Floats, h: float, count: int) -> Floats:
     """Return first variations, and as the last column the weights of dq and dp.
 
-    ``derivative``, shape (..., 2 n, 2 n), is that of :func:`first_part`. The squared length of a
+    ``derivative``, shape (..., 2 n, 2 n), comes from :func:`first_part`. The squared length of a
     variation is the sum of (m/T) dq^2 + (T/m) dp^2, so each term is an action in any units. 1/m is
     the diagonal of M^-1. T makes both parts of the linearised equations equal in size: it is
     1/omega of an oscillator. The variations are orthonormal in this length.

@@ -138,10 +138,10 @@ def look_at_end(W, at, first, rows):
 
 @njit(**RARE)
 def tell(W, at, h, row, kinds, seen, block):
-    """Keep what the observed values of a block, from a row on, and its variations came to.
+    """Store the observed values of a block, which begin at a row, and its variations.
 
-    Behind them stand the energy, its kinetic part, and how small pivots of M were, where steps
-    may not have resolved this.
+    The last three entries are the energy, its kinetic part, and the smallest pivot of M, if steps
+    may not have resolved it.
     """
     last = seen.shape[1]
     for lane in range(LANES):

@@ -180,7 +180,7 @@ def linear(kernels, h, t, W, at, lane):
 
 @njit(**RARE)
 def singular(kernels, h, t, W, at, lane, first, last):
-    """Return whether M is not definite after so many steps of constant velocity of a lane."""
+    """Return whether M of a lane is not definite after steps at constant velocity."""
     before = np.empty((W.shape[0], LANES))
     lost = 0
     for other in range(LANES):
@@ -208,9 +208,9 @@ def name_failure(kernels, h, t, W, at, lane):
 
 @njit(**RARE)
 def look_at_pivot(kernels, h, t, W, at, lane):
-    """Return whether M is singular or indefinite behind a step; else keep how small it is.
+    """Return whether M is singular or indefinite after a step; else store how small it is.
 
-    The time is kept, too, where more steps show that they may not resolve the passage.
+    The time is stored, too, where more steps show that they may not resolve the passage.
     """
     W[at[IN_DOUBT], lane] -= SMALL_MASS
     pivot = W[at[MASS_PIVOT], lane]

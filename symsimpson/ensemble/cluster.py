@@ -95,7 +95,7 @@ def run_on_cluster(store: Store, client: Any) -> bool:
 
 
 def _result(future: Any, store: Store) -> Any:
-    """Return what a task has come to."""
+    """Return the result of a task; raise StorageError if the task failed."""
     try:
         return future.result()
     except SymsimpsonError:

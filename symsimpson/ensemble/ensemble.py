@@ -13,12 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.plotting import run_figures
 from symsimpson.program.evaluating import evaluate, evaluate_members
 from symsimpson.program.input_values import read_count
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
-from symsimpson.results import html
 from symsimpson.results.differentiated import Differentiated
 from symsimpson.results.quantities import Quantities
 from symsimpson.results.records import Record
@@ -325,7 +323,7 @@ class Ensemble(Quantities, Differentiated):
         name : str, optional
             As in ``ensemble["q1"]``; the first coordinate unless given.
         most : int, optional
-            Draw lines of so many members at most, spread over all, in place of bands.
+            Draw lines of at most this number of members, spread over all, in place of bands.
         ax : matplotlib axes, optional
             Axes to draw in; new ones unless given.
 
@@ -347,7 +345,9 @@ class Ensemble(Quantities, Differentiated):
         'energy'
         """
         most = None if most is None else read_count("most", most, 1)
-        return run_figures.plot_members(self, name, most, ax=ax)
+        from symsimpson.plotting.run_figures import plot_members
+
+        return plot_members(self, name, most, ax=ax)
 
     def _about(self) -> dict[str, Any]:
         """Where the numbers come from."""
@@ -358,7 +358,9 @@ class Ensemble(Quantities, Differentiated):
         return self.status.size
 
     def _repr_html_(self) -> str:
-        return html.ensemble(self, self._about()["t_end"])
+        from symsimpson.results.html import ensemble
+
+        return ensemble(self, self._about()["t_end"])
 
     def __repr__(self) -> str:
         stored = f"{counted(len(self), 'member')}, {counted(self.stored, 'state')} of each stored"

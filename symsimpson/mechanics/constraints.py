@@ -152,10 +152,10 @@ def slopes(graph: Graph, phi: Iterable[Value], q: Sequence[int]) -> list[list[Va
 def check_number(
     name: str, rows: Mapping[str, Sequence[Value]], symbols: Symbols, *, driven: bool
 ) -> None:
-    """Refuse constraints that leave nothing to move, or of which one follows from others.
+    """Reject constraints that leave nothing to move, or that depend on each other.
 
-    ``name`` is that of the system; ``rows`` has of each constraint by what it holds velocities, Phi
-    v or A v; if one of A v = b has a b, they are ``driven``, and as many as coordinates move.
+    ``name`` is the system's name. ``rows`` has the row of each constraint on velocities, Phi or A.
+    If a row of A v = b has a b, they are ``driven``, and as many as coordinates move.
     Raises ModelError with the names of the fewest first ones that depend on each other.
     """
     if not rows:

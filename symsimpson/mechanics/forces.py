@@ -138,8 +138,8 @@ def _touching_zero(symbols: Symbols, nodes: Iterable[int]) -> list[int]:
             slopes[n] = gradient(graph, (1, n), present)
             slopes[n] += [x for y in [*slopes[n]] for x in gradient(graph, y, present)]
     touching = [*slopes]
-    for found in samples(symbols, [x for n, row in slopes.items() for x in ((1, n), *row)]):
-        numbers, least = iter(found), {}
+    for sampled in samples(symbols, [x for n, row in slopes.items() for x in ((1, n), *row)]):
+        numbers, least = iter(sampled), {}
         for n, row in slopes.items():
             value, *rest = islice(numbers, len(row) + 1)
             size = isqrt(len(row))

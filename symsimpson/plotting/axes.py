@@ -38,7 +38,7 @@ def colours(count: int) -> list[Any]:
 
 
 def style(joined: bool, count: int, width: float) -> dict[str, Any]:
-    """Return the style of a curve, or of so many states that no line connects."""
+    """Return the style of a curve, or of ``count`` states that no line connects."""
     dots = {"ls": "none", "marker": ".", "ms": 2.5 if count > 300 else 5}
     return {"lw": width} if joined else dots
 

@@ -76,8 +76,8 @@ def panels_of(
 ) -> list[list[str]]:
     """Return names for panels, one above the other.
 
-    Lengths say nothing beside angles, and small numbers nothing beside large ones. Coordinates that
-    are 0 up to rounding stand beside others.
+    Lengths and angles have separate panels, as have small and large numbers. Coordinates that are
+    0 up to round-off share a panel with others.
     """
     finite = {k: np.nan_to_num(np.asarray(x, float), posinf=0, neginf=0) for k, x in values.items()}
     sizes = {name: np.abs(x).max(initial=0.0) for name, x in finite.items()}

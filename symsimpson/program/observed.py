@@ -65,7 +65,7 @@ class Observed:
 
 
 def _size(node: ast.expr) -> str:
-    """Return the size of an expression; of a function also that of its arguments."""
+    """Return the size of an expression; the size of a function includes its arguments."""
     value = f"abs({ast.unparse(node)})"
     match node:
         case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
@@ -237,7 +237,7 @@ def watchers(
     *,
     values: bool = False,
 ) -> tuple[Recorder, ...]:
-    """Return what stops a run behind a step in which an expression changes its sign.
+    """Return what stops a run after a step in which an expression changes its sign.
 
     From the ``first`` row on there are four for each: the side of zero on which it is, NaN where
     that is not known, a half of it while it rests at zero, twice of it at a zero; its size of late,

@@ -109,15 +109,15 @@ class Reader:
         """
         coordinates = [*enumerate(self._header.coordinates)]
         parameters = enumerate(self._header.parameters)
-        own = {f"q_{i}": name for i, name in coordinates}
-        own |= {f"{kind}_{i}": f"{kind}_{name}" for kind in "pv" for i, name in coordinates}
-        own |= {f"a_{i}": name for i, name in parameters}
+        written = {f"q_{i}": name for i, name in coordinates}
+        written |= {f"{kind}_{i}": f"{kind}_{name}" for kind in "pv" for i, name in coordinates}
+        written |= {f"a_{i}": name for i, name in parameters}
         known = {"t": "t", "pi": self._known["pi"]}
         known |= {scalar.name: scalar.symbol for scalar in SCALARS}
-        known |= {name: symbol for symbol, name in own.items()}
+        known |= {name: symbol for symbol, name in written.items()}
         if all(known.get(name) == self._known[name] for name in self._used):
             return str(expression)
-        return re.sub(r"\b[qpva]_\d+\b", lambda match: own[match[0]], text)
+        return re.sub(r"\b[qpva]_\d+\b", lambda match: written[match[0]], text)
 
     def _named_plainly(self, expression: Any) -> Any:
         """Let plain symbols stand for all symbols, coordinates and velocities of an expression."""

@@ -45,7 +45,7 @@ def extrapolate(
     y : list of mpf
         The state at 0.
     times : sequence of mpf
-        Further and further from 0, all ahead or all behind.
+        Further and further from 0, all positive or all negative.
     tolerance : mpf
         Bound of the local error of each component, relative to its largest value so far.
     most : int, optional
@@ -63,7 +63,7 @@ def extrapolate(
     ------
     ArithmeticError
         If no step is small enough: the solution has a singularity. Also if it takes more than
-        ``most`` steps, which is told early on.
+        ``most`` steps, which is detected early.
     """
     states = []
     t, taken = mpmath.mpf(0), 0
@@ -124,7 +124,7 @@ def _step(
 ) -> tuple[Vector | None, int]:
     """Take a step; returns the new state, None if it did not converge, and the columns used.
 
-    ``sizes`` are those of the components before it.
+    ``sizes`` has the largest values of the components so far.
     """
     slope = f(y)
     previous: list[Vector] = []

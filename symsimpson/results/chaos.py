@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.plotting import run_figures
-from symsimpson.results import html
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.support.array_types import Floats
 
@@ -72,9 +70,14 @@ class Chaos:
         InputError
             If matplotlib is not installed.
         """
-        return run_figures.plot_exponents(self, ax=ax)
+        from symsimpson.plotting.run_figures import plot_exponents
 
-    _repr_html_ = html.chaos
+        return plot_exponents(self, ax=ax)
+
+    def _repr_html_(self) -> str:
+        from symsimpson.results.html import chaos
+
+        return chaos(self)
 
     def __repr__(self) -> str:
         exponents = ", ".join(f"{x:.4g}" for x in self.exponents)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.plotting import run_figures
 from symsimpson.results.states import States
 from symsimpson.results.stored import Stored
 
@@ -190,4 +189,6 @@ class Energies(Stored):
         >>> run.plot_energy().get_ylabel()
         '(H - H0) / |H0| [$10^{-5}$]'
         """
-        return run_figures.plot_energy(self, shadow=shadow, ax=ax)
+        from symsimpson.plotting.run_figures import plot_energy
+
+        return plot_energy(self, shadow=shadow, ax=ax)

@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.module.interface import ZERO
-from symsimpson.plotting import run_figures
 from symsimpson.program.evaluating import watching
 from symsimpson.program.input_values import whole_number
 from symsimpson.program.observed import Observed, read_expression, refuse_constant
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
-from symsimpson.results import html
 from symsimpson.results.interpolate import DenseOutput
 from symsimpson.results.states import States
 from symsimpson.results.stored import Stored
@@ -109,9 +107,14 @@ class Events(States):
         >>> ax.get_xlabel(), ax.get_ylabel()
         ('q2', 'p_q2')
         """
-        return run_figures.plot_section(self, (names, *more) if more else names, ax=ax)
+        from symsimpson.plotting.run_figures import plot_section
 
-    _repr_html_ = html.events
+        return plot_section(self, (names, *more) if more else names, ax=ax)
+
+    def _repr_html_(self) -> str:
+        from symsimpson.results.html import events
+
+        return events(self)
 
     def _further(self) -> dict[str, Any]:
         return {"direction": (("time",), self.direction)}
@@ -207,9 +210,9 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
     passing = np.flatnonzero((turns[1:] != turns[:-1]).any(axis=1))
     values, sizes_at = value(times, positions, momenta, turns)  # each state in its own turn
     small = ZERO * (watched(times, positions, momenta)[:, 1] if wrapped else sizes_at)
-    found, up = np.abs(values), values > 0
-    limit = np.fmax(small, ZERO * np.max(found, initial=0.0, where=np.isfinite(found)))
-    far = found > limit
+    distance, up = np.abs(values), values > 0
+    limit = np.fmax(small, ZERO * np.max(distance, initial=0.0, where=np.isfinite(distance)))
+    far = distance > limit
     plain = far[1:] & far[:-1] & (up[1:] == up[:-1])  # no zero is to be looked for
     plain[passing] = False
     begin = np.flatnonzero(~plain)
@@ -232,21 +235,21 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
 
     def looked_at(end: int, way: int) -> tuple[Floats, Floats, Floats]:
         """Return signs at one end of all intervals, places near it, and values there."""
-        found, sizes, places = (first, last)[end].copy(), small[start + end], end * span
-        signs, which = np.sign(found), np.flatnonzero(np.abs(found) <= limit[start + end])
+        at_ends, sizes, places = (first, last)[end].copy(), small[start + end], end * span
+        signs, which = np.sign(at_ends), np.flatnonzero(np.abs(at_ends) <= limit[start + end])
         if which.size:  # only against what is beside it is it known to be zero
             near = at(which, places[which] + way * BESIDE[1] * span[which])[0]
             least = np.fmax(sizes[which], ZERO / BESIDE[1] * np.abs(near))
-            which = which[np.abs(found[which]) <= least]
+            which = which[np.abs(at_ends[which]) <= least]
             place, ahead = places[which], way * span[which]
             beside = signs_beside(lambda part: at(which, place + part * ahead), sizes[which])
-            clear = np.where(np.abs(found[which]) > sizes[which], signs[which], 0)
+            clear = np.where(np.abs(at_ends[which]) > sizes[which], signs[which], 0)
             signs[which] = np.where(beside == 0, clear, beside)
             places[which] += BESIDE[1] * ahead
-            found[which] = at(which, places[which])[0]
-            lost = which[np.sign(found[which]) != signs[which]]
-            found[lost] = TINY * signs[lost]
-        return signs, places, found
+            at_ends[which] = at(which, places[which])[0]
+            lost = which[np.sign(at_ends[which]) != signs[which]]
+            at_ends[lost] = TINY * signs[lost]
+        return signs, places, at_ends
 
     (left, low, first), (right, high, last) = looked_at(0, 1), looked_at(1, -1)
     known = np.stack([left[:count], right[:count]], axis=1)

@@ -94,11 +94,11 @@ class Part(States):
 
         As :meth:`Trajectory.events`; the name of an event gives its record in this time.
         """
-        found = self._run.events(expression, direction=direction, wrap=wrap)
-        here = (found.t >= min(self.t, default=0)) & (found.t <= max(self.t, default=0))
-        values = {f.name: getattr(found, f.name) for f in fields(found)}
+        events = self._run.events(expression, direction=direction, wrap=wrap)
+        here = (events.t >= min(self.t, default=0)) & (events.t <= max(self.t, default=0))
+        values = {f.name: getattr(events, f.name) for f in fields(events)}
         rows = {x: values[x][here] for x in ROWS_OF_EVENTS if x in values}
-        return type(found)(**{**values, **rows})
+        return type(events)(**{**values, **rows})
 
     def animate(self, **options: Any) -> Animation:
         """Animate this part of the run, with the arguments of :meth:`Trajectory.animate`."""

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError, UnknownNameError
 from symsimpson.module.quantity import QUANTITIES
 from symsimpson.module.quantity import VECTORS as WITH_COORDINATES
-from symsimpson.plotting import run_figures
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.outcome import Outcome
@@ -98,7 +97,7 @@ class Sampled(WithEvents, Outcome, States):
 
     A member of an ensemble, ``ensemble[3]``, gives its stored states.
 
-    Attributes are those of :class:`States`, and how the run ended: ``status``, ``message``,
+    It has the attributes of :class:`States`, and how the run ended: ``status``, ``message``,
     ``success``, its ``steps`` and ``h``. Of a run that failed, the times that it reached are there.
     A member of a retimed system has ``tau``, the time of the steps, shape (N,).
 
@@ -236,10 +235,10 @@ class Saved(WithEvents, Outcome):
         >>> kept.plot().get_ylabel()
         'theta'
         """
+        from symsimpson.plotting.run_figures import plot
+
         single = [name for name, values in self.values.items() if values.ndim == 1]
-        return run_figures.plot(
-            self, (names, *more) if more else single if names is None else names, ax=ax
-        )
+        return plot(self, (names, *more) if more else single if names is None else names, ax=ax)
 
     def to_pandas(self) -> Any:
         """Return a ``pandas.DataFrame`` of the quantities, with the times as index.

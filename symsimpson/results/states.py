@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.module.quantity import SCALARS, VECTORS
-from symsimpson.plotting import run_figures
 from symsimpson.program.program import Program
 from symsimpson.program.workspace import NO_INPUTS
-from symsimpson.results import html
 from symsimpson.results.quantities import Quantities
 from symsimpson.results.tables import dataframe
 from symsimpson.stepping.driving import Driven, inputs_there
@@ -193,7 +191,7 @@ class States(Quantities):
             Further ones.
         ax : matplotlib axes, optional
             Axes to draw in. Unless given, there are new ones: one for each unit, and one for
-            quantities whose ranges differ from those of others by more than 30 times.
+            quantities whose ranges differ from other ranges by more than 30 times.
 
         Returns
         -------
@@ -213,10 +211,12 @@ class States(Quantities):
         't'
         """
         wanted = (names, *more) if more else names
-        return run_figures.plot(self, wanted, connected=self._connected, ax=ax)
+        from symsimpson.plotting.run_figures import plot
+
+        return plot(self, wanted, connected=self._connected, ax=ax)
 
     def plot_phase(self, x: str | None = None, y: str | None = None, *, ax: Any = None) -> Any:
-        """Draw one quantity over another, as a curve like that of :meth:`plot`.
+        """Draw one quantity over another, as a curve like :meth:`plot` draws.
 
         Call ``ax.set_aspect("equal")`` for two quantities of the same unit.
 
@@ -243,12 +243,14 @@ class States(Quantities):
         >>> run.plot_phase("theta", "v_theta").get_ylabel()
         'v_theta'
         """
-        return run_figures.plot_phase(self, x, y, connected=self._connected, ax=ax)
+        from symsimpson.plotting.run_figures import plot_phase
+
+        return plot_phase(self, x, y, connected=self._connected, ax=ax)
 
     def plot_path(self, *, ax: Any = None) -> Any:
         """Draw the paths of the system's ``positions``, into ``ax`` if given; returns the axes.
 
-        Paths are curves like those of :meth:`plot`, on axes of equal scales.
+        Paths are curves like :meth:`plot` draws, on axes of equal scales.
 
         Raises
         ------
@@ -349,7 +351,10 @@ class States(Quantities):
     def __len__(self) -> int:
         return self.t.size
 
-    _repr_html_ = html.states
+    def _repr_html_(self) -> str:
+        from symsimpson.results.html import states
+
+        return states(self)
 
     def __repr__(self) -> str:
         times = counted(len(self), "state")

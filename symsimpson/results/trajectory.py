@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_array
 from symsimpson.program.status import Status
-from symsimpson.results import html
 from symsimpson.results.differentiated import Differentiated
 from symsimpson.results.energies import Energies
 from symsimpson.results.states import OF_RUNS, States
@@ -60,7 +59,7 @@ class Trajectory(Energies, Differentiated):
     status : Status
         0 is success.
     message : str
-        The outcome in words.
+        The outcome as a text.
     error_estimate : float or None
         The largest error along the path that :func:`symsimpson.integrate` measured.
 
@@ -251,7 +250,7 @@ class Trajectory(Energies, Differentiated):
         Parameters
         ----------
         seconds : float, optional
-            Length of the film; that of the run if this is from 1 to 10, else 10.
+            Length of the animation; the length of the run if this is from 1 to 10, else 10.
         fps : int
             Frames a second.
         figsize : (float, float), optional
@@ -321,7 +320,10 @@ class Trajectory(Energies, Differentiated):
     def _about(self) -> dict[str, Any]:
         return super()._about() | self._outcome()
 
-    _repr_html_ = html.trajectory
+    def _repr_html_(self) -> str:
+        from symsimpson.results.html import trajectory
+
+        return trajectory(self)
 
     def __repr__(self) -> str:
         program = self.program

@@ -18,7 +18,7 @@ ACCUMULATED, STEADY = 1e-6, 0.1
 def accumulation(times: Mapping[int, Sequence[float]], h: float) -> tuple[int, float] | None:
     """Return the impact that accumulates within a step of length h, and up to when; or None.
 
-    The times between its hits, infinitely many, are those of a geometric series.
+    The times between its hits form an infinite geometric series.
     """
     for k, hits in times.items():
         if len(hits) >= 4:

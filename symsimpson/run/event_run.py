@@ -155,7 +155,7 @@ class EventRun(Run):
         self.sides.mark(self._value)
 
     def _split_step(self, *, taken: bool) -> None:
-        """Take a step anew, with the events that are in it; one that was taken is taken back."""
+        """Take a step again, with the events in it; first undo the step if it was taken."""
         self._progress[0] -= taken
         behind, rows = self.W.copy(), 4 * self.header.n
         if taken:  # else it ends on a kink

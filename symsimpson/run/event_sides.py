@@ -28,9 +28,9 @@ Crossing = tuple[float, State, list[int]]
 
 
 class Sides:
-    """Sides of zero, and the sizes by which rounding is told, in rows of a workspace.
+    """Sides of zero, and the sizes that bound round-off, in rows of a workspace.
 
-    ``side`` has the one on which each expression is, ``size`` its size of late. Steps have the
+    ``side`` has the side of zero of each expression, ``size`` its recent size. Steps have the
     length ``h``.
     """
 
@@ -66,7 +66,7 @@ class Sides:
     def renew(
         self, acted: Sequence[int], t: float, before: State, behind: State, place: tuple[int, float]
     ) -> None:
-        """Find the sides behind actions; what is zero, as at these events, by a look ahead."""
+        """Find the sides after actions; a look ahead decides for expressions that are zero."""
         if self._actions.impacts.all():
             return
         small, values = self.small_at(t, behind), self._actions.values(t, behind).copy()
@@ -112,7 +112,7 @@ class Sides:
         """Return how long a part of a step is up to events, its end, and where the next one begins.
 
         Forces may have a kink where a step is split: one part ends shortly before it, and the next
-        one begins shortly behind it, on the line through states before.
+        one begins shortly after it, on the line through states before.
         """
         part, end, events = crossing
         side = np.sign(self.side)
@@ -133,10 +133,10 @@ class Sides:
     def between(
         self, row: Callable[[float], Floats], rest: float, first: Floats, last: Floats
     ) -> dict[int, tuple[float, Floats]]:
-        """Return up to where events act whose expressions are zero at the end of a rest of a step.
+        """Return where events act whose expressions are zero at the end of a rest of a step.
 
-        With it comes what is asked for there; ``row`` gives it, ``first`` and ``last`` are that at
-        both ends.
+        The row of values there comes with each place. ``row`` computes it; ``first`` and ``last``
+        are the rows at both ends.
         """
         count, sizes = len(self.size), np.fmax(self.size, self._seen_of_late)
         small = ZERO * np.fmax(sizes, np.abs(last[: len(sizes)]))
@@ -166,14 +166,14 @@ class Sides:
         return np.array([row[: len(self.size)], row[[*self._events.sizes]]])
 
     def settle(self, row: Floats, q: Floats) -> None:
-        """Take the sides and sizes behind a step."""
+        """Update the sides and sizes after a step."""
         seen = np.where(np.abs(row[: len(self.size)]) <= self.small, self._seen_of_late, 0.0)
         self.size[:] = np.fmax(self.faded(row, q), seen)
         before = np.where(self._arriving, self._arriving, self.side)
         self.side[:] = self.of(row[: len(self.size)], self.small, before)
 
     def faded(self, row: Floats, q: Floats) -> Floats:
-        """Return sizes behind a step: those of terms, or what is left of those before."""
+        """Return sizes after a step: sizes of terms, or the faded sizes before it."""
         left = np.where(self._actions.impacts, 1.0, FADED) * self.size
         return np.fmax(left, self._actions.sizes(row, q))
 

@@ -166,9 +166,9 @@ def passage_in_words(passed: tuple[float, str, bool], h: float) -> str:
 def inputs_again(
     program: Program, inputs: Reals, first: int, last: int, finer: int = 1
 ) -> dict[str, Floats]:
-    """Return inputs of steps of a run that are taken again, in so many parts each.
+    """Return inputs for taking steps of a run again, each in ``finer`` parts.
 
-    ``inputs`` have the shape (1, N, s, m); what stands at nodes is a polynomial of each step.
+    ``inputs`` have the shape (1, N, s, m). The values at nodes define a polynomial on each step.
     """
     steps = np.minimum(np.arange(first, last), inputs.shape[1] - 1)
     rows = inputs[0, steps].astype(np.float64)

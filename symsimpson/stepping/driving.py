@@ -90,9 +90,9 @@ def read_driving(
 
     They are given by symbol or by name; or all of them along the last axis. Functions of time are
     evaluated at the nodes of the steps from t0 on. ``members`` is 1 where nothing but the inputs
-    tells how many there are. The values are of shape (K, N, s, m), by
-    member, step, node and input; where an axis has one entry it stands for all. Raises InputError
-    if one is missing, unknown or not finite, or has the wrong shape.
+    tells how many there are. The values have the shape (K, N, s, m), by member, step, node and
+    input; where an axis has one entry, the entry is used for all. Raises InputError if one is
+    missing, unknown or not finite, or has the wrong shape.
     """
     names, numbers = program.inputs, program.numbers
     if not names:

@@ -36,7 +36,7 @@ def facts(pairs: Sequence[tuple[str, object]]) -> str:
 
 
 def _row(cells: Sequence[object], names: int = 1) -> str:
-    """Lay out cells, the first of which are names."""
+    """Lay out cells; the first ones are names."""
     tags = ["th"] * names + ["td"] * (len(cells) - names)
     shown = zip(tags, map(_cell, cells), strict=True)
     return f"<tr>{''.join(f'<{tag}{LEFT}>{cell}</{tag}>' for tag, cell in shown)}</tr>"

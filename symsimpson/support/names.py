@@ -38,7 +38,7 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
 
 
 def constraint_called(name: str) -> str:
-    """Return a constraint as messages name it: those of a list have numbers."""
+    """Return a constraint as messages name it: constraints of a list have numbers."""
     return f"number {name} of the list" if name.isdigit() else repr(name)
 
 

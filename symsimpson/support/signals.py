@@ -18,9 +18,9 @@ _listening: list[list[int]] = []
 
 @contextmanager
 def listening() -> Iterator[list[int]]:
-    """Let Ctrl-C put its number into a list, for what looks at that and stops by itself.
+    """Let Ctrl-C put its number into a list, for code that reads the list and stops.
 
-    A second one stops it at once. What listens around this hears it, too.
+    A second Ctrl-C stops the code at once. Listeners around this one get the number, too.
     """
     heard: list[int] = []
     if not _disturbed():

@@ -275,10 +275,10 @@ class Expressions(ABC):
         if known(truth):
             return self._value(body if truth else other, env)
 
-        one, two = partial(self._value, body, env), partial(self._value, other, env)
+        first, second = partial(self._value, body, env), partial(self._value, other, env)
         if not self._width and (must_wait(body, self._text) or must_wait(other, self._text)):
-            return self._values.picked(truth, one, two)
-        return self._values.choose(truth, one(), two())
+            return self._values.picked(truth, first, second)
+        return self._values.choose(truth, first(), second())
 
     def _array(self, node: ast.expr, env: Env) -> Array:
         value = self._value(node, env)

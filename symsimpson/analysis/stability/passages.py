@@ -111,9 +111,9 @@ def unresolved_pole(
 ) -> tuple[float, str, bool] | None:
     """Return when a run passed a small det M unresolved, where, and if it vanishes near there.
 
-    The run has stored all its states, or its steps are taken again as ``asked``. Where is told in
-    words; the last is whether the coordinates have a singular point there. It is None if there was
-    no such passage.
+    The run has stored all its states, or its steps are taken again as ``asked``. The place is a
+    text. The last value is whether the coordinates have a singular point there. The function
+    returns None if it finds no such passage.
     """
     if _mass(system)[0] is None or _looking.get():
         return None
@@ -146,10 +146,9 @@ def unresolved_step(
     values: Floats,
     inputs: Floats,
 ) -> tuple[float, str, bool] | None:
-    """Return what :func:`unresolved_pole` does, of steps from the last of two states on.
+    """Return what :func:`unresolved_pole` does, for steps that begin at the last of two states.
 
-    The first state is where a run began, at which det M is ordinary. The ``inputs`` of a step are
-    those of all.
+    The run began at the first state, where det M is ordinary. All steps have the same ``inputs``.
     """
     if _mass(system)[0] is None or _looking.get():
         return None
