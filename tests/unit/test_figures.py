@@ -122,8 +122,8 @@ def first_calls(cache_folder):
 
 #: Lines of text in each room.
 LINES = {
-    "analysis": 4902,
-    "api": 1559,
+    "analysis": 4901,
+    "api": 1560,
     "bench": 1341,
     "cli": 832,
     "codegen": 10542,
@@ -131,17 +131,17 @@ LINES = {
     "derivatives": 985,
     "discrete": 1847,
     "driver": 2222,
-    "ensemble": 2014,
-    "export": 1550,
+    "ensemble": 2016,
+    "export": 1553,
     "graph": 2317,
     "mechanics": 6006,
     "module": 1577,
-    "plotting": 1100,
+    "plotting": 1104,
     "program": 3117,
     "reference": 914,
-    "results": 3556,
+    "results": 3569,
     "root": 504,
-    "run": 4391,
+    "run": 4392,
     "schemes": 786,
     "stepping": 2452,
     "support": 1143,
@@ -152,11 +152,11 @@ LINES = {
 #: What a first compile and a first integrate execute, with nothing on disk. Python 3.11 counts
 #: comprehensions as functions.
 FIRST_CALLS = {
-    "functions that a first compile executes": 1146,
-    "files that a first compile executes": 204,
+    "functions that a first compile executes": 1138,
+    "files that a first compile executes": 197,
     "functions that a first integrate executes": 664,
     "files that a first integrate executes": 106,
-    "modules loaded after ten steps": 296,
+    "modules loaded after ten steps": 289,
 }
 
 #: Figures as they are. One that has fallen is written here, so that it cannot rise again.
@@ -168,14 +168,14 @@ FIGURES = {
     "functions with more than 8 arguments": (19, lambda: with_more_arguments(8)),
     "functions with more than 12 arguments": (10, lambda: with_more_arguments(12)),
     "private names asked of others": (26, lambda: sum(map(is_reach, nodes(ast.Attribute)))),
-    "values called found, made, own or one": (16, lambda: sum(map(is_vague, every_node()))),
+    "values called found, made, own or one": (8, lambda: sum(map(is_vague, every_node()))),
     "names that several files have": (4, repeated_names),
     "modules at the root": (3, lambda: len(list(PACKAGE.glob("*.py")))),
-    "lines of the package": (64572, lambda: sum(lines_of_rooms().values())),
+    "lines of the package": (64595, lambda: sum(lines_of_rooms().values())),
     "files": (429, lambda: len(FILES)),
     "floors": (12, floors),
     "class names that occur twice": (21, repeated_classes),
-    "docstrings with private words": (687, private_words),
+    "docstrings with private words": (633, private_words),
     "docstrings that cannot be read alone": (
         0,
         lambda: sum(
