@@ -16,7 +16,7 @@ from symsimpson.codegen.pipeline import derive, source
 from symsimpson.discrete.reductions import read_exploit
 from symsimpson.module.binding import bind
 from symsimpson.module.definitions import redefined
-from symsimpson.module.interface import LOOKED_AT
+from symsimpson.module.interface import LOOKED_AT, PIVOTED
 from symsimpson.program import cache, compiled
 from symsimpson.schemes.named import read_scheme
 from symsimpson.systems import EVERY
@@ -87,7 +87,9 @@ def compare(text, lanes, made, wanted, system=None):
         # what is scratch is no result, but where a kernel is called for it, as it leaves it
         idle = np.zeros(W.shape, dtype=bool)
         idle[scratch] = W[module.ACTIVE] == 0  # nobody looks at lanes that have ended
-        left = np.isnan(found) & (right == W) | idle if name in LOOKED_AT else scratch
+        # of Newton's method only where no kernel with pivots is there to be looked at
+        looked_at = name in LOOKED_AT and not (name == "newton" and PIVOTED in made)
+        left = np.isnan(found) & (right == W) | idle if looked_at else scratch
         for rows in (found, right, near):
             rows[left] = 0.5
         finite = np.isfinite(right)
