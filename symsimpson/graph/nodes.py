@@ -152,7 +152,7 @@ class Graph:
                 elif kind == "function" and parts[0] == "cosh":  # tanh does not overflow
                     sinh = self._numbers.get(("function", ("sinh", parts[1])), UNIT)
                     common = min(e, -factors.get(sinh, 0), key=magnitude)
-                    if e * common > 0:
+                    if max(e, common) < 0:  # with sinh below, 1/tanh would be new
                         tanh = self.function("tanh", parts[1])[1]
                         open_ += [(n, -common), (sinh, common), (tanh, -common)]
         coefficient = exact(coefficient)
