@@ -28,6 +28,8 @@ Spec = TypeVar("Spec", bound=RunSpec)
 #: The part of a step whose derivative gives masses and a time scale. Smaller parts have more
 #: round-off.
 PART = 2.0**-3
+#: Constraints fix a coordinate if its derivative by its own start is round-off, below this.
+FIXED = 2.0**-40
 #: Bounds of the time scale, in steps.
 SHORTEST, LONGEST = 2.0**-4, 2.0**12
 
@@ -66,7 +68,8 @@ def first_columns(derivative: Floats, h: float, count: int) -> Floats:
     q_by_p, p_by_q = (x / (PART * h) for x in (derivative[..., :n, n:], derivative[..., n:, :n]))
     with np.errstate(all="ignore"):
         light = np.diagonal(q_by_p, axis1=-2, axis2=-1)
-        light = np.where(light > 0, light, 0.0)  # 0: constraints fix the coordinate
+        moves = abs(np.diagonal(derivative[..., :n, :n], axis1=-2, axis2=-1)) > FIXED
+        light = np.where((light > 0) & moves, light, 0.0)
         m = np.where(light > 0, 1 / light, 0.0)
         pairs = (np.sqrt(x[..., :, None] * x[..., None, :]) for x in (m, light))
         blocks = zip((q_by_p, p_by_q), pairs, strict=True)
