@@ -81,10 +81,7 @@ def look_at_ends(program: Program, task: Task, ensemble: Ensemble) -> None:
         worst += some[np.argsort(pivots)[:AGAIN]][: int((pivots < SMALL_PIVOT).sum())].tolist()
     off = some[left > LAST_LIMIT].tolist()
     for member in dict.fromkeys(worst):
-        others = [str(k) for k in off if k != member]
-        shown = ", ".join([*others[:SHOWN], *(["..."] if len(others) > SHOWN else [])])
-        who = f"member {member}, as others may"
-        who = f"member {member}, and probably {shown}" if others else who
+        who = _named(member, [k for k in off if k != member])
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
             every = 1 if task.steps <= (WHOLE if member in worst[:by_energy] else SHORT) else None
@@ -98,6 +95,14 @@ def look_at_ends(program: Program, task: Task, ensemble: Ensemble) -> None:
             if issubclass(warning.category, ResolutionWarning):
                 warn(f"{who}: {warning.message}", ResolutionWarning)
                 return
+
+
+def _named(member: int, others: list[int]) -> str:
+    """Name a member that was run again, and others whose energy moved."""
+    if not others:
+        return f"member {member}, as others may"
+    more = ", ..." if len(others) > SHOWN else ""
+    return f"member {member}, and probably {', '.join(map(str, others[:SHOWN]))}{more}"
 
 
 def _refuse(program: Program, task: Task) -> None:

@@ -8,6 +8,7 @@ import sys
 from functools import cache
 
 import pytest
+from support.imports import imports
 from support.places import PACKAGE
 
 #: Rooms of the symbolic half, and of what runs its texts, each of which may import those before it.
@@ -27,19 +28,6 @@ def loaded_by(statement):
 
 def tree(path):
     return ast.parse(path.read_text("utf-8"))
-
-
-def imports(path):
-    """Modules of the package that a file imports, wherever, but for types alone."""
-    work = [tree(path)]
-    while work:
-        node = work.pop()
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-            continue
-        names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-        names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-        yield from (name for name in names if name.startswith("symsimpson."))
-        work += reversed(list(ast.iter_child_nodes(node)))
 
 
 def test_the_package_itself_loads_nothing_heavy():
