@@ -5,7 +5,8 @@ A family is a group of constraints of the same form, with other coordinates and 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
 
 from symsimpson.codegen.constraint_order import Held
 from symsimpson.codegen.expression import Expression
@@ -17,7 +18,7 @@ from symsimpson.codegen.terms_of_l import FamilyWriter, Table
 from symsimpson.discrete.constraint_terms import derive_constraints
 from symsimpson.discrete.families import Family
 
-__all__ = ["constraint_family_functions", "constraint_functions"]
+__all__ = ["constraint_family_functions", "constraint_functions", "constraint_stores"]
 
 DOCS = {
     "constraint_slopes": "Phi = dphi/dq at a point.",
@@ -44,60 +45,69 @@ def constraint_functions(
     coordinate in matrices. Schemes with a drift, as RATTLE, call for phi alone (``drifting``).
     """
     point = Point("c", low.node_q, low.node_v, low.node_t, low.node_u, low.multipliers)
-    both = (*places, *range(low.n, low.n + held.count))
-
-    def entry(what: str, *index: int) -> Expression:
-        return low.held.entry(point, "constraints", what, *index)
-
-    def entry_row(i: int, j: int) -> Row:
-        """Return the row of an entry of the saddle-point matrix [[M, Phi^T], [Phi, 0]]."""
-        return Row("CONSTRAINT_QQ", held.entry(both[i], both[j]))
-
-    count = range(held.count)
-    slopes = _first_derivatives(entry, entry_row, low.n, count)
-    values = [Store(Row("CONSTRAINT", c), entry("phi", c)) for c in count]
-    curves = [Store(Row("CURVATURE", c), -entry("curve", c)) for c in count]
-    pushes = [Store(Row("RESIDUAL", s), entry("push", a)) for a, s in enumerate(places)]
-    stores = {
-        "constraint_slopes": slopes,
-        "constrain": [*values, *slopes, *_second_derivatives(entry, entry_row, low.n, add=False)],
-        "constraint_values": values,
-        "pushes": [*pushes, *curves],
-    }
-    positions = len(low.equations.plain.constraints)
-    rolling = range(positions, held.count)
-    if rolling:
-        rolling_rows = [(c - positions, c) for c in rolling]
-        rates = [Store(Row("RATE", k), entry("rate", c)) for k, c in rolling_rows]
-        stores["pushes"] += rates
-        stores["hold_velocities"] = [
-            Store(Row("CURVATURE", c), entry("b", c) if c in rolling else low.graph.of(0))
-            for c in count
-        ]
-
-        def by_coordinates(block: str, what: str) -> list[Store]:
-            return [
-                Store(Row(block, k * low.n + a), entry(what, c, a))
-                for k, c in rolling_rows
-                for a in range(low.n)
-            ]
-
-        stores["rates"] = [
-            *rates,
-            *by_coordinates("RATE_Q", "rate_q"),
-            *by_coordinates("RATE_V", "Phi"),
-        ]
-        if low.equations.plain.carried and low.equations.varied is not None:
-            stores["carried_slopes"] = by_coordinates("RATE_Q", "b_q")
     cleared = (Call("clear_constraints"),)
     first = dict.fromkeys(("constraint_slopes", "constrain"), cleared)
     return [
         Function(
             name, DOCS[name], (*first.get(name, ()), *low.statements(some, (Level.ITERATION,)))
         )
-        for name, some in stores.items()
+        for name, some in constraint_stores(low, held, places, point, "constraints").items()
         if drifting or name != "constraint_values"
     ]
+
+
+def constraint_stores(
+    low: Lowering, held: Held, places: Sequence[int], point: Point, section: str
+) -> dict[str, Iterator[Store]]:
+    """Return what each function stores at a point."""
+    both = (*places, *range(low.n, low.n + held.count))
+
+    def entry(what: str, *index: int) -> Expression:
+        return low.held.entry(point, section, what, *index)
+
+    def entry_row(i: int, j: int) -> Row:
+        """Return the row of an entry of the saddle-point matrix [[M, Phi^T], [Phi, 0]]."""
+        return Row("CONSTRAINT_QQ", held.entry(both[i], both[j]))
+
+    def values() -> Iterator[Store]:
+        return (Store(Row("CONSTRAINT", c), entry("phi", c)) for c in count)
+
+    def slopes() -> Iterator[Store]:
+        return _first_derivatives(entry, entry_row, low.n, count)
+
+    count, plain = range(held.count), low.equations.plain
+    curves = (Store(Row("CURVATURE", c), -entry("curve", c)) for c in count)
+    pushes = (Store(Row("RESIDUAL", s), entry("push", a)) for a, s in enumerate(places))
+    pulls = _second_derivatives(entry, entry_row, low.n, add=False)
+    stores = {
+        "constraint_slopes": slopes(),
+        "constrain": chain(values(), slopes(), pulls),
+        "constraint_values": values(),
+        "pushes": chain(pushes, curves),
+    }
+    rolling = range(len(plain.constraints), held.count)
+    if rolling:
+
+        def rates() -> Iterator[Store]:
+            return (Store(Row("RATE", k), entry("rate", c)) for k, c in enumerate(rolling))
+
+        def by_coordinates(block: str, what: str) -> Iterator[Store]:
+            return (
+                Store(Row(block, k * low.n + a), entry(what, c, a))
+                for k, c in enumerate(rolling)
+                for a in range(low.n)
+            )
+
+        stores["pushes"] = chain(stores["pushes"], rates())
+        stores["hold_velocities"] = (
+            Store(Row("CURVATURE", c), entry("b", c) if c in rolling else low.graph.of(0))
+            for c in count
+        )
+        slopes_of_rates = by_coordinates("RATE_Q", "rate_q"), by_coordinates("RATE_V", "Phi")
+        stores["rates"] = chain(rates(), *slopes_of_rates)
+        if plain.carried and low.equations.varied is not None:
+            stores["carried_slopes"] = by_coordinates("RATE_Q", "b_q")
+    return stores
 
 
 def constraint_family_functions(
@@ -147,7 +157,7 @@ def _family_stores(
         """Return the row of an entry of the saddle-point matrix, by the looked-up places."""
         return Row("CONSTRAINT_QQ", f"{here[i]}*HELD_STRIDE + {here[j]} + HELD_OFFSET")
 
-    slopes = _first_derivatives(entry, entry_row, n, range(1))
+    slopes = [*_first_derivatives(entry, entry_row, n, range(1))]
     value = Store(Row("CONSTRAINT", c), entry("phi", 0))
     curve = Store(Row("CURVATURE", c), -entry("curve", 0))
     return [
@@ -164,22 +174,22 @@ def _family_stores(
 
 def _first_derivatives(
     entry: Entry, entry_row: EntryRow, n: int, constraints: range
-) -> list[Store]:
+) -> Iterator[Store]:
     """Store Phi = dphi/dq in the rows of the constraints, and its transpose."""
-    return [
+    return (
         Store(row, entry("Phi", c, a))
         for c in constraints
         for a in range(n)
         for row in (entry_row(n + c, a), entry_row(a, n + c))
         if entry("Phi", c, a) != 0
-    ]
+    )
 
 
-def _second_derivatives(entry: Entry, entry_row: EntryRow, n: int, *, add: bool) -> list[Store]:
+def _second_derivatives(entry: Entry, entry_row: EntryRow, n: int, *, add: bool) -> Iterator[Store]:
     """Store the second derivatives of lambda.phi by the coordinates."""
-    return [
+    return (
         Store(entry_row(a, b), entry("pull", a, b), add=add)
         for a in range(n)
         for b in range(n)
         if entry("pull", a, b) != 0
-    ]
+    )

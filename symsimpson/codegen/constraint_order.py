@@ -25,15 +25,14 @@ class Held:
     place: tuple[int, ...]
     count: int  #: Number of constraints.
     velocities: int = 0  #: Number of those, the last ones, that are constraints of velocities.
+    #: Whether elimination takes all increments before the multipliers, and exchanges no rows.
+    in_order: bool = False
 
     @classmethod
-    def dense(cls, n: int, count: int, velocities: int = 0) -> Held:
-        """Put the constraints behind all coordinates, and keep all entries.
-
-        Those of velocities join all blocks; elimination takes all coordinates before them.
-        """
-        storage = Storage.dense(n + count, by_place=velocities > 0)
-        return cls(storage, tuple(range(n + count)), count, velocities)
+    def dense(cls, n: int, count: int, velocities: int = 0, *, in_order: bool = False) -> Held:
+        """Put the constraints behind all coordinates, and keep all entries."""
+        storage, places = Storage.dense(n + count), tuple(range(n + count))
+        return cls(storage, places, count, velocities, in_order or velocities > 0)
 
     @classmethod
     def chain(
@@ -69,6 +68,7 @@ class Held:
         """Return what loops over coordinates and constraints must know."""
         n = len(self.storage.order) - self.count
         steps = self.storage.constants("HELD", blocks)
+        step = steps["HELD_ROW_STEP"]
         return {
             "CONSTRAINTS": self.count,
             **({"HOLONOMIC": self.count - self.velocities} if self.velocities else {}),
@@ -79,8 +79,10 @@ class Held:
             "HELD_BAND": self.storage.band,
             "HELD_STRIDE": self.storage.node_stride,
             "HELD_OFFSET": self.storage.node_offset,
-            "HELD_ROW_STEP": steps["HELD_ROW_STEP"],
             "HELD_PLACE_STEP": steps["HELD_PLACE_STEP"],
+            "HELD_ROW_STEP": n if self.in_order else step,
+            "HELD_PULL_STEP": self.count if self.in_order else step,
+            "HELD_SHIFT": (blocks - 1) * n if self.in_order else 0,
         }
 
 

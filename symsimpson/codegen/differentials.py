@@ -1,115 +1,221 @@
-"""Kernels that differentiate a step: nodes, with the quantities that change there."""
+"""Kernels that differentiate a step, and functions of the system that they call.
+
+They solve the equations themselves, linearised at the solution: the derivative of whatever solved
+the step, as reduced parts have the same solution. The library has their texts, in the files
+``tangent.py``, ``adjoint.py`` and ``curvature.py``.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from itertools import accumulate
-from typing import Any, Self
+from typing import Any
 
-from symsimpson.codegen.expression import Expression
-from symsimpson.codegen.ir import Call, Function, Row, Statement, Store
+from symsimpson.codegen.ir import Function, Kernel, Row, Store
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.specialise import kernel_from_text
 from symsimpson.codegen.template import Point
+from symsimpson.codegen.traced_parts import TracedPart
+from symsimpson.module.interface import WITH_PIVOTS
 
-__all__ = ["GO_TO_NODE", "Differentials", "cost_of_time", "few_columns", "point_of_node", "sizes"]
+__all__ = ["differentiating", "few_columns", "sizes"]
 
 #: With more products than this, variations are solved for one by one.
 MOST_TERMS = 4000
 
-_HERE = ("W", "node", "lane")
-#: What says where in the step a node is.
-GO_TO_NODE = Call("go_to_node", ("W", "h", "node", "lane"))
 #: Derivatives by parameters, and where they stand.
 _BLOCKS = (("NODE_F_A", "F_a"), ("NODE_P_A", "P_a"))
+#: Second derivatives: the function, the block with its entries, and the tables of their variables.
+_CURVATURES = {
+    "node": ("node_curvature", "NODE_CURVATURE", "CURVATURE"),
+    "point": ("point_curvature", "POINT_CURVATURE", "POINT"),
+}
+DOCS = {
+    "parameter_slopes": "Derivatives of F and P by the parameters that are varied, at a node.",
+    "constraint_parameter_slopes": (
+        "Derivatives of phi and of Phi^T lambda by parameters, at a control point."
+    ),
+    "rate_parameter_slopes": (
+        "Derivatives of A v - b by the parameters that are varied, at a point."
+    ),
+    "carried_parameter_slopes": "Derivatives of b by the parameters that are varied, at a point.",
+    "cost_slopes": "The running cost and its derivatives, at a node.",
+    "node_curvature": "Second derivatives of alpha.F + beta.P + gamma g at a node.",
+    "point_curvature": "Second derivatives of nu.phi - alpha.Phi^T mu at a control point.",
+}
 
 
-@dataclass(frozen=True)
-class Differentials:
-    """Makes the parts of such kernels."""
+def differentiating(
+    low: Lowering, loops: LoopKernels, facts: Mapping[str, object]
+) -> tuple[list[Function], list[Kernel], dict[str, object]]:
+    """Return the functions, kernels and tables that differentiate a step, if that is wanted."""
+    if low.equations.varied is None:
+        return [], [], {}
+    places = loops.storage.order
+    stores = _slopes(low, places) | _cost(low, places) | _curvatures(low)
+    functions = [
+        Function(name, DOCS[name], low.statements(some, (Level.ITERATION,)))
+        for name, some in stores.items()
+    ]
+    tables = _tables(low, loops)
+    if facts["BY_COLUMNS"]:
+        functions.append(_derivative(low, facts, tables))
+    return functions, [*_kernels(facts)], tables
 
-    low: Lowering
-    loops: LoopKernels
-    places: tuple[int, ...]  #: Coordinates in the order in which they are stored.
-    following: bool  #: Whether increments of some coordinates follow from those of the others.
-    in_order: bool  #: Whether the matrix of all unknowns needs no exchange of rows.
 
-    @property
-    def varied(self) -> tuple[str, ...]:
-        """Names of the parameters that are varied."""
-        return self.low.varied
+def _derivative(
+    low: Lowering, facts: Mapping[str, object], tables: Mapping[str, object]
+) -> Function:
+    """Return the derivative of a step as a whole, written out."""
+    name, every = "find_derivative", range(low.n)
+    whole = low.of_all(low.equations.jet)
+    known = {**facts, "TRACED": True}
+    part = TracedPart(whole, every, [name], known, tables, sizes(low, by_columns=True))
+    part.begin()
 
-    @property
-    def costly(self) -> bool:
-        """Whether there is a running cost."""
-        return self.low.equations.cost is not None
-
-    def if_varied(self, *statements: Statement) -> tuple[Statement, ...]:
-        """Return statements where parameters are varied."""
-        return statements if self.varied else ()
-
-    def if_costly(self, *statements: Statement) -> tuple[Statement, ...]:
-        """Return statements where there is a running cost."""
-        return statements if self.costly else ()
-
-    def path_known(self) -> tuple[Statement, ...]:
-        """Find the increments that follow from the others, which are those of the step."""
-        return (*self.loops.all_rows(), Call("solve_following")) if self.following else ()
-
-    def parameter_slopes(self) -> tuple[Statement, ...]:
-        """Find and keep the derivatives of F and P by parameters at a node, with its weight."""
-        grown = (Call("grow_slopes", _HERE),) if self.loops.damped else ()
-        return self.if_varied(
-            *self.at(GO_TO_NODE),
-            Call("parameter_slopes"),
-            *grown,
-            Call("keep_parameter_slopes", _HERE),
-        )
-
-    def at(self, place: Statement) -> tuple[Statement, ...]:
-        """Say where in the step a point is, if it is differentiated by its size."""
-        return (place,) if self.low.sized else ()
-
-    def at_state(self, place: int) -> tuple[Statement, ...]:
-        """Find derivatives by parameters at the start of a step, or at its end."""
-        state = Call("go_to_state", ("W", "h", str(place), "lane"))
-        return self.if_varied(*self.at(state), Call("parameter_slopes"))
-
-    def timed(self) -> Self:
-        """Return the same with times at nodes, if the running cost asks for them."""
-        if not cost_of_time(self.low):
-            return self
-        return replace(self, loops=replace(self.loops, autonomous=False))
-
-    def tables(self) -> dict[str, object]:
-        """Return where the derivatives of F and P by parameters stand that are not zero.
-
-        Those of a parameter stand one after the other; their coordinates by place.
-        """
-        tables: dict[str, object] = {"VARIED": len(self.varied)}
-        for block, what in _BLOCKS if self.varied else ():
-            rows, name = _not_zero(self.low, self.places, what), block.removeprefix("NODE_")
-            first = accumulate(
-                sum(parameter == varied for parameter, _ in rows) for varied in self.varied
+    def slopes(W: Any, lane: int) -> None:
+        here, section = part.point(moving=True), part.trace.section
+        here = replace(here, step=tuple(part.row("NODE_STEP", k) for k in range(3 * low.sized)))
+        for block, what in _BLOCKS:
+            entries = _not_zero(low, every, what)
+            part.hold(
+                block, (partial(low.slopes.entry, here, section, what, s, by) for by, s in entries)
             )
-            tables |= {f"{name}_FROM": (0, *first), f"{name}_PLACE": (*(s for _, s in rows), 0)}
+
+    part.trace.names["parameter_slopes"] = slopes
+    part.run_step(name)
+    size = 2 * low.n * (2 * low.n + len(low.varied))
+    values = part.named("DERIVATIVE", size, section="derivative")
+    stores = [Store(Row("DERIVATIVE", k), value) for k, value in enumerate(values)]
+    doc = "Find the derivative of a step, column by column."
+    lines = low.statements(stores, (Level.STEP, Level.ITERATION))
+    return Function(name, doc, lines, ("W", "h", "t", "lane"))
+
+
+def _kernels(facts: Mapping[str, object]) -> Iterable[Kernel]:
+    """Yield the kernels of tangent and adjoint, of a running cost, and of second derivatives."""
+    tangent = kernel_from_text("tangent", facts)
+    if facts["BY_COLUMNS"]:
+        yield replace(tangent, straight=True)
+        pivoted = kernel_from_text("tangent", {**facts, "BY_COLUMNS": False})
+        yield replace(pivoted, name=f"tangent{WITH_PIVOTS}")
+    else:
+        yield tangent
+    names = [
+        *(("momentum_slopes",) if facts["VARIED_BY"] else ()),
+        *("adjoint", "start_adjoint", "record"),
+        *(("step_cost", "running_cost") if facts["COSTED"] else ()),
+        *(("curvature",) if facts["SECOND"] else ()),
+    ]
+    yield from (kernel_from_text(name, facts) for name in names)
+
+
+def _slopes(low: Lowering, places: Sequence[int]) -> dict[str, list[Store]]:
+    """Return the derivatives by the parameters that are varied, which functions evaluate."""
+    varied, plain, here = low.varied, low.equations.plain, _node(low)
+    if not varied:
+        return {}
+    stores = {
+        "parameter_slopes": [
+            Store(Row(block, k), low.slopes.entry(here, "slopes", what, places[s], name))
+            for block, what in _BLOCKS
+            for k, (name, s) in enumerate(_not_zero(low, places, what))
+        ]
+    }
+    point = replace(here, suffix="c", multipliers=low.multipliers)
+
+    def by_parameter(block: str, what: str, which: Sequence[int], j: int) -> list[Store]:
+        first = j * len(which)
+        return [
+            Store(Row(block, first + k), low.slopes.entry(point, "slopes", what, c, varied[j]))
+            for k, c in enumerate(which)
+        ]
+
+    count = range(len(low.multipliers))
+    rolling = range(len(plain.constraints), len(plain.held))
+    if count:
+        stores["constraint_parameter_slopes"] = [
+            store
+            for j in range(len(varied))
+            for store in (
+                *by_parameter("CONSTRAINT_A", "phi_a", count, j),
+                *by_parameter("CONSTRAINT_QA", "pull_a", places, j),
+            )
+        ]
+    for name, what, wanted in (("rate", "rate_a", rolling), ("carried", "b_a", plain.carried)):
+        if wanted:
+            stores[f"{name}_parameter_slopes"] = [
+                store
+                for j in range(len(varied))
+                for store in by_parameter("RATE_A", what, rolling, j)
+            ]
+    return stores
+
+
+def _cost(low: Lowering, places: Sequence[int]) -> dict[str, list[Store]]:
+    """Return a running cost and its derivatives, if there is one."""
+    if low.equations.cost is None:
+        return {}
+    keys: list[tuple[str, *tuple[int | str, ...]]] = [("g",)]
+    keys += [(what, a) for what in ("g_q", "g_v") for a in places]
+    keys += [("g_a", name) for name in low.varied]
+    here = _node(low)
+    values = (low.cost.entry(here, "cost", *key) for key in keys)
+    return {"cost_slopes": [Store(Row("NODE_COST", k), value) for k, value in enumerate(values)]}
+
+
+def _curvatures(low: Lowering) -> dict[str, list[Store]]:
+    """Return the second derivatives at a node, and at a control point if there are constraints."""
+    here, stores = _node(low), {}
+    v = tuple(low.step[0] * v for v in here.v or ())
+    t = here.t - low.step[1] * low.step[0] if low.sized and here.t is not None else here.t
+    for what, (name, block, _) in _CURVATURES.items() if low.equations.second else ():
+        if what == "point" and not low.multipliers:
+            continue
+        point = replace(
+            here, suffix=what, v=v, t=t, weights=low.weights, multipliers=low.multipliers
+        )
+        stores[name] = [
+            Store(Row(block, k), low.curvatures.entry(point, "curvatures", what, i, j))
+            for k, (i, j) in enumerate(low.curvatures.places(what))
+        ]
+    return stores
+
+
+def _tables(low: Lowering, loops: LoopKernels) -> dict[str, object]:
+    """Return what the loops must know.
+
+    Those derivatives of F and P by a parameter that are not zero stand one after the other; their
+    coordinates are given by place.
+    """
+    storage, degree = (loops.held or loops).storage, loops.degree
+    constants = {**storage.constants("TANGENT", degree), **storage.bounds("TANGENT", degree)}
+    tables = {
+        "VARIED": len(low.varied),
+        **{key: constants[key] for key in constants if not key.endswith("_STEP")},
+        "TANGENT_UNKNOWNS": storage.unknowns(degree),
+    }
+    for block, what in _BLOCKS if low.varied else ():
+        rows, name = _not_zero(low, loops.storage.order, what), block.removeprefix("NODE_")
+        counts = (sum(parameter == varied for parameter, _ in rows) for varied in low.varied)
+        tables[f"{name}_FROM"] = (0, *accumulate(counts))
+        tables[f"{name}_PLACE"] = (*(s for _, s in rows), 0)
+    if not low.equations.second:
         return tables
-
-    def functions(self) -> list[Function]:
-        """Return what is evaluated at a node."""
-        functions = [_slopes(self.low, self.places)] if self.varied else []
-        if self.varied and self.loops.held:
-            functions.append(_constraint_slopes(self.low, self.places))
-            functions += _rate_slopes(self.low)
-        return [*functions, _cost(self.low, self.places)] if self.costly else functions
-
-
-def cost_of_time(low: Lowering) -> bool:
-    """Return whether a running cost depends on the time."""
-    cost, plain = low.equations.cost, low.equations.plain
-    return cost is not None and cost.depends(plain.t)
+    count = len(low.multipliers)
+    first = (degree + 1) * low.n + degree * count
+    tables["VARIED_FROM"] = first
+    tables["HESSIAN_SIZE"] = first + len(low.varied) * low.equations.scheme.stages
+    for what, (_, _, prefix) in _CURVATURES.items():
+        pairs = low.curvatures.places(what)
+        if what == "node" or count:
+            tables[f"{prefix}_ROW"] = tuple(i for i, _ in pairs)
+            tables[f"{prefix}_COLUMN"] = tuple(j for _, j in pairs)
+    return tables
 
 
 def few_columns(low: Lowering) -> bool:
@@ -124,22 +230,17 @@ def sizes(low: Lowering, *, by_columns: bool) -> dict[str, Any]:
     if low.equations.varied is None:
         return {}
     slopes = [1 + len(_not_zero(low, range(low.n), what)) for _, what in _BLOCKS]
+    places = [len(low.curvatures.places(x)) if low.equations.second else 0 for x in _CURVATURES]
     return {
         **dict(zip(("f_slopes", "p_slopes"), slopes, strict=True)),
+        **dict(zip(("curvatures", "point_curvatures"), places, strict=True)),
         "differentiated": True,
         "by_columns": by_columns,
         "costly": low.equations.cost is not None,
         "second": low.equations.second,
         "sized": low.sized,
-        "curvatures": _count(low, "node"),
-        "point_curvatures": _count(low, "point"),
         "varied": len(low.varied),
     }
-
-
-def _count(low: Lowering, what: str) -> int:
-    """Count the second derivatives that do not vanish."""
-    return len(low.curvatures.places(what)) if low.equations.second else 0
 
 
 def _not_zero(low: Lowering, places: Sequence[int], what: str) -> list[tuple[str, int]]:
@@ -152,66 +253,6 @@ def _not_zero(low: Lowering, places: Sequence[int], what: str) -> list[tuple[str
     ]
 
 
-def point_of_node(low: Lowering) -> Point:
+def _node(low: Lowering) -> Point:
     """Return the node at hand, as loops have it."""
     return Point("i", low.node_q, low.node_v, low.node_t, low.node_u, step=low.step)
-
-
-def _slopes(low: Lowering, places: tuple[int, ...]) -> Function:
-    """Write the derivatives of F and P by the parameters that are varied, at a node."""
-    stores = [
-        Store(Row(block, k), low.slopes.entry(point_of_node(low), "slopes", what, places[s], name))
-        for block, what in _BLOCKS
-        for k, (name, s) in enumerate(_not_zero(low, places, what))
-    ]
-    doc = "Derivatives of F and P by the parameters that are varied, at a node."
-    return Function("parameter_slopes", doc, low.statements(stores, (Level.ITERATION,)))
-
-
-def _constraint_slopes(low: Lowering, places: tuple[int, ...]) -> Function:
-    """Write the derivatives of phi and Phi^T lambda by parameters, at a control point."""
-    point = replace(point_of_node(low), suffix="c", multipliers=low.multipliers)
-    count, stores = len(low.multipliers), []
-    for j, name in enumerate(low.varied):
-        for c in range(count):
-            value = low.slopes.entry(point, "slopes", "phi_a", c, name)
-            stores.append(Store(Row("CONSTRAINT_A", j * count + c), value))
-        for s, a in enumerate(places):
-            value = low.slopes.entry(point, "slopes", "pull_a", a, name)
-            stores.append(Store(Row("CONSTRAINT_QA", j * low.n + s), value))
-    doc = "Derivatives of phi and of Phi^T lambda by parameters, at a control point."
-    return Function("constraint_parameter_slopes", doc, low.statements(stores, (Level.ITERATION,)))
-
-
-def _rate_slopes(low: Lowering) -> list[Function]:
-    """Write the derivatives of A v - b and of b by parameters, at a point."""
-    plain, point = low.equations.plain, replace(point_of_node(low), suffix="c")
-    rolling = range(len(plain.constraints), len(plain.held))
-    wanted = {"rate": "A v - b"} if rolling else {}
-    wanted |= {"carried": "b"} if plain.carried else {}
-    functions = []
-    for name, what in wanted.items():
-        key = "rate_a" if name == "rate" else "b_a"
-        stores = [
-            Store(
-                Row("RATE_A", j * len(rolling) + k),
-                low.slopes.entry(point, "slopes", key, c, parameter),
-            )
-            for j, parameter in enumerate(low.varied)
-            for k, c in enumerate(rolling)
-        ]
-        doc = f"Derivatives of {what} by the parameters that are varied, at a point."
-        lines = low.statements(stores, (Level.ITERATION,))
-        functions.append(Function(f"{name}_parameter_slopes", doc, lines))
-    return functions
-
-
-def _cost(low: Lowering, places: tuple[int, ...]) -> Function:
-    """Write a running cost and its derivatives, at a node."""
-    keys: list[tuple[str, *tuple[int | str, ...]]] = [("g",)]
-    keys += [(what, a) for what in ("g_q", "g_v") for a in places]
-    keys += [("g_a", name) for name in low.varied]
-    values: list[Expression] = [low.cost.entry(point_of_node(low), "cost", *key) for key in keys]
-    stores = [Store(Row("NODE_COST", k), value) for k, value in enumerate(values)]
-    doc = "The running cost and its derivatives, at a node."
-    return Function("cost_slopes", doc, low.statements(stores, (Level.ITERATION,)))

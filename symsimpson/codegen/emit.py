@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
@@ -16,9 +17,9 @@ from symsimpson.codegen.heading import banner, docstring, folded
 from symsimpson.codegen.ir import (
     Assign,
     Call,
+    Excerpt,
     Function,
     IfActive,
-    IfElse,
     Index,
     Kernel,
     Load,
@@ -30,8 +31,10 @@ from symsimpson.codegen.ir import (
 )
 from symsimpson.codegen.library import library_sources
 from symsimpson.codegen.printer import NAMED_CONSTANTS, Printer, count_operations
+from symsimpson.codegen.specialise import called
 from symsimpson.codegen.thresholds import thresholds
 from symsimpson.discrete.equations import DiscreteEquations
+from symsimpson.module.binding import MATH
 from symsimpson.module.interface import INTERFACE, OPTIONS, SIGNATURE
 
 __all__ = ["emit"]
@@ -70,13 +73,19 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
     constants = _constants(module, printer)
     limits = thresholds(equations, module)
     computed_tables = _computed_tables(equations, module)
-    library = [*_library("\n".join([*kernels, *functions, computed_tables]))]
+    written = {function.name for function in module.functions}
+    body = "\n".join([*kernels, *functions, computed_tables])
+    library = [*_library(body, written, module.facts)]
     texts = [*kernels, *functions, *library]
+    names = {
+        node.id for node in ast.walk(ast.parse("\n".join(library))) if isinstance(node, ast.Name)
+    }
     tables = _tables(equations, module, printer, set(_WORD.findall("\n".join(texts))))
+    used = (printer.used | names.intersection(MATH)).difference(library_sources())
     numbers = "\n".join(
         part
         for part in (
-            _imports(printer.used, arrays=any("array(" in part for part in (tables, *library))),
+            _imports(used, arrays=any("array(" in part for part in (tables, *library))),
             _header(equations, module),
             _layout(module),
         )
@@ -237,9 +246,11 @@ def _computed_tables(equations: DiscreteEquations, module: Module) -> str:
             lines.append(f"{names} = with_gauss_points({names}, {d})")
     if "STRIDE" in module.tables:
         lines.append(f'STAGE_TABLE = stage_table("{kind}", {s})')
+        if module.tables["UNFORCED"]:
+            lines.append(f'STAGE_END = end_table("{kind}", {s})')
         if equations.looked_at:
             lines.append(f'REACHED_BY_MOVES = reach_table("{kind}", {s})')
-    return "\n".join(["DIGITS = 40", *lines, ""]) if lines else ""
+    return "\n".join(["DIGITS = 40", "ONE = 10**DIGITS", *lines, ""]) if lines else ""
 
 
 def _table(value: object, number: Callable[[sp.Expr], str]) -> str:
@@ -263,16 +274,14 @@ def _constants(module: Module, printer: Printer) -> str:
     return "\n".join(["# numbers that are not exact in binary", *lines, ""]) if lines else ""
 
 
-def _library(body: str) -> Iterator[str]:
-    """Return the library functions that the body calls, as they stand in their file."""
-    sources = library_sources()
-    called: dict[str, str] = {}
-    texts = [body]
-    while texts:
-        for name in set(re.findall(r"\b(\w+)\(", texts.pop())) & sources.keys() - called.keys():
-            called[name] = sources[name]
-            texts.append(sources[name])
-    yield from (source for name, source in sources.items() if name in called)
+def _library(body: str, written: Set[str], facts: Mapping[str, object]) -> Iterator[str]:
+    """Return the library functions that the body calls, with conditions on facts resolved.
+
+    Functions that the module has ``written`` for it stand in place of those of the same name.
+    """
+    sources = {name: text for name, text in library_sources().items() if name not in written}
+    texts = called(re.findall(r"\b(\w+)\(", body), sources, facts)
+    yield from (texts[name] for name in sources if name in texts)
 
 
 def _function(function: Function, printer: Printer) -> str:
@@ -348,13 +357,8 @@ def _statement(statement: Statement, printer: Printer, depth: int) -> list[str]:
             return [f"{pad}{target} = {source}"]
         case Loop(index, over, body):
             return [f"{pad}for {index} in {over}:", *_statements(body, printer, depth + 1)]
-        case IfElse(condition, first, second):
-            return [
-                f"{pad}if {condition}:",
-                *_statements(first, printer, depth + 1),
-                f"{pad}else:",
-                *_statements(second, printer, depth + 1),
-            ]
+        case Excerpt(text):
+            return [f"{pad}{line}" if line else "" for line in text]
         case IfActive(body):
             return [f"{pad}if W[ACTIVE, lane] != 0:", *_statements(body, printer, depth + 1)]
 

@@ -11,7 +11,7 @@ from functools import cache
 
 import sympy as sp
 
-from symsimpson.codegen.library import library_sources
+from symsimpson.codegen.library import kernel_sources, library_sources
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.module.interface import KERNELS
@@ -37,7 +37,8 @@ OWN = """
 def reserved() -> frozenset[str]:
     """Return the names that mean something in a module."""
     sources = library_sources()
-    constants = re.findall(r"\b[A-Z][A-Z_0-9]+\b", "\n".join(sources.values()))
+    texts = (*sources.values(), *kernel_sources().values())
+    constants = re.findall(r"\b[A-Z][A-Z_0-9]+\b", "\n".join(texts))
     return frozenset([*OWN.split(), *KERNELS, *sources, *BLOCKS, *constants])
 
 

@@ -156,7 +156,7 @@ class Expressions(Graph):
             return number
         if isinstance(number, (int, Fraction)):
             return Expression(self, (exact(number), UNIT))
-        return self.read(number)
+        return self.read(getattr(number, "value", number))
 
     def read(
         self, expression: sp.Expr, known: Mapping[sp.Expr, Expression] | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from symsimpson.codegen.sizes import drifting
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.reductions import Affine, Composed, Coupled, Linear, Part, Routh
+from symsimpson.mechanics.constraints import regular_mass
 
 __all__ = ["UNROLLED_UNKNOWNS", "few_equations", "part_unknowns", "solves_all", "unrolled"]
 
@@ -24,12 +25,12 @@ WRITTEN_UNKNOWNS = 4
 
 def unrolled(equations: DiscreteEquations) -> bool:
     """Return whether kernels are written as straight-line code instead of loops."""
-    few = all(_size(part) <= UNROLLED_UNKNOWNS for part in equations.parts)
-    if equations.plain.velocity_constraints:  # a walk through loops unrolls them
-        return False
-    if equations.plain.constraints:  # drifts of these are loops
+    plain, few = equations.plain, all(_size(x) <= UNROLLED_UNKNOWNS for x in equations.parts)
+    if plain.velocity_constraints and not regular_mass(plain, equations.system.parameters.values()):
+        return False  # an elimination exchanges rows
+    if plain.held:  # drifts of these are loops
         few = equations.unknowns.size <= CONSTRAINED_UNKNOWNS and not drifting(equations)
-    most = CONSTRAINED_LINES if equations.plain.constraints else MOST_LINES
+    most = CONSTRAINED_LINES if plain.held else MOST_LINES
     return equations.scheme.exact and few and _lines(equations) <= most
 
 
@@ -41,7 +42,7 @@ def solves_all(equations: DiscreteEquations) -> bool:
 
 def few_equations(equations: DiscreteEquations) -> bool:
     """Return whether all equations of a step, as they are, take fewer lines than their loops."""
-    asked = bool(equations.rows) and equations.varied is None and not equations.plain.constraints
+    asked = bool(equations.rows) and equations.varied is None and not equations.plain.held
     return asked and equations.unknowns.size <= WRITTEN_UNKNOWNS
 
 
@@ -53,7 +54,7 @@ def _lines(equations: DiscreteEquations) -> float:
     operations, stages = equations.jet.operations, equations.scheme.stages
     if drifting(equations):
         return operations + equations.jet.force_operations * stages
-    if equations.plain.constraints:  # half of the matrix is zero
+    if equations.plain.held:  # half of the matrix is zero
         size = equations.unknowns.size
         return (2 * stages + 1.5) * operations + size**2 + size**3 / 12
     unknowns = [part_unknowns(part) for part in equations.parts]

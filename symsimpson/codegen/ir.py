@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from symsimpson.codegen.emitted_names import NameTable
 from symsimpson.codegen.expression import Expression
@@ -12,9 +12,9 @@ from symsimpson.module.workspace_layout import BLOCKS
 __all__ = [
     "Assign",
     "Call",
+    "Excerpt",
     "Function",
     "IfActive",
-    "IfElse",
     "Index",
     "Kernel",
     "Load",
@@ -109,15 +109,13 @@ class IfActive:
 
 
 @dataclass(frozen=True)
-class IfElse:
-    """Statements where a condition holds, and others where it does not."""
+class Excerpt:
+    """Excerpt of a text of the library, with no indentation of the first one."""
 
-    condition: str
-    first: tuple[Statement, ...]
-    second: tuple[Statement, ...]
+    lines: tuple[str, ...]
 
 
-Statement = Load | Store | Index | Assign | Call | Section | Loop | IfActive | IfElse
+Statement = Load | Store | Index | Assign | Call | Section | Loop | IfActive | Excerpt
 
 
 @dataclass(frozen=True)
@@ -154,7 +152,8 @@ class Module:
 
     ``layout`` gives the first row of each block of the workspace, ``rows`` their number.
     ``newton_unknowns`` is the number of unknowns of a step, 0 where it needs no iteration, and
-    ``tables`` are constants that its loops read.
+    ``tables`` are constants that its loops read. ``facts`` resolve conditions in the functions of
+    the library.
     """
 
     names: NameTable
@@ -165,3 +164,4 @@ class Module:
     rows: int
     newton_unknowns: int
     tables: Mapping[str, object]
+    facts: Mapping[str, object] = field(default_factory=dict)

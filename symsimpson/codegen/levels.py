@@ -90,6 +90,8 @@ class Definitions(Expressions):
         self._known: dict[Expression, Expression] = {}
         self._constant_of: dict[Expression | str, Expression] = {}
         self._pairs: dict[tuple[Any, ...], tuple[Expression, Expression]] = {}
+        #: Symbols whose definitions may stand in place where they are used once.
+        self.passing: set[Expression] = set()
         #: Values that a text asks for which computes all of them, in that order, with its sections.
         self.asked: dict[Expression, str] = {}
 
@@ -109,6 +111,14 @@ class Definitions(Expressions):
         if self._trivial(value):
             return value
         return self._name(value, hint, section)
+
+    def define_passing(self, hint: str, expression: Expression, section: str) -> Expression:
+        """Define an expression whose line may be left out where it is used once."""
+        before = len(self.definitions)
+        value = self.define(hint, expression, section)
+        if len(self.definitions) > before:
+            self.passing.update(value.symbols)
+        return value
 
     def define_sincos(
         self, hint: str, angle: Expression, section: str

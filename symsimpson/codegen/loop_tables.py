@@ -2,22 +2,49 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from math import prod
+
 import sympy as sp
 
 from symsimpson.codegen.constraint_order import Held
+from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.storage import Storage
 from symsimpson.discrete.combined_rows import force_factor, inertia_factor, simplified
-from symsimpson.discrete.reductions import Constrained, Coupled, Separable
+from symsimpson.discrete.reductions import Constrained, Part, Routh, Separable
 from symsimpson.schemes.scheme import Scheme
 
-__all__ = ["equation_constants", "solve_constants", "solve_tables"]
+__all__ = ["equation_constants", "loop_sizes", "node_tables", "solve_constants", "solve_tables"]
+
+
+def loop_sizes(loops: LoopKernels) -> dict[str, object]:
+    """Return how many rows of the matrix of all unknowns are cleared, if any are."""
+    return {"CLEARED": loops.cleared} if loops.cleared else {}
+
+
+def node_tables(scheme: Scheme) -> dict[str, object]:
+    """Return which control point each node is at, 0 if none; and if its place is not rounded."""
+    nodes = scheme.quadrature.nodes
+    if not scheme.exact:
+        return {"AT_POINT": (0,) * len(nodes), "EXACT_PLACE": (0,) * len(nodes)}
+    at = [_control_point(row) for row in scheme.A]
+    exact = [int(c.is_Rational and c.q & (c.q - 1) == 0) for c in nodes]
+    # points at which constraints ask for velocities stand behind the nodes
+    return {"AT_POINT": (*at, *[0] * scheme.degree), "EXACT_PLACE": (*exact,)}
+
+
+def _control_point(row: Sequence[sp.Expr]) -> int:
+    """Return the control point at which a node stands; 0 if at none, or at q0."""
+    places = [k for k, x in enumerate(row) if x != 0]
+    return places[0] if len(places) == 1 and row[places[0]] == 1 else 0
 
 
 def equation_constants(storage: Storage, degree: int, held: Held | None) -> dict[str, object]:
     """Return what loops over the entries of all equations must know."""
     # what nodes contribute stands behind the matrix of all unknowns
     before = held.storage.size(degree) if held else 0
-    return {**storage.constants("EQUATION", degree, before)}
+    cleared = before if held else storage.size(degree) if storage.banded else 0
+    return {**storage.constants("EQUATION", degree, before), "CLEARED": cleared}
 
 
 def solve_constants(
@@ -28,24 +55,56 @@ def solve_constants(
     if held:
         every, constants = held.storage, storage.constants("SOLVE", blocks)
         steps = {key: constants[key] for key in ("SOLVE_ROW_STEP", "SOLVE_PLACE_STEP")}
+        steps["SOLVE_COORDINATES"] = storage.n  # elimination takes constraints besides
         return {**solve_constants(every, columns), **steps, **held.constants(blocks)}
     return {
         "BLOCKS": blocks,
         "SOLVE_COLUMNS": columns,
         "SOLVE_UNKNOWNS": storage.unknowns(blocks),
+        "SOLVE_COORDINATES": storage.n,
         **storage.constants("SOLVE", blocks),
         **storage.bounds("SOLVE", blocks),
     }
 
 
-def solve_tables(part: Constrained | Coupled | Separable, scheme: Scheme) -> dict[str, object]:
+def _cyclic_tables(part: Routh, scheme: Scheme) -> dict[str, object]:
+    """Return the tables by which loops find velocities and increments of cyclic coordinates.
+
+    Velocities are polynomials, found from their values at the last nodes.
+    """
+    d, c = scheme.degree, scheme.quadrature.nodes
+    used = range(scheme.stages - d, scheme.stages)
+    inverse = sp.Matrix([scheme.B[i][1:] for i in used]).inv()
+    unused = [sp.S.Zero] * (scheme.stages - d)
+    at_end = [prod((1 - c[j]) / (c[i] - c[j]) for j in used if j != i) for i in used]
+    ends = scheme.A[-1][d] == 1 and not any(scheme.A[-1][:d])
+    return {
+        "OTHERS": len(part.coordinates),
+        "CYCLIC": len(part.cyclic),
+        "EXTRA": len(part.annihilator),
+        "REFERENCE": part.reference,
+        "SEEN": scheme.stages + (0 if ends else 2),
+        "ANNIHILATOR": part.annihilator or ((sp.S.Zero,),),
+        "REACHED_BY": tuple((*unused, *map(simplified, inverse.row(k))) for k in range(d)),
+        "AT_END": (*unused, *map(simplified, at_end)),
+        "CYCLIC_MOVING": (*map(int, part.factors.changing),),
+        "SOLVE_COORDINATES": len(part.coordinates),
+        "SOLVE_UNKNOWNS": len(part.coordinates) * d,
+        "SOLVE_ROW_STEP": len(part.coordinates),
+        "SOLVE_STRIDE": len(part.coordinates) * d,
+    }
+
+
+def solve_tables(part: Part, scheme: Scheme) -> dict[str, object]:
     """Return the tables by which the loops combine nodes and control points."""
+    if isinstance(part, Routh):
+        return _cyclic_tables(part, scheme)
     if isinstance(part, Constrained):
         points = range(scheme.degree + 1)
         rows = (*(part.rows.index(k) if k in part.rows else -1 for k in points),)
         columns = (*(part.columns.index(k) if k in part.columns else -1 for k in points),)
         return {"ROW_OF_POINT": rows, "COLUMN_OF_POINT": columns}
-    if isinstance(part, Coupled):
+    if not isinstance(part, Separable):
         return {}
     S, d, nodes = scheme.stiffness, scheme.degree, range(scheme.stages)
     forces = tuple(tuple(force_factor(test, scheme, i) for test in part.tests) for i in nodes)
@@ -62,15 +121,19 @@ def solve_tables(part: Constrained | Coupled | Separable, scheme: Scheme) -> dic
         ),
         "STIFFNESS": tuple(row[1:d] for row in S[1:d]) or ((sp.S.Zero,),),
         "TEST_FORCE": forces,
-        "FORCE_NODES": tuple(i for i in nodes if any(factor != 0 for factor in forces[i])),
     }
+    tests = part.tests
     if part.last is not None:
-        test = part.last_test(d)
-        scale = simplified(-1 / S[part.last][d]) if part.last else sp.S.One
-        tables |= {
-            "LAST_START": test[0],
-            "LAST_SCALE": scale,
-            "LAST": part.last,
-            "LAST_NODES": tuple(i for i in nodes if force_factor(test, scheme, i) != 0),
-        }
+        last = part.last_test(d)
+        tests = (*tests, last)
+        if part.columns:
+            scale = simplified(-1 / S[part.last][d])
+            tables |= {
+                "LAST": part.last,
+                "LAST_SCALE": scale,
+                "LAST_MOVED": tuple(simplified(scale * S[part.last][m]) for m in part.columns),
+                "LAST_FORCE": tuple(force_factor(last, scheme, i) for i in nodes),
+            }
+    pulled = (any(force_factor(test, scheme, i) != 0 for test in tests) for i in nodes)
+    tables["FORCE_NODES"] = tuple(i for i, asked in enumerate(pulled) if asked)
     return tables

@@ -8,11 +8,12 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Any, Self
 
+import sympy as sp
+
 from symsimpson.codegen.emitted_names import NameTable
 from symsimpson.codegen.expression import Expression, Number
 from symsimpson.codegen.ir import IfActive, Load, Row, Section, Statement, Store
-from symsimpson.codegen.levels import Definitions, Level
-from symsimpson.codegen.scheme_numbers import SchemeNumbers
+from symsimpson.codegen.levels import Definition, Definitions, Level
 from symsimpson.codegen.sections import sections
 from symsimpson.codegen.storage import node_stride
 from symsimpson.codegen.template import JetTemplate, Point
@@ -21,11 +22,14 @@ from symsimpson.discrete.curvatures import derive_curvatures
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.jet import Jet, watched
 from symsimpson.discrete.node_derivatives import derive_cost, derive_slopes
-from symsimpson.discrete.reductions import Coupled
+from symsimpson.discrete.reductions import Coupled, Routh
 from symsimpson.graph.nodes import Value
 from symsimpson.mechanics.constraints import regular_mass
 
 __all__ = ["Lowering"]
+
+#: A line has about so many symbols if others are put in their place.
+MOST_SYMBOLS = 9
 
 
 class Lowering:
@@ -54,22 +58,12 @@ class Lowering:
         self.p_low = self._base(
             [f"p_{q}_low" for q in coordinates], "MOMENTUM_LOW", Level.ITERATION
         )
-        self.mass_diagonal = self._base(
-            [f"mass_{q}" for q in coordinates], "MASS_DIAGONAL", Level.STEP
-        )
+        self._base([f"mass_{q}" for q in coordinates], "MASS_DIAGONAL", Level.STEP)
         self.v = self._base([f"v_{q}" for q in coordinates], "VELOCITY", Level.STEP)
-        self.increments, self.predicted = (
-            [
-                self._base(
-                    [f"{q}_X{k}{suffix}" for q in coordinates],
-                    block,
-                    Level.ITERATION,
-                    equations.unknowns.place(k, 0),
-                )
-                for k in range(1, equations.scheme.degree + 1)
-            ]
-            for block, suffix in (("INCREMENT", ""), ("PREDICTED", "_predicted"))
-        )
+        for block, suffix in (("INCREMENT", ""), ("PREDICTED", "_predicted")):
+            for k in range(1, equations.scheme.degree + 1):
+                hints = [f"{q}_X{k}{suffix}" for q in coordinates]
+                self._base(hints, block, Level.ITERATION, equations.unknowns.place(k, 0))
         self.node_q = self._base([f"{q}_i" for q in coordinates], "NODE_POSITION", Level.ITERATION)
         self.node_v = self._base(
             [f"v_{q}_i" for q in coordinates], "NODE_VELOCITY", Level.ITERATION
@@ -79,16 +73,10 @@ class Lowering:
             [f"{u}_i" for u in self.names.inputs], "NODE_INPUT", Level.ITERATION
         )
         held, degree = len(equations.plain.held), equations.scheme.degree
-        #: h mu at the control points 0..d-1, unknowns of a step with constraints.
-        self.impulses = [
-            self._base(
-                [f"mu_{k}_{c}" for c in range(held)],
-                "INCREMENT",
-                Level.ITERATION,
-                equations.unknowns.place(degree + 1 + k, 0),
-            )
-            for k in range(degree if held else 0)
-        ]
+        for k in range(degree if held else 0):  # h mu at the control points 0..d-1, unknowns, too
+            place = equations.unknowns.place(degree + 1 + k, 0)
+            hints = [f"mu_{k}_{c}" for c in range(held)]
+            self._base(hints, "INCREMENT", Level.ITERATION, place)
         self.multipliers = self._base(
             [f"lambda_{c}" for c in range(held)], "MULTIPLIER", Level.ITERATION
         )
@@ -109,7 +97,6 @@ class Lowering:
         self.coefficients: tuple[Expression, ...] = ()
         #: 1 over those pivots of M at the start of a run that change along a motion.
         self.scales: list[Expression] = []
-        self.scheme = SchemeNumbers(equations.scheme, self.graph)
 
     @cached_property
     def template(self) -> JetTemplate:
@@ -120,6 +107,10 @@ class Lowering:
     def held(self) -> JetTemplate:
         """Constraints, and what of L tells their multipliers."""
         return self._template(derive_constraints(self.equations.plain))
+
+    def cyclic(self, part: Routh) -> JetTemplate:
+        """Factors of M of cyclic coordinates, and what else their momenta depend on."""
+        return self._template(self.equations.cyclic_jet(part))
 
     @property
     def varied(self) -> tuple[str, ...]:
@@ -235,6 +226,11 @@ class Lowering:
             )
         return self._inputs[node]
 
+    def growths(self) -> list[Expression]:
+        """Return by how much what is weighted has grown at the nodes, and at the end of a step."""
+        places = (*self.equations.scheme.quadrature.nodes, sp.S.One)
+        return [self.growth(c) for c in places]
+
     def growth(self, part: Number) -> Expression:
         """Return by how much what is weighted has grown after a part of the step; 1 for most."""
         rate = self.equations.plain.rate
@@ -278,12 +274,47 @@ class Lowering:
         if levels == set(Level):  # a text of its own, in whose sections others have no part
             definitions, asked = self.graph.definitions, self.graph.asked.items()
             defined = [replace(definitions[s], section=x) for s, x in asked if s in needed]
+        defined = self._joined([*dict.fromkeys(defined)], stores)
         reads = tuple(Load(s, self.rows.get(s) or self.hoisted[s]) for s in inputs)
         return (
             *((Section("known before", reads),) if reads else ()),
-            *sections(list(dict.fromkeys(defined)), title),
+            *sections(defined, title),
             *((Section("results", _results(stores)),) if stores else ()),
         )
+
+    def _joined(
+        self, definitions: Sequence[Definition], stores: Iterable[Store]
+    ) -> list[Definition]:
+        """Let definitions that a text uses once stand in place of their names.
+
+        A product stays by itself in another product: each of them is rounded.
+        """
+        users: dict[Expression, list[Definition | None]] = {}
+        for definition in definitions:
+            for symbol in definition.symbols:
+                users.setdefault(symbol, []).append(definition)
+        for store in stores:
+            for symbol in store.value.symbols:
+                users.setdefault(symbol, []).append(None)
+        graph, joined = self.graph, []
+        place: dict[Expression, Expression] = {}
+        for definition in definitions:
+            here = {s: place[s] for s in definition.symbols if s in place}
+            if here:
+                values = tuple(graph.replaced(value, here) for value in definition.values)
+                definition = replace(definition, values=values)
+            symbol, value = definition.targets[0], definition.values[0]
+            user, *others = users.get(symbol, [None])
+            plain = user is not None and not user.function and not definition.function
+            if symbol in graph.passing and plain and not others and user is not None:
+                (whole,) = user.values
+                terms = [term.node for term in whole.terms] if len(whole.terms) > 1 else []
+                short = len(value.symbols) + len(whole.symbols) <= MOST_SYMBOLS
+                if short and (value.kind != "product" or symbol.node in terms):
+                    place[symbol] = value
+                    continue
+            joined.append(definition)
+        return joined
 
     def keep(self, stores: Iterable[Store], computed: Iterable[Level]) -> list[Expression]:
         """Give rows to the values that stores need and that are known before these levels."""
@@ -360,18 +391,6 @@ class Lowering:
             else:
                 to[last] = self.graph.define(f"{last.name}_next", value, section)
         return to.get(symbol, symbol)
-
-    def moved_on(self, a: int, change: Expression) -> tuple[Expression, Expression]:
-        """Add to a coordinate, and to what rounding took from it."""
-        return self.compensated(self.names.coordinates[a], self.q[a], self.q_low[a], change)
-
-    def compensated(
-        self, name: str, old: Expression, low: Expression, increment: Expression
-    ) -> tuple[Expression, Expression]:
-        """Add an increment to a value with its low part: exact sum of two numbers (Knuth)."""
-        section, hints = "compensated sums", (f"{name}_next", f"{name}_low_next")
-        total = self.graph.define(f"{name}_step", increment + low, section)
-        return self.graph.define_pair("exact_sum", (old, total), hints, section)
 
 
 def _results(stores: Sequence[Store]) -> tuple[Statement, ...]:

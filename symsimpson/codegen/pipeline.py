@@ -15,7 +15,7 @@ from symsimpson.codegen.module_kernels import lower
 from symsimpson.discrete.equations import discretise
 from symsimpson.discrete.node_derivatives import Cost
 from symsimpson.discrete.reductions import read_exploit
-from symsimpson.errors import GenerationError, SchemeError
+from symsimpson.errors import GenerationError
 from symsimpson.mechanics.expression_checks import read_expression
 from symsimpson.mechanics.plain import Symbols
 from symsimpson.mechanics.system import MechanicalSystem
@@ -127,11 +127,6 @@ def _derive(
     with collecting() as seconds, rarely_collected():
         # MechanicalSystem, Scheme -> DiscreteEquations -> Module of kernels -> text
         equations = discretise(system, scheme, exploit, varied, cost, second=second)
-        if not unrolled(equations) and equations.plain.rates:
-            raise SchemeError(
-                f"{system.name} is so large that steps of {scheme.name} are loops, whose kicks "
-                "have no friction yet.\nChoose a scheme of the family, as 'simpson' or 'gauss8'."
-            )
         if not unrolled(equations):  # in loops, forces damp
             equations = discretise(
                 system, scheme, exploit - {"conformal"}, varied, cost, second=second

@@ -15,8 +15,6 @@ __all__ = ["LARGE", "NAMED_CONSTANTS", "Printer", "count_operations", "formula"]
 #: values; a binding of more digits has its own.
 NAMED_CONSTANTS = {"EULER_GAMMA": 0.5772156649015329, "CATALAN": 0.915965594177219, "TINY": TINY}
 _CONSTANT = {"pi": "pi", "EulerGamma": "EULER_GAMMA", "Catalan": "CATALAN", "Tiny": "TINY"}
-#: Functions of the library, and what they call.
-_LIBRARY = {"softplus": {"exp", "atanh"}, "logcosh": {"exp", "atanh", "tanh", "log"}}
 #: Integers from here on are no exact doubles, and soon none that fit into 64 bits.
 LARGE = 2**53
 #: How strongly the parts of a text hold together.
@@ -151,7 +149,7 @@ class Printer:
             base, exponent = arguments
             return f"{self._within(base, ATOM)}**{self._within(exponent, ATOM)}", POWER
         if name not in ("abs", "min"):
-            self.used |= _LIBRARY.get(name, {name})
+            self.used.add(name)
         if name == "exp" and parts[1] == (1, UNIT):
             return "exp(real(1))", ATOM
         return f"{name}({', '.join(text for text, _ in arguments)})", ATOM

@@ -6,43 +6,41 @@ the scheme. The energy, velocities and momenta of velocities are those of the us
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from symsimpson.codegen.expression import Expression
-from symsimpson.codegen.ir import Call, Function, IfActive, Kernel, Row, Statement, Store
+from symsimpson.codegen.ir import Function, Kernel, Row, Store
 from symsimpson.codegen.levels import Level
-from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.sizes import drifting
+from symsimpson.codegen.specialise import kernel_from_text
 from symsimpson.codegen.template import JetTemplate, Point
-from symsimpson.codegen.unrolled import STATE, energy_stores, lanes, legendre
-from symsimpson.discrete.reductions import Composed
+from symsimpson.codegen.traced_kernels import STATE, TracedState, lanes
 from symsimpson.discrete.retiming import derive_original_terms, derive_rate
 from symsimpson.mechanics.retimed import OWN
 
 __all__ = ["keeping_time"]
 
-_NODE = ("W", "h", "node", "lane")
-
 
 def keeping_time(
-    low: Lowering, loops: LoopKernels, kernels: Sequence[Kernel]
+    low: Lowering, facts: Mapping[str, object], kernels: Sequence[Kernel]
 ) -> tuple[list[Function], list[Kernel]]:
     """Return functions and kernels, of which some become those of the user's time."""
     retiming = low.equations.system.retiming
     if retiming is None:
         return [], list(kernels)
-    retimed = _Retimed(low, loops)
+    retimed = _Retimed(low)
     replacements = {kernel.name: kernel for kernel in (retimed.legendre(), retimed.energy())}
     others = [replacements.get(kernel.name, kernel) for kernel in kernels]
-    more = retimed.energy_in_tau(), retimed.retime(), retimed.clock()
-    return [retimed.rate_function()], [*others, *more]
+    more = retimed.energy_in_tau(), retimed.retime(), kernel_from_text("clock", facts)
+    return [] if drifting(low.equations) else [retimed.rate_function()], [*others, *more]
 
 
 class _Retimed:
-    def __init__(self, low: Lowering, loops: LoopKernels) -> None:
+    def __init__(self, low: Lowering) -> None:
         retiming = low.equations.system.retiming
         assert retiming is not None
-        self._low, self._loops = low, loops
+        self._low = low
         self._users = low.of_all(derive_original_terms(retiming))
         self._rate = derive_rate(low.equations.plain, retiming)
         *_, self._first = low.names.parameters
@@ -72,12 +70,12 @@ class _Retimed:
 
     def legendre(self) -> Kernel:
         """P = dL/dv for v = dq/dt."""
-        return legendre(self._users)
+        return TracedState(self._users).legendre()
 
     def energy(self) -> Kernel:
         """H, its kinetic part and v = dq/dt, and the rate."""
         rate = self._at(Point("state", self._low.q))
-        stores = [*energy_stores(self._users), Store(Row("RATE", 0), self._divided(rate))]
+        stores = [*TracedState(self._users).energy(), Store(Row("RATE", 0), self._divided(rate))]
         doc = "The Hamiltonian at (q, p), its kinetic part, dq/dt, and dt/dtau."
         return Kernel("energy", doc, lanes(self._low.statements(stores, STATE)))
 
@@ -85,7 +83,7 @@ class _Retimed:
         """K = g (H - E0), which steps keep, and g times the kinetic part of H."""
         low = self._low
         given = low.parameters[low.equations.plain.parameters[self._places[0]].name]
-        total, kinetic, *_ = energy_stores(self._users)
+        total, kinetic, *_ = TracedState(self._users).energy()
         rate = self._divided(self._at(Point("state", low.q)))
         stores = [
             Store(total.row, rate * (total.value - given)),
@@ -97,19 +95,9 @@ class _Retimed:
 
     def retime(self) -> Kernel:
         """E0 and the rate at the start, which are parameters from then on."""
-        first = energy_stores(self._users)[0].value
+        first = TracedState(self._users).energy()[0].value
         rate = self._at(Point("begin", self._low.q), first)
         values = zip(self._places, (first, rate), strict=True)
         stores = [Store(Row("PARAMETER", place), value) for place, value in values]
         doc = "E0 and the rate at (q, p), where a run begins."
         return Kernel("retime", doc, lanes(self._low.statements(stores, STATE)))
-
-    def clock(self) -> Kernel:
-        """The time that a step took."""
-        composed = any(isinstance(part, Composed) for part in self._low.equations.parts)
-        summed: tuple[Statement, ...] = ()
-        if not composed:  # else the step has added it up itself
-            nodes = self._loops.nodes("range(NODES)", Call("time_rate"), Call("pass_time", _NODE))
-            summed = (Call("begin_time"), Call("exchange_steps"), nodes, Call("exchange_steps"))
-        body = (Call("keep_time"), *summed, Call("close_time", ("W", "h", "lane")))
-        return Kernel("clock", "Add the time that the step took.", lanes((IfActive(body),)))

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from symsimpson.codegen.differentials import cost_of_time
 from symsimpson.codegen.differentials import sizes as differential_sizes
+from symsimpson.codegen.facts import cost_of_time
 from symsimpson.codegen.looped import LoopKernels
-from symsimpson.codegen.looped_stages import LoopedStages
 from symsimpson.codegen.lower import Lowering
-from symsimpson.codegen.stages import StageKernels
+from symsimpson.codegen.stages import Stages
 from symsimpson.codegen.storage import node_stride
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.reductions import Composed
@@ -17,16 +16,12 @@ __all__ = ["drifting", "sizes"]
 
 
 def sizes(
-    low: Lowering,
-    loops: LoopKernels,
-    stages: StageKernels | LoopedStages | None,
-    *,
-    by_columns: bool,
+    low: Lowering, loops: LoopKernels, stages: Stages | None, *, by_columns: bool, decaying: bool
 ) -> Sizes:
     """Return what the sizes of all blocks follow from."""
     storage, held, plain = loops.storage, loops.held, low.equations.plain
     unknowns, scheme = low.equations.unknowns, low.equations.scheme
-    looped = low.equations.varied is not None or loops.written is None
+    looped = low.equations.varied is not None or not loops.written
     bordered = () if held is None else (held.storage,)
     jacobian = [part.size(unknowns.control_points) for part in (storage, *bordered)]
     return Sizes(
@@ -52,11 +47,14 @@ def sizes(
         constant_mass=loops.constant_mass,
         dragged=plain.dragged,
         timed=not plain.autonomous or cost_of_time(low),
-        damped=loops.damped,
+        damped=plain.rate is not None,
+        decaying=decaying,
         constrained=held is not None,
         carried=plain.carried,
         drifting=drifting(low.equations),
         retimed=low.equations.system.retiming is not None,
+        cyclic=len(loops.routh.cyclic) if loops.routh else 0,
+        cyclic_multipliers=loops.routh.multipliers if loops.routh else 0,
         **(stages.sizes if stages is not None else {}),
         **differential_sizes(low, by_columns=by_columns),
     )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import count
 
 from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.levels import Definitions, Level
@@ -58,6 +59,7 @@ class JetTemplate:
         self._parameters = parameters
         self._momenta = momenta
         self._made: dict[tuple[str, int], Expression] = {}
+        self._points: dict[str, Point] = {}
         self._users = self._program.users()
         self._angles: dict[Value, int] = {}
         for n in self._program.order():
@@ -66,6 +68,21 @@ class JetTemplate:
                 if line.parts[1] in self._angles:
                     self._users[line.parts[1][1]] -= 1  # sine and cosine are made at once
                 self._angles.setdefault(line.parts[1], len(self._angles))
+
+    def at(self, point: Point) -> Point:
+        """Return a point with a suffix that no other point has.
+
+        Points without velocities are the same as those with any.
+        """
+        for number in count():
+            suffix = f"{point.suffix}_{number}" if number else point.suffix
+            other = self._points.get(suffix, point)
+            if replace(other, v=point.v, suffix=point.suffix) != point:
+                continue
+            if other.v is None or point.v is None or other.v == point.v:
+                break
+        self._points[suffix] = replace(point, suffix=suffix, v=point.v or other.v)
+        return self._points[suffix]
 
     @property
     def forced(self) -> tuple[int, ...]:

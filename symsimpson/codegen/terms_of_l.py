@@ -5,8 +5,8 @@ A family is a group of terms of L of the same form, with other coordinates and p
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from functools import cache
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache, partial
 
 from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.ir import Call, Function, Index, Load, Loop, Row, Section, Statement, Store
@@ -16,16 +16,21 @@ from symsimpson.codegen.printer import formula
 from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.discrete.families import Family
 from symsimpson.discrete.jet import Jet, derive_jet
+from symsimpson.discrete.reductions import Routh
 from symsimpson.graph.read import tree_size
 
 __all__ = [
+    "BLOCKS",
     "FUNCTIONS",
     "FamilyWriter",
     "Table",
+    "cyclic_function",
+    "cyclic_values",
     "family_functions",
     "power_function",
     "power_stores",
     "pull_stores",
+    "split_loads",
     "unrolled_functions",
 ]
 
@@ -44,7 +49,7 @@ FUNCTIONS = {
 }
 #: Terms of more nodes are not shown.
 _SHOWN = 100
-_BLOCKS = {
+BLOCKS = {
     "F": "NODE_L_Q",
     "P": "NODE_L_V",
     "a": "NODE_L_V",
@@ -64,8 +69,39 @@ _CLEARED = {
 }
 
 
-def unrolled_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
-    """Write every entry of the jet by lines of its own.
+def cyclic_values(
+    low: Lowering, template: JetTemplate, part: Routh, point: Point, section: str
+) -> Iterator[tuple[str, tuple[int, ...], Expression]]:
+    """Yield D and L of cyclic coordinates, and their momenta at v_y = 0: block, index and value."""
+    entry = partial(template.entry, point, section)
+    for r, y in enumerate(part.cyclic):
+        assert point.v is not None
+        moved = (entry("M", y, x) * point.v[x] for x in part.coordinates)
+        yield "CYCLIC_D", (r,), entry("D", y)
+        yield "CYCLIC_P", (r,), low.graph.total([entry("a", y), *moved])
+        for c, z in enumerate(part.cyclic[:r]):
+            yield "CYCLIC_FIXED", (r, c), entry("L0", y, z)
+            yield "CYCLIC_L", (r, c), entry("L", y, z)
+
+
+def cyclic_function(low: Lowering, part: Routh) -> Function:
+    """Write D and L of cyclic coordinates, and their momenta at v_y = 0, at a node."""
+    point = Point("i", low.node_q, low.node_v, low.node_t, low.node_u)
+    values = cyclic_values(low, low.cyclic(part), part, point, "cyclic coordinates")
+    places = {1: "node * CYCLIC + {}", 2: "(node * CYCLIC + {}) * CYCLIC + {}"}
+    stores = [
+        Store(Row(block, places[len(index)].format(*index)), value)
+        for block, index, value in values
+    ]
+    doc = "M = L D L^T of cyclic coordinates at a node, and their momenta without their velocities."
+    lines = low.statements(stores, (Level.ITERATION,))
+    return Function("cyclic_mass", doc, lines, ("W", "node", "lane"))
+
+
+def unrolled_functions(
+    low: Lowering, names: Iterable[str], stand: Sequence[int] | None = None
+) -> list[Function]:
+    """Write every entry of the jet by lines of its own; coordinates ``stand`` at these places.
 
     With forces most entries of a large system are zero: loops clear them all before.
     """
@@ -84,9 +120,10 @@ def unrolled_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
                 turned = dragged and what == "F_v"
                 entry, places = ("P_q", index[::-1]) if turned else (what, index)
                 value = low.template.entry(point, "jet", entry, *places)
-                number = sum(i * low.n**k for k, i in enumerate(reversed(index)))
+                stored = index if stand is None else [stand[i] for i in index]
+                number = sum(i * low.n**k for k, i in enumerate(reversed(stored)))
                 if value != 0 or not sparse:
-                    stores.append(Store(Row(_BLOCKS[what], number), value, add=what == "V"))
+                    stores.append(Store(Row(BLOCKS[what], number), value, add=what == "V"))
         body = _clearing(asked) if sparse else []
         lines = low.statements(stores, (Level.ITERATION,))
         functions.append(Function(name, doc, (*body, *lines)))
@@ -224,7 +261,7 @@ class FamilyWriter:
             Index(target, f"{self.table}[term, {column}]") for column, target in enumerate(columns)
         ]
         first, *rest = self._low.statements(stores, (Level.ITERATION,))
-        outside, inside = _split(first)
+        outside, inside = split_loads(first)
         members = self._family.coordinates
         doc = f"{doc[:-1]}: {len(members)} terms {self._term_text()}."
         loop = Loop("term", f"range({len(members)})", (*used, *more, *inside, *rest))
@@ -257,7 +294,7 @@ def _family_stores(writer: FamilyWriter, parts: Iterable[str]) -> list[Store]:
 
 
 def _row(what: str, places: Sequence[str]) -> Row:
-    block = _BLOCKS[what]
+    block = BLOCKS[what]
     if not places:
         return Row(block, 0)
     if len(places) == 1:
@@ -265,8 +302,8 @@ def _row(what: str, places: Sequence[str]) -> Row:
     return Row(block, f"{places[0]}*NODE_STRIDE + {places[1]} + NODE_OFFSET")
 
 
-def _split(reads: Statement) -> tuple[list[Statement], list[Statement]]:
-    """Split loads into those that are the same for all members and the others."""
+def split_loads(reads: Statement) -> tuple[list[Statement], list[Statement]]:
+    """Split loads into those that are the same in all turns of a loop and the others."""
     outside: list[Statement] = []
     inside: list[Statement] = []
     if isinstance(reads, Section) and all(isinstance(read, Load) for read in reads.body):

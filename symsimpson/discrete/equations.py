@@ -18,13 +18,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any
 
 import sympy as sp
 
 from symsimpson.discrete.combined_rows import elimination_order
-from symsimpson.discrete.jet import Jet, Key, derive_jet
+from symsimpson.discrete.jet import Jet, Key, derive_jet, written_as_jet
 from symsimpson.discrete.node_derivatives import Cost
 from symsimpson.discrete.reductions import (
     Affine,
@@ -88,15 +88,31 @@ class DiscreteEquations:
 
         Loops over terms do without.
         """
-        graph, symbols = self.plain.graph, (*self.plain.q, *self.plain.parameters)
-        reader = Reader(graph, {symbol: graph.symbol(symbol.name) for symbol in symbols})
         more: dict[Key, Value] = {}
         halves: dict[int, None] = {}
         for part in self.parts:
             if isinstance(part, Routh):
-                more |= {key: reader(value) for key, value in part.factor_entries().items()}
-                halves |= dict.fromkeys(self.plain.q.index(x) for x in part.factors.half_angles)
+                factors, angles = self._factors(part)
+                more |= factors
+                halves |= dict.fromkeys(angles)
         return derive_jet(self.plain, more, tuple(halves))
+
+    def cyclic_jet(self, part: Routh) -> Jet:
+        """Factors of M of cyclic coordinates, and what else their momenta depend on, alone."""
+        plain, (entries, angles) = self.plain, self._factors(part)
+        for y in part.cyclic:
+            entries["a", y] = plain.a[y]
+            entries |= {("M", y, x): plain.entry(y, x) for x in part.coordinates}
+        return written_as_jet(plain, plain.graph, entries, angles)
+
+    def _factors(self, part: Routh) -> tuple[dict[Key, Value], list[int]]:
+        """Return the factors, and the angles of which halves are better."""
+        graph, symbols = self.plain.graph, (*self.plain.q, *self.plain.parameters)
+        reader = Reader(graph, {symbol: graph.symbol(symbol.name) for symbol in symbols})
+        entries: dict[Key, Value] = {
+            key: reader(value) for key, value in part.factor_entries().items()
+        }
+        return entries, [self.plain.q.index(x) for x in part.factors.half_angles]
 
     @property
     def looked_at(self) -> bool:
@@ -122,43 +138,15 @@ class DiscreteEquations:
         others = (held,) * self.scheme.degree if held else ()
         return Unknowns(self.scheme.degree, len(self.plain.q), others)
 
-    def joined(self) -> Composed | Constrained | Coupled | Separable:
-        """Return all coordinates as one part, as loops take them."""
-        alone = self.exploit & {"constant_mass"}
+    def joined(self, *, dense: bool) -> Composed | Constrained | Coupled | Routh | Separable:
+        """Return all coordinates as one part, as loops take them; matrices may be ``dense``."""
+        alone = self.exploit & {"constant_mass", "cyclic"}
         (part,) = reduce(self.system.structure, self.scheme, alone)
-        assert isinstance(part, (Composed, Constrained, Coupled, Separable))
+        assert isinstance(part, (Composed, Constrained, Coupled, Routh, Separable))
+        wanted = dense and self.scheme.exact
+        if isinstance(part, Routh) and not (wanted and part.pays(self.scheme.stages)):
+            return Coupled(tuple(range(self.system.n)), part.rows, part.columns)
         return part
-
-    def coefficient(self, what: str, i: int, k: int = 0, m: int = 0) -> sp.Expr:
-        """Return the factor of a second derivative of L at node i in D_k D_m L_d.
-
-        What the equations themselves are made of stands in :mod:`symsimpson.codegen.weighted`.
-        """
-        return self._coefficients(what, i, k, m)
-
-    @cached_property
-    def _coefficients(self) -> Callable[[str, int, int, int], sp.Expr]:
-        return cache(self._coefficient)  # the same for all pairs of coordinates
-
-    def _coefficient(self, what: str, i: int, k: int, m: int) -> sp.Expr:
-        b, A, B = self.scheme.quadrature.weights[i], self.scheme.A[i], self.scheme.B[i]
-        match what:
-            case "F_q":
-                return self.h * b * A[k] * A[m]
-            case "F_v":
-                return b * A[k] * B[m]
-            case "P_q":
-                return b * B[k] * A[m]
-        return b * B[k] * B[m] / self.h
-
-    def second_derivative(self, k: int, a: int, m: int, b: int, entry: Entry) -> list[Any]:
-        """List the terms of D_m D_k L_d, components a and b."""
-        factors = [
-            (i, what, self.coefficient(what, i, k, m))
-            for i in range(self.scheme.stages)
-            for what in ("F_q", "F_v", "P_q", "M")
-        ]
-        return [entry(i, what, a, b) * factor for i, what, factor in factors if factor != 0]
 
     def at_start(self, i: int) -> bool:
         """Return whether node i lies at q0, so that its position is known before the step."""

@@ -8,6 +8,7 @@ these cancel before any number is rounded.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from itertools import permutations
 
 import sympy as sp
@@ -30,7 +31,7 @@ class Factors:
     L = 1 + fixed + moving, both strictly lower triangular; ``fixed`` does not depend on q, and
     ``moving`` vanishes where a pivot of D does, as far as that is known. ``half_angles`` lists the
     coordinates x of such places x = 0: sin x and cos x are best made of those of x/2, because
-    1 - cos x = 2 sin(x/2)^2 has no subtraction.
+    1 - cos x = 2 sin(x/2)^2 has no subtraction. ``changing`` tells which pivots depend on q.
     """
 
     order: tuple[int, ...]
@@ -38,8 +39,10 @@ class Factors:
     moving: tuple[tuple[sp.Expr, ...], ...]
     pivots: tuple[sp.Expr, ...]
     half_angles: tuple[sp.Symbol, ...]
+    changing: tuple[bool, ...]
 
 
+@cache
 def factorise(mass: sp.ImmutableDenseMatrix | None, q: tuple[sp.Symbol, ...]) -> Factors | None:
     """Factorise in the order that gives the shortest factors, the given one if several do.
 
@@ -70,7 +73,12 @@ def factorise(mass: sp.ImmutableDenseMatrix | None, q: tuple[sp.Symbol, ...]) ->
             still, rest = entry.as_independent(*q, as_Add=True)
             fixed[i][j], moving[i][j] = (still, rest) if versed else (sp.S.Zero, entry)
     return Factors(
-        order, tuple(map(tuple, fixed)), tuple(map(tuple, moving)), tuple(pivots), halves
+        order,
+        tuple(map(tuple, fixed)),
+        tuple(map(tuple, moving)),
+        tuple(pivots),
+        halves,
+        tuple(not pivot.free_symbols.isdisjoint(q) for pivot in pivots),
     )
 
 

@@ -124,6 +124,19 @@ class Routh(BasePart):
         """
         return (*self.cyclic, *self.coordinates)
 
+    @property
+    def multipliers(self) -> int:
+        """Number of multipliers."""
+        return len(self.annihilator) * len(self.cyclic)
+
+    def pays(self, stages: int) -> bool:
+        """Return whether an iteration of loops takes fewer operations than for all coordinates."""
+        x, y, m = len(self.coordinates), len(self.cyclic), self.multipliers
+        d, n = len(self.columns), x + y
+        more = stages * (5 * y * x**2 + 12 * n) + m * (2 * d * x + 4 * stages * (d + 1)) * x
+        more += m**2 * (m + 2 * d * x)
+        return more < 2 * d**3 * (n**3 - x**3) / 3 + 3 * stages * d**2 * (n**2 - x**2)
+
     def factor_entries(self) -> dict[tuple[str, *tuple[int, ...]], sp.Expr]:
         """Map ("D", i), ("L", i, j), ("L0", i, j) to factors of the mass matrix of ``cyclic``."""
         entries: dict[tuple[str, *tuple[int, ...]], sp.Expr] = {}

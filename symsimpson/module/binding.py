@@ -221,7 +221,7 @@ def _tables(real: Callable[..., Any], digits: int) -> dict[str, Any]:
     def number(units: int) -> Any:
         return real(units) / real(10) ** scale
 
-    return {"DIGITS": scale, "number": number, "on_grid": number}
+    return {"DIGITS": scale, "ONE": 10**scale, "number": number, "on_grid": number}
 
 
 def _power(base: Any, exponent: Any) -> Any:

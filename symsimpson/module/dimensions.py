@@ -35,23 +35,26 @@ class Sizes:
     by_nodes: bool = True  #: Whether loops go over nodes.
     assembled: bool = False  #: Whether they assemble the equations of a step, and the Jacobian.
     #: Whether M is constant, forces depend on v, there is a time at nodes, momenta are damped,
-    #: there are constraints, some do work, steps are kicks and drifts, the time is not that of the
-    #: steps.
+    #: kicks have friction, there are constraints, some do work, steps are kicks and drifts, the
+    #: time is not that of the steps.
     constant_mass: bool = False
     dragged: bool = False
     timed: bool = False
     damped: bool = False
+    decaying: bool = False
     constrained: bool = False
     carried: bool = False
     drifting: bool = False
     retimed: bool = False
+    #: Coordinates, the last ones, that are solved for by their momenta, and multipliers of these.
+    cyclic: int = 0
+    cyclic_multipliers: int = 0
     #: Rows of a value that all nodes have, where steps are iterated by stages; values between the
     #: halves of an iteration; angles of which sines are kept.
     staged: int = 0
     staged_values: int = 0
     angles: int = 0
-    #: Whether loops do so, and need the times of nodes.
-    staged_by_loops: bool = False
+    #: Whether they need the times of nodes.
     staged_times: bool = False
     #: Whether steps are differentiated, by columns of their derivative, with a running cost.
     differentiated: bool = False

@@ -46,8 +46,9 @@ def held_equations_of(header: Header, run: Any, h: Any) -> tuple[Reals, Reals]:
     own_residual, own_jacobian = equations_of(header, run)
     place = np.array(header.tables["HELD_PLACE"])
     place[:n] = place[np.argsort(header.coordinate_order)]
-    blocks = np.arange(d)[:, None] * at["HELD_ROW_STEP"]
-    of_q, of_mu = (blocks + some * at["HELD_PLACE_STEP"] for some in (place[:n], place[n:]))
+    blocks, of_q, of_mu = np.arange(d)[:, None], *np.split(place * at["HELD_PLACE_STEP"], [n])
+    of_q = blocks * at["HELD_ROW_STEP"] + of_q
+    of_mu = at["HELD_SHIFT"] + blocks * at["HELD_PULL_STEP"] + of_mu
     rows = np.concatenate([of_q.ravel(), of_mu.ravel()])
     order = _columns(header)
     columns = np.concatenate([of_q[order].ravel(), of_mu.ravel()])

@@ -37,6 +37,11 @@ def entries(s: Sizes) -> int:
     return s.by_nodes * s.entries
 
 
+def cyclic(s: Sizes) -> int:
+    """Return the number of cyclic coordinates at all nodes, and at the ends of the path."""
+    return s.cyclic * (s.nodes + 2)
+
+
 @dataclass(frozen=True)
 class Block:
     """Rows of the workspace that belong together."""
@@ -138,13 +143,13 @@ TABLE = (
         "by how much the weights of nodes have grown, and those of the end of the step",
         lambda s: s.damped * (s.nodes + 1),
     ),
+    part("DECAY", "rates of friction in kicks", lambda s: s.decaying * s.n),
     part("POWER", "power of each force, then dL/dt, at a node or a state", lambda s: s.powers),
     part("WORK", "integrals of these over steps", lambda s: s.powers),
     part("WORK_LOW", "what rounding has taken from them", lambda s: s.powers),
     part("STAGE_V", "h b_i v_i", lambda s: s.n * s.staged),
     part("STAGE_F", "h b_i F_i", lambda s: s.n * s.staged),
-    part("STAGE_Q", "positions at the nodes, less q", lambda s: s.staged_by_loops * s.n * s.staged),
-    part("STAGE_P", "momenta at the nodes, less p", lambda s: s.staged_by_loops * s.n * s.staged),
+    scratch("STAGE_Q", "positions at the nodes, less q", lambda s: s.n * s.staged),
     part("STAGE_STEP", "h b_i", lambda s: s.staged),
     part("STAGE_RATE", "1 / (h b_i)", lambda s: s.staged),
     part("STAGE_PLACE", "c_i", lambda s: s.staged_times * s.staged),
@@ -216,6 +221,27 @@ TABLE = (
     ),
     Block("RESIDUAL", "residual, then the correction", unknowns, scratch=True),
     Block("JACOBIAN", "its derivatives", lambda s: s.jacobian, scratch=True),
+    scratch("CYCLIC_D", "M of cyclic coordinates is L D L^T: D, at nodes and ends", cyclic),
+    scratch("CYCLIC_L", "L there, where it depends on q", lambda s: s.cyclic * cyclic(s)),
+    scratch("CYCLIC_FIXED", "and where it does not", lambda s: s.cyclic * cyclic(s)),
+    scratch("CYCLIC_INVERSE", "1 / D there", cyclic),
+    scratch("CYCLIC_P", "L^-1 (p - P at v_y = 0), then that of P", cyclic),
+    scratch("CYCLIC_V", "velocities of cyclic coordinates", cyclic),
+    scratch("CYCLIC_GAP", "L^-1 (P - p) at the end of the path", lambda s: s.cyclic),
+    scratch(
+        "CYCLIC_T", "L^-1 L_o at nodes, for L_o at one of them", lambda s: s.cyclic * cyclic(s)
+    ),
+    scratch("CYCLIC_MATRIX", "matrix of multipliers", lambda s: s.cyclic_multipliers**2),
+    scratch("CYCLIC_LAMBDA", "multipliers, or how they change", lambda s: s.cyclic_multipliers),
+    scratch("CYCLIC_E", "L^-1 P_q of cyclic momenta", lambda s: s.cyclic * s.n),
+    scratch("CYCLIC_F", "L^-1 M, their rows", lambda s: s.cyclic * s.n),
+    scratch("CYCLIC_DE", "D^-1 times the former, at nodes", lambda s: s.n * cyclic(s)),
+    scratch("CYCLIC_DF", "D^-1 times the latter", lambda s: s.n * cyclic(s)),
+    scratch(
+        "CYCLIC_PULL",
+        "derivatives of the rows of multipliers by control points",
+        lambda s: s.cyclic_multipliers * s.n * (s.degree + 1),
+    ),
     part("PIVOT_SCALE", "1 / pivot of M at the start", lambda s: s.pivots),
     Block("PIVOT_LIMIT", "pivots of M below this are looked at", for_driver=True),
     Block("PIVOT_TIME", "when steps last passed one and may not resolve it", for_driver=True),
@@ -250,6 +276,13 @@ TABLE = (
         "those of p1 - p0 by q0, then by increments in the order of elimination",
         lambda s: s.differentiated * (s.degree + 1) * s.entries,
     ),
+    scratch(
+        "ROW",
+        "h D_k L_d one by one, where M is constant",
+        lambda s: s.assembled * s.constant_mass * s.degree * s.n,
+    ),
+    scratch("STEP_F", "h b_i F at all nodes", lambda s: s.assembled * s.nodes * s.n),
+    scratch("STEP_P", "h b_i P at all nodes", lambda s: s.assembled * s.nodes * s.n),
     scratch("STEP_QQ", "F_q at all nodes", lambda s: s.assembled * s.nodes * s.entries),
     scratch("STEP_QV", "F_v at all nodes", lambda s: s.assembled * s.nodes * s.entries),
     scratch("STEP_VV", "M at all nodes", lambda s: s.assembled * s.nodes * s.entries),

@@ -28,8 +28,8 @@ def own_blocks(node: ast.For, name: str, text: Text) -> frozenset[str] | None:
     """
     accesses = _Accesses(text, node)
     fine = accesses.follow(node.body, {name: frozenset({_TURN})})
-    # what stands in rows by the number of the turn stands elsewhere for all
-    apart = not accesses.first.keys() & accesses.along
+    # rows that one turn sets are no others'
+    apart = not (accesses.first.keys() & accesses.set_along or accesses.written & accesses.along)
     set_first = all(accesses.first[block] == _WHOLE for block in accesses.written)
     return frozenset(accesses.written) if fine and apart and set_first else None
 
@@ -39,7 +39,7 @@ class _Accesses:
 
     Of each block that all turns share ``first`` says what is done first with it: "read", "set", or
     "set as a whole"; those that are set are ``written``. Blocks with rows of each turn are
-    ``along``.
+    ``along``, and ``set_along`` if turns set them.
     """
 
     def __init__(self, text: Text, loop: ast.For) -> None:
@@ -51,6 +51,7 @@ class _Accesses:
         self.first: dict[str, str] = {}
         self.written: set[str] = set()
         self.along: set[str] = set()
+        self.set_along: set[str] = set()
 
     def follow(self, body: Iterable[ast.stmt], origins: Origins) -> bool:
         """Follow statements; returns whether all of them are of kinds that are known here."""
@@ -135,6 +136,7 @@ class _Accesses:
         blocks = names & self._text.blocks.keys()
         if names & _MOVING:
             self.along |= blocks
+            self.set_along |= blocks if how == "set" else set()
             return self._by_turn(row, origins)
         for block in blocks:
             whole = how == "set" and self._whole(row, block)
@@ -145,10 +147,12 @@ class _Accesses:
 
     def _whole(self, row: ast.expr, block: str) -> bool:
         """Return whether a row goes through a whole block, in a loop of so many turns."""
+        size = len(self._text.blocks[block])
         match row:
             case ast.BinOp(left=ast.Name(id=first), op=ast.Add(), right=ast.Name(id=name)):
-                size = len(self._text.blocks[block])
                 return first == block and size > 0 and self._counts.get(name) == size
+            case ast.Name(id=first):
+                return first == block and size == 1
         return False
 
     def _by_turn(self, row: ast.expr, origins: Origins) -> bool:
@@ -159,10 +163,13 @@ class _Accesses:
                     case ast.BinOp(
                         left=ast.Name() as base,
                         op=ast.Add(),
-                        right=ast.BinOp(op=ast.Mult(), right=ast.Name(id="STRIDE")),
+                        right=ast.BinOp(
+                            op=ast.Mult(), right=ast.Name(id="STRIDE" | "INPUT_STRIDE")
+                        ),
                     ):
                         first = base
-                block = isinstance(first, ast.Name) and first.id in self._text.blocks
+                sources = self._names(first, origins) if isinstance(first, ast.Name) else ()
+                block = len(sources) == 1 and self._text.blocks.keys() >= sources
                 return block and origins.get(last) == frozenset({_TURN})
         return False
 

@@ -6,6 +6,7 @@ import sympy as sp
 from scipy.integrate import solve_ivp
 from support.cases import sweep
 from support.driven import PROBLEMS
+from support.forms import limited
 from support.hamilton import truth
 
 import symsimpson as ss
@@ -15,7 +16,7 @@ a, c, g, k, w = sp.symbols("a c g k w", positive=True)
 
 
 @pytest.mark.parametrize("scheme", sweep(["suzuki4", "blanes_moan4", "kahan_li6"], 1))
-def test_kicks_damp_as_friction_does_by_itself(scheme):
+def test_kicks_damp_as_friction_does_by_itself(scheme, monkeypatch):
     x, y = ss.coordinates("x y")
     u = x.diff() + y.diff() / 2
     system = ss.MechanicalSystem(
@@ -38,6 +39,11 @@ def test_kicks_damp_as_friction_does_by_itself(scheme):
     precise = ss.compile(system, scheme, precision=30).integrate(q, p0=p, h=0.1, steps=5)
     run = stepper.integrate(q, p0=p, h=0.1, steps=5)
     assert np.abs((run.p - precise.p).astype(float)).max() < 1e-15
+    with monkeypatch.context() as patch:  # the same in loops
+        limited(patch, UNROLLED_FORCES=1)
+        looped = ss.compile(system, scheme)
+    assert "decay(" in looped.source
+    assert np.abs(looped.integrate(q, p0=p, h=0.1, steps=5).p - run.p).max() < 1e-15
     # not in proportion to each momentum, of no positive rate, or of another order
     for force, message in (
         ({x: -c * u, y: -c * u / 2}, "force depends on velocities"),

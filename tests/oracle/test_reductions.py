@@ -236,6 +236,23 @@ def test_linear_system_against_its_matrix():
             assert abs(a - b) < mp.mpf(10) ** -36
 
 
+def test_linear_forces_without_a_value_at_the_origin():
+    """They are evaluated at another point."""
+    x, y = ss.coordinates("x y")
+    V = x**2 + x * y + y**2
+    kinetic = x.diff() ** 2 / 2 + y.diff() ** 2 / 2
+    systems = [
+        ss.MechanicalSystem(
+            "quotient", coordinates=(x, y), kinetic=kinetic, potential=potential, parameters={}
+        )
+        for potential in (V**2 / V - x, sp.expand(V) - x)
+    ]
+    given = {"q0": [0.3, 0.4], "v0": [0.0, 0.1], "h": 0.1, "steps": 50}
+    found, wanted = (ss.compile(system, "simpson").integrate(**given) for system in systems)
+    assert found.newton_iterations.sum() == 0
+    assert np.abs(found.q - wanted.q).max() < 1e-14
+
+
 @pytest.mark.parametrize("every", [2, 7, 100, None])
 def test_steps_in_one_call_are_steps_one_by_one(every):
     system = ss.systems.harmonic_oscillator()

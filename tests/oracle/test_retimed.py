@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from support.cases import sweep
+from support.forms import limited
 from support.places import DATA
 
 import symsimpson as ss
@@ -173,6 +174,19 @@ def states(stepper, steps, e="0.6"):
         span = 4 * (1 + mp.mpf(e)) ** 1.5
         run = stepper.integrate(q0, v0=v0, h=span / steps, steps=steps)
         return np.concatenate([run.q[-1], run.p[-1], run.t[-1:]])
+
+
+def test_loops_keep_a_time_of_their_own(monkeypatch):
+    """Kicks and drifts of large systems are those of a written-out step."""
+    system, (q0, v0) = kepler().retimed("encounters"), apocentre(0.6)
+    given = {"q0": q0, "v0": [float(x) for x in v0], "h": 0.05, "steps": 40}
+    straight = ss.compile(system, "kahan_li6").integrate(**given)
+    limited(monkeypatch, UNROLLED_FORCES=1)
+    looped = ss.compile(system, "kahan_li6")
+    assert "own_time(" in looped.source
+    run = looped.integrate(**given)
+    for found, wanted in ((run.q, straight.q), (run.p, straight.p), (run.t, straight.t)):
+        assert np.abs(found - wanted).max() < 1e-14
 
 
 ORDERS = [

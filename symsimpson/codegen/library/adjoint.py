@@ -11,32 +11,105 @@ running cost g adds h b_i g(t_i, q_i, v_i) at each node.
 """
 
 
-@compiled
-def record_step(W, lane):
+@kernel
+def adjoint(W, h, t, lane):
+    """Carry derivatives of a cost back over the step that was taken."""
+    if W[ACTIVE, lane] != 0:
+        if HELD:
+            undo_projection(W, h, t, lane)
+        exchange_steps(W, lane)
+        if FOLLOWING:
+            step_equations(W, h, t, lane)
+            solve_following(W, lane)
+        begin_adjoint(W, lane)
+        for node in range(NODES):
+            differentiate_node(W, h, t, node, lane)
+            if COSTED:
+                cost_at_node(W, h, t, node, lane)
+                add_cost(W, h, node, lane)
+        assemble_derivatives(W, h, t, lane)
+        pull_end(W, lane)
+        if HELD:
+            for point in range(DEGREE):
+                pull_point(W, h, point, lane)
+        factor_equations(W, lane)
+        solve_transposed(W, ADJOINT_RIGHT, lane)
+        if VARIED_BY:
+            for node in range(NODES):
+                pull_node(W, h, node, lane)
+                pull_parameters(W, node, lane)
+        pull_start(W, lane)
+        if HELD:
+            for point in range(DEGREE + 1):
+                pull_start_of_point(W, h, point, lane)
+        close_adjoint(W, lane)
+        exchange_steps(W, lane)
+
+
+@kernel
+def start_adjoint(W, h, t, lane):
+    """Derivatives by q0 and v0 from those by q0 and p0."""
+    go_to_start(W, t, lane)
+    jet(W, lane)
+    if VARIED_BY:
+        differentiate_state(W, h, 0, lane)
+    pull_momentum(W, lane)
+
+
+@kernel
+def record(W, h, t, lane):
     """Keep the step that was taken: where it began, and its increments."""
-    for row in range(4 * DIMENSION):
-        W[TANGENT + row, lane] = W[PREVIOUS + row, lane]
-    for row in range(UNKNOWNS):
-        W[TANGENT + 4 * DIMENSION + row, lane] = W[SOLVED + row, lane]
+    if W[ACTIVE, lane] != 0:
+        for row in range(4 * DIMENSION):
+            W[TANGENT + row, lane] = W[PREVIOUS + row, lane]
+        for row in range(UNKNOWNS):
+            W[TANGENT + 4 * DIMENSION + row, lane] = W[SOLVED + row, lane]
 
 
-@compiled
-def take_for_velocity(W, lane):
-    """Take what stands in the place of p for the velocity."""
+@kernel
+def step_cost(W, h, t, lane):
+    """Add the running cost of the step that was taken."""
+    if W[ACTIVE, lane] != 0:
+        exchange_steps(W, lane)
+        if FOLLOWING:
+            step_equations(W, h, t, lane)
+            solve_following(W, lane)
+        for node in range(NODES):
+            at_node(W, h, t, node, lane)
+            cost_at_node(W, h, t, node, lane)
+            integrate_cost(W, h, node, lane)
+        exchange_steps(W, lane)
+
+
+@kernel
+def running_cost(W, h, t, lane):
+    """The running cost at q and v, which stands in the place of p."""
     for a in range(DIMENSION):
         W[VELOCITY + a, lane] = W[MOMENTUM + a, lane]
+    go_to_start(W, t, lane)
+    if TIMED_COST:
+        node_time(W, t, lane)
+    if SIZED:
+        go_to_place(W, h, real(0), real(0), lane)
+    cost_slopes(W, lane)
 
 
 @compiled
-def decay_adjoint(W, lane):
-    """Let derivatives by a momentum decay as that of the step does."""
-    for a in range(DIMENSION):
-        W[ADJOINT + DIMENSION + a, lane] /= W[GROWTH + NODES, lane]
+def cost_at_node(W, h, t, node, lane):
+    """Evaluate the running cost and its derivatives at a node."""
+    if TIMED_COST:
+        node_time(W, t + PLACES[node] * h, lane)
+    if SIZED:
+        go_to_place(W, h, PLACES[node], real(1), lane)
+    cost_slopes(W, lane)
 
 
 @compiled
 def begin_adjoint(W, lane):
     """Begin the right side dJ/dX with what the end of the path contributes, other sums with 0."""
+    if DAMPED:
+        for a in range(DIMENSION):
+            W[ADJOINT + DIMENSION + a, lane] /= W[GROWTH + NODES, lane]
     for row in range(UNKNOWNS):
         W[ADJOINT_RIGHT + row, lane] = real(0)
     for column in range(DEGREE):
@@ -88,22 +161,7 @@ def pull_end(W, lane):
 
 
 @compiled
-def solve_adjoint(W, lane):
-    """Solve S^T w = dJ/dX; w takes the place of the right side."""
-    solve_transposed(
-        W,
-        JACOBIAN + TANGENT_OFFSET,
-        ADJOINT_RIGHT,
-        TANGENT_UNKNOWNS,
-        TANGENT_LOWER,
-        TANGENT_UPPER,
-        TANGENT_STRIDE,
-        lane,
-    )
-
-
-@compiled
-def weigh_node(W, h, node, lane):
+def pull_node(W, h, node, lane):
     """Find sigma and tau at a node; they stand where q and v stood."""
     for s in range(DIMENSION):
         sigma = W[ADJOINT + DIMENSION + COORDINATE[s], lane]
@@ -157,6 +215,9 @@ def integrate_cost(W, h, node, lane):
 @compiled
 def close_adjoint(W, lane):
     """Carry the derivatives to the start of the step: by q0, and by p0, b - w_0."""
+    if HELD and VARIED_BY:
+        for j in range(VARIED):
+            W[COST_SLOPE + j * NODES, lane] += W[COST_END + j, lane]
     for s in range(DIMENSION):
         a = COORDINATE[s]
         W[ADJOINT + a, lane] += W[ADJOINT_START + s, lane]
@@ -169,7 +230,17 @@ def close_adjoint(W, lane):
 
 @compiled
 def pull_momentum(W, lane):
-    """Find the derivatives of b.p, p = L_v(q, v): by q they are added, by v they replace b."""
+    """Find the derivatives of b.p, p = L_v(q, v): by q they are added, by v they replace b.
+
+    Those by parameters replace derivatives that go through the first node.
+    """
+    if VARIED_BY:
+        for j in range(VARIED):
+            slope = real(0)
+            for row in range(P_A_FROM[j], P_A_FROM[j + 1]):
+                b = W[ADJOINT + DIMENSION + COORDINATE[P_A_PLACE[row]], lane]
+                slope += W[NODE_P_A + row, lane] * b
+            W[COST_SLOPE + j * NODES, lane] = slope
     for s in range(DIMENSION):
         by_position = real(0)
         by_velocity = real(0)
@@ -181,14 +252,3 @@ def pull_momentum(W, lane):
         W[NODE_VELOCITY + s, lane] = by_velocity
     for s in range(DIMENSION):
         W[ADJOINT + DIMENSION + COORDINATE[s], lane] = W[NODE_VELOCITY + s, lane]
-
-
-@compiled
-def pull_momentum_slopes(W, lane):
-    """Find the derivatives of b.p by parameters, in the place of those through the first node."""
-    for j in range(VARIED):
-        slope = real(0)
-        for row in range(P_A_FROM[j], P_A_FROM[j + 1]):
-            b = W[ADJOINT + DIMENSION + COORDINATE[P_A_PLACE[row]], lane]
-            slope += W[NODE_P_A + row, lane] * b
-        W[COST_SLOPE + j * NODES, lane] = slope

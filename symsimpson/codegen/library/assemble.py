@@ -15,25 +15,65 @@ def grow_node(W, node, lane):
 
 
 @compiled
-def assemble_rows(W, h, node, lane):
-    """Add a node's part to D_k L_d.
+def grow_force(W, node, lane):
+    """Multiply the force at a node by what its weight has grown to."""
+    for a in range(DIMENSION):
+        W[NODE_L_Q + a, lane] *= W[GROWTH + node, lane]
 
-    Rounded numbers are those of the path, and what belongs to q0 is made of the same products: then
-    the rows are derivatives of one L_d. In the Jacobian they need not be.
-    """
+
+@compiled
+def weigh_node(W, h, node, lane):
+    """Keep h b_i F and h b_i P of a node: rounded here, and nowhere else in the rows of a step."""
     weight = h * WEIGHTS[node]
+    for a in range(DIMENSION):
+        W[STEP_F + node * DIMENSION + a, lane] = weight * W[NODE_L_Q + a, lane]
+        W[STEP_P + node * DIMENSION + a, lane] = weight * W[NODE_L_V + a, lane]
+
+
+@compiled
+def assemble_residual(W, h, lane):
+    """Add up what the nodes contribute to D_k L_d.
+
+    A step is symplectic if its equations are the derivatives of one function L_d, whatever that
+    function is. So rounded numbers must be the same in the path and here. With the bends
+    Y_k = X_k - c_k X_d of the path, 0 < k < d,
+
+        q_i = q0 + c_i X_d + sum_k A_ik Y_k,    v_i = (X_d + sum_k B_ik Y_k)/h,
+
+    the row of q0 has no differences of tables, and no large numbers that cancel:
+
+        p0 + sum_i h b_i F_i - sum_i c_i h b_i F_i - (1/h) sum_i h b_i P_i = 0.
+
+    Its forces are added up first: 1 - c_i need not be what rounding makes of it. Elimination is
+    stable if it is this row less sum_k (1 - c_k) D_k L_d, which vanishes at the solution.
+    """
     rate = 1 / h
     for a in range(DIMENSION):
-        force = weight * W[NODE_L_Q + a, lane]
-        momentum = rate * (weight * W[NODE_L_V + a, lane])
-        start = (force - PLACES[node] * force) - momentum
+        whole = W[MOMENTUM + COORDINATE[a], lane]
+        share = real(0)
+        inertia = real(0)
+        for node in range(NODES):
+            force = W[STEP_F + node * DIMENSION + a, lane]
+            inertia += W[STEP_P + node * DIMENSION + a, lane]
+            if TRACED and EXACT_PLACE[node] > 0:  # 1 - c_i is not rounded
+                whole += (1 - PLACES[node]) * force
+            else:
+                whole += force
+                share += PLACES[node] * force
+        rest = real(0)
         for row in range(DEGREE):
             k = ROW_ORDER[row]  # 0 comes last
-            part = start
+            here = RESIDUAL + row * EQUATION_ROW_STEP + a * EQUATION_PLACE_STEP
             if k > 0:
-                part = BASIS[node, k] * force + BASIS_SLOPE[node, k] * momentum
-                start -= (1 - POINTS[k]) * part
-            W[RESIDUAL + row * EQUATION_ROW_STEP + a * EQUATION_PLACE_STEP, lane] += part
+                part = real(0)
+                moved = real(0)
+                for node in range(NODES):
+                    part += BASIS[node, k] * W[STEP_F + node * DIMENSION + a, lane]
+                    moved += BASIS_SLOPE[node, k] * W[STEP_P + node * DIMENSION + a, lane]
+                W[here, lane] = part + rate * moved
+                rest += (1 - POINTS[k]) * W[here, lane]
+            else:
+                W[here, lane] = whole - share - rate * inertia - rest
 
 
 @compiled
@@ -55,19 +95,19 @@ def keep_drag(W, node, lane):
 
 
 @compiled
-def assemble_matrix(W, h, lane):
-    """Add up what the nodes contribute to D_k D_m L_d: entry by entry, the nodes last."""
+def assemble_entries(W, h, count, row_step, stride, lane):
+    """Add up what the nodes contribute to D_k D_m L_d of some coordinates, the first ones."""
     rate = 1 / h
     size = NODE_L_QV - NODE_L_QQ
     for row in range(DEGREE):
         k = ROW_ORDER[row]
-        for a in range(DIMENSION):
-            i = row * EQUATION_ROW_STEP + a * EQUATION_PLACE_STEP
+        for a in range(count):
+            i = row * row_step + a * EQUATION_PLACE_STEP
             for column in range(DEGREE):
                 m = COLUMN_ORDER[column]
-                first = JACOBIAN + i * EQUATION_STRIDE + EQUATION_OFFSET
-                first += column * EQUATION_ROW_STEP
-                for b in range(max(0, a - BAND), min(DIMENSION, a + BAND + 1)):
+                first = JACOBIAN + i * stride + EQUATION_OFFSET
+                first += column * row_step
+                for b in range(max(0, a - BAND), min(count, a + BAND + 1)):
                     ab = a * NODE_STRIDE + b + NODE_OFFSET
                     ba = b * NODE_STRIDE + a + NODE_OFFSET
                     entry = real(0)
@@ -81,50 +121,25 @@ def assemble_matrix(W, h, lane):
                         entry += weight * W[STEP_QV + here + ba, lane]
                         weight = WEIGHTS[node] * BASIS_SLOPE[node, k] * BASIS_SLOPE[node, m]
                         entry += rate * weight * W[STEP_VV + here + ab, lane]
+                        if DRAGGED:  # unlike L_qv, by columns alone
+                            weight = WEIGHTS[node] * BASIS[node, k] * BASIS_SLOPE[node, m]
+                            entry += weight * W[STEP_F_V + here + ab, lane]
                     W[first + b * EQUATION_PLACE_STEP, lane] = entry
 
 
 @compiled
-def assemble_matrix_of_drag(W, lane):
-    """Add to it what forces contribute that depend on v: unlike L_qv, by columns alone."""
-    size = NODE_L_QV - NODE_L_QQ
-    for row in range(DEGREE):
-        for a in range(DIMENSION):
-            i = row * EQUATION_ROW_STEP + a * EQUATION_PLACE_STEP
-            for column in range(DEGREE):
-                first = JACOBIAN + i * EQUATION_STRIDE + EQUATION_OFFSET
-                first += column * EQUATION_ROW_STEP
-                for b in range(max(0, a - BAND), min(DIMENSION, a + BAND + 1)):
-                    ab = a * NODE_STRIDE + b + NODE_OFFSET
-                    for node in range(NODES):
-                        weight = WEIGHTS[node] * BASIS[node, ROW_ORDER[row]]
-                        weight *= BASIS_SLOPE[node, COLUMN_ORDER[column]]
-                        W[first + b * EQUATION_PLACE_STEP, lane] += (
-                            weight * W[STEP_F_V + node * size + ab, lane]
-                        )
-
-
-@compiled
 def inertia(W, h, lane):
-    """Begin the rows of a constant M: S M Y of the bends, and h p0 - M X_d where p0 belongs to it.
+    """Begin the rows of a constant M, times h: S M Y of the bends, and h p0 - M X_d.
 
-    Each D_k is evaluated by itself and enters rows as a whole; their matrix has combined factors.
+    The matrix has combined factors, the rows are combined later: each D_k is evaluated by itself.
     """
     end = INCREMENT + (DEGREE - 1) * DIMENSION
     for s in range(DIMENSION):
-        start = h * W[MOMENTUM + COORDINATE[s], lane]
+        straight = real(0)
         for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
             mass = W[MASS + s * NODE_STRIDE + b + NODE_OFFSET, lane]
-            start -= mass * W[end + COORDINATE[b], lane]
-        for row in range(BLOCKS):
-            i = row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP
-            W[RESIDUAL + i, lane] = TEST_START[row] * start
-            for column in range(BLOCKS):
-                stiffness = TEST_STIFFNESS[row, column]
-                entry = JACOBIAN + i * SOLVE_STRIDE + SOLVE_OFFSET + column * SOLVE_ROW_STEP
-                for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
-                    mass = stiffness * W[MASS + s * NODE_STRIDE + b + NODE_OFFSET, lane]
-                    W[entry + b * SOLVE_PLACE_STEP, lane] = mass
+            straight += mass * W[end + COORDINATE[b], lane]
+        W[ROW + s, lane] = h * W[MOMENTUM + COORDINATE[s], lane] - straight
         for k in range(1, DEGREE):
             value = real(0)
             for m in range(1, DEGREE):
@@ -135,29 +150,82 @@ def inertia(W, h, lane):
                     bend -= POINTS[m] * W[end + a, lane]
                     moved += W[MASS + s * NODE_STRIDE + b + NODE_OFFSET, lane] * bend
                 value += STIFFNESS[k - 1, m - 1] * moved
-            for row in range(BLOCKS):
-                i = row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP
-                W[RESIDUAL + i, lane] += TEST_ROWS[row, k] * value
+            W[ROW + k * DIMENSION + s, lane] = value
+        for row in range(BLOCKS):
+            i = row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP
+            for column in range(BLOCKS):
+                stiffness = TEST_STIFFNESS[row, column]
+                entry = JACOBIAN + i * SOLVE_STRIDE + SOLVE_OFFSET + column * SOLVE_ROW_STEP
+                for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+                    mass = stiffness * W[MASS + s * NODE_STRIDE + b + NODE_OFFSET, lane]
+                    W[entry + b * SOLVE_PLACE_STEP, lane] = mass
 
 
 @compiled
 def assemble_forces(W, h, node, lane):
     """Add the forces at a node and their derivatives to these rows."""
+    square = h * h
     for s in range(DIMENSION):
         force = h * (h * WEIGHTS[node] * W[NODE_L_Q + s, lane])
-        for row in range(BLOCKS):
-            value = TEST_START[row] * (force - PLACES[node] * force)
-            for k in range(1, DEGREE):
-                value += TEST_ROWS[row, k] * (BASIS[node, k] * force)
-            W[RESIDUAL + row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP, lane] += value
+        W[ROW + s, lane] += force - PLACES[node] * force
+        for k in range(1, DEGREE):
+            W[ROW + k * DIMENSION + s, lane] += BASIS[node, k] * force
     for row in range(BLOCKS):
-        weight = h * h * TEST_FORCE[node, row]
         for s in range(DIMENSION):
             i = row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP
             for column in range(BLOCKS):
-                slope = weight * BASIS[node, SOLVE_COLUMNS[column]]
+                slope = square * (TEST_FORCE[node, row] * BASIS[node, SOLVE_COLUMNS[column]])
                 entry = JACOBIAN + i * SOLVE_STRIDE + SOLVE_OFFSET + column * SOLVE_ROW_STEP
                 for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
                     W[entry + b * SOLVE_PLACE_STEP, lane] += (
                         slope * W[NODE_L_QQ + s * NODE_STRIDE + b + NODE_OFFSET, lane]
                     )
+
+
+@compiled
+def combine_rows(W, lane):
+    """Combine the rows to those that are solved for."""
+    for row in range(BLOCKS):
+        for s in range(DIMENSION):
+            value = TEST_START[row] * W[ROW + s, lane]
+            for k in range(1, DEGREE):
+                value += TEST_ROWS[row, k] * W[ROW + k * DIMENSION + s, lane]
+            W[RESIDUAL + row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP, lane] = value
+
+
+@compiled
+def keep_slopes(W, node, lane):
+    """Keep the derivatives of the forces at a node."""
+    size = NODE_L_QV - NODE_L_QQ
+    for entry in range(size):
+        W[STEP_QQ + node * size + entry, lane] = W[NODE_L_QQ + entry, lane]
+
+
+@compiled
+def correct_end(W, h, lane):
+    """Find what X_d changes by from its row, linearised, behind the other corrections.
+
+    So the force at the solution is not needed before the end of the path is known.
+    """
+    square = h * h
+    size = NODE_L_QV - NODE_L_QQ
+    for s in range(DIMENSION):
+        row = W[ROW + LAST * DIMENSION + s, lane]
+        for node in FORCE_NODES:
+            for column in range(BLOCKS):
+                slope = square * (LAST_FORCE[node] * BASIS[node, SOLVE_COLUMNS[column]])
+                right = RESIDUAL + column * SOLVE_ROW_STEP
+                for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+                    change = slope * W[right + b * SOLVE_PLACE_STEP, lane]
+                    row -= (
+                        change * W[STEP_QQ + node * size + s * NODE_STRIDE + b + NODE_OFFSET, lane]
+                    )
+        W[NODE_VELOCITY + s, lane] = row
+    solve_mass(W, lane)
+    for s in range(DIMENSION):
+        a = COORDINATE[s]
+        change = LAST_SCALE * W[VELOCITY + a, lane]
+        for column in range(BLOCKS):
+            correction = W[RESIDUAL + column * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP, lane]
+            change -= LAST_MOVED[column] * correction
+        W[RESIDUAL + BLOCKS * DIMENSION + s, lane] = change

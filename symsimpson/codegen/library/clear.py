@@ -53,15 +53,6 @@ def clear_matrix(W, lane, entries):
 
 
 @compiled
-def clear_residual(W, lane):
-    """Residual p0 in the rows of q0, zero elsewhere."""
-    for row in range(DEGREE):
-        for s in range(DIMENSION):
-            start = W[MOMENTUM + COORDINATE[s], lane] if ROW_ORDER[row] == 0 else real(0)
-            W[RESIDUAL + row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP, lane] = start
-
-
-@compiled
 def clear_momentum(W, lane):
     """Begin the sum that makes p1 - p0."""
     for a in range(DIMENSION):

@@ -4,17 +4,21 @@ TIME holds t and what rounding has taken from it, then both as they were before 
 """
 
 
-@compiled
-def keep_time(W, lane):
-    """Keep the time before the step."""
-    W[TIME + 2, lane] = W[TIME, lane]
-    W[TIME + 3, lane] = W[TIME + 1, lane]
-
-
-@compiled
-def begin_time(W, lane):
-    """Begin to add up the time of the step."""
-    W[PASSED, lane] = real(0)
+@kernel
+def clock(W, h, t, lane):
+    """Add the time that the step took."""
+    if W[ACTIVE, lane] != 0:
+        W[TIME + 2, lane] = W[TIME, lane]
+        W[TIME + 3, lane] = W[TIME + 1, lane]
+        if not COMPOSED:  # kicks and drifts add up their time themselves
+            W[PASSED, lane] = real(0)
+            exchange_steps(W, lane)
+            for node in range(NODES):
+                at_node(W, h, t, node, lane)
+                time_rate(W, lane)
+                pass_time(W, h, node, lane)
+            exchange_steps(W, lane)
+        close_time(W, h, lane)
 
 
 @compiled

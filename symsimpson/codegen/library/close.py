@@ -4,38 +4,30 @@
 @compiled
 def accumulate(W, h, node, lane):
     """Add a node's part to p1 - p0 = h sum_i b_i L_q(q_i, v_i)."""
+    weight = h * WEIGHTS[node]
     for s in range(DIMENSION):
-        W[RESIDUAL + COORDINATE[s], lane] += h * WEIGHTS[node] * W[NODE_L_Q + s, lane]
+        force = weight * W[NODE_L_Q + s, lane]
+        W[RESIDUAL + COORDINATE[s], lane] += force
 
 
 @compiled
-def accumulate_last(W, h, node, lane):
-    """Add the forces at a node to the row that gives the end of the path."""
+def accumulate_start(W, h, node, lane):
+    """Add the force at a node to the row of q0."""
+    weight = h * WEIGHTS[node]
     for s in range(DIMENSION):
-        force = h * WEIGHTS[node] * W[NODE_L_Q + s, lane]
-        if LAST == 0:
-            W[RESIDUAL + COORDINATE[s], lane] += force - PLACES[node] * force
-        else:
-            W[RESIDUAL + COORDINATE[s], lane] += BASIS[node, LAST] * force
+        force = weight * W[NODE_L_Q + s, lane]
+        W[RESIDUAL + COORDINATE[s], lane] += force - PLACES[node] * force
 
 
 @compiled
 def end_path(W, h, lane):
-    """Find X_d from its row: a velocity, and what the bends of the path add.
-
-    It is corrected, not made anew: so a rounded factor does not make it differ from the solution.
-    """
+    """Find the end of a straight path from this row: h M^-1 times what p0 becomes."""
     for s in range(DIMENSION):
         a = COORDINATE[s]
-        W[NODE_VELOCITY + s, lane] = W[RESIDUAL + a, lane] + LAST_START * W[MOMENTUM + a, lane]
+        W[NODE_VELOCITY + s, lane] = W[RESIDUAL + a, lane] + W[MOMENTUM + a, lane]
     solve_mass(W, lane)
     for a in range(DIMENSION):
-        end = INCREMENT + (DEGREE - 1) * DIMENSION + a
-        value = h * W[VELOCITY + a, lane]
-        for m in range(1, DEGREE):
-            bend = W[INCREMENT + (m - 1) * DIMENSION + a, lane] - POINTS[m] * W[end, lane]
-            value += STIFFNESS[LAST - 1, m - 1] * bend
-        W[end, lane] = value if LAST == 0 else W[end, lane] + LAST_SCALE * value
+        W[INCREMENT + (DEGREE - 1) * DIMENSION + a, lane] = h * W[VELOCITY + a, lane]
 
 
 @compiled
@@ -81,16 +73,22 @@ def keep_step(W, lane):
 
 
 @compiled
-def close_step(W, lane):
-    """Add the increments to q and p, with what rounding lost carried along."""
-    keep_step(W, lane)
+def measure_prediction(W, lane):
+    """Find how far the increments are from what was predicted, by the diagonal of M(q0)."""
     prediction_error_squared = real(0)
-    for a in range(DIMENSION):
+    for s in range(SOLVE_COORDINATES):
+        a = COORDINATE[s]
         for row in range(a, DEGREE * DIMENSION, DIMENSION):
             error = W[INCREMENT + row, lane] - W[PREDICTED + row, lane]
             prediction_error_squared += W[MASS_DIAGONAL + a, lane] * error**2
+    W[PREDICTION_ERROR_SQUARED, lane] = prediction_error_squared
+
+
+@compiled
+def close_step(W, lane):
+    """Add the increments to q and p, with what rounding lost carried along."""
+    for a in range(DIMENSION):
         increment = W[INCREMENT + (DEGREE - 1) * DIMENSION + a, lane] + W[POSITION_LOW + a, lane]
         add_exactly(W, POSITION + a, POSITION_LOW + a, increment, lane)
         increment = W[RESIDUAL + a, lane] + W[MOMENTUM_LOW + a, lane]
         add_exactly(W, MOMENTUM + a, MOMENTUM_LOW + a, increment, lane)
-    W[PREDICTION_ERROR_SQUARED, lane] = prediction_error_squared

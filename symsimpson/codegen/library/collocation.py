@@ -13,10 +13,9 @@ def on_grid(units):
 
 def legendre_p(degree, x):
     """The Legendre polynomial P at x, of the degree and of the one below."""
-    one = 10**DIGITS
-    before, now = 0, one
+    before, now = 0, ONE
     for k in range(1, degree + 1):
-        before, now = now, ((2 * k - 1) * x * now // one - (k - 1) * before) // k
+        before, now = now, ((2 * k - 1) * x * now // ONE - (k - 1) * before) // k
     return now, before
 
 
@@ -25,10 +24,9 @@ def zeros(function, count):
 
     All are positive at 1.
     """
-    one = 10**DIGITS
     roots = []
     for degree in range(1, count + 1):
-        ends = [-one, *roots, one]
+        ends = [-ONE, *roots, ONE]
         roots = []
         for place in range(degree):
             low, high = ends[place], ends[place + 1]
@@ -45,29 +43,27 @@ def zeros(function, count):
 
 def quadrature(kind, nodes):
     """Nodes and weights on [0, 1]."""
-    one = 10**DIGITS
     if kind == "gauss":
         roots = zeros(lambda k, x: legendre_p(k, x)[0], nodes)
         # 2/((1 - x^2) P'^2) with (x^2 - 1) P' = n (x P - P_below)
-        weights = [(one**2 - x * x) * one // (nodes * legendre_p(nodes, x)[1]) ** 2 for x in roots]
+        weights = [(ONE**2 - x * x) * ONE // (nodes * legendre_p(nodes, x)[1]) ** 2 for x in roots]
     else:
         # (x^2 - 1) P' where P' is zero
         roots = zeros(
-            lambda k, x: legendre_p(k + 1, x)[1] * one - x * legendre_p(k + 1, x)[0], nodes - 2
+            lambda k, x: legendre_p(k + 1, x)[1] * ONE - x * legendre_p(k + 1, x)[0], nodes - 2
         )
-        roots = [-one, *roots, one]
+        roots = [-ONE, *roots, ONE]
         weights = [
-            one**3 // (nodes * (nodes - 1) * legendre_p(nodes - 1, x)[0] ** 2) for x in roots
+            ONE**3 // (nodes * (nodes - 1) * legendre_p(nodes - 1, x)[0] ** 2) for x in roots
         ]
-    return [(x + one) // 2 for x in roots], weights
+    return [(x + ONE) // 2 for x in roots], weights
 
 
 def basis(points, x):
     """The Lagrange polynomials of the points at x."""
-    one = 10**DIGITS
     values = []
     for point in points:
-        value = one
+        value = ONE
         for other in points:
             if other != point:
                 value = value * (x - other) // (point - other)
@@ -77,17 +73,16 @@ def basis(points, x):
 
 def slopes(points, x):
     """Their derivatives at x."""
-    one = 10**DIGITS
     values = []
     for point in points:
         total = 0
         for leaving in points:
-            value = one
+            value = ONE
             for other in points:
                 if other not in (point, leaving):
                     value = value * (x - other) // (point - other)
             if leaving != point:
-                total += value * one // (point - leaving)
+                total += value * ONE // (point - leaving)
         values.append(total)
     return values
 
@@ -101,24 +96,23 @@ def path_tables(kind, nodes, degree):
     def rows(table):
         return array([[number(value) for value in values] for values in table])
 
-    one = 10**DIGITS
     points = quadrature("lobatto", degree + 1)[0]
     c, b = quadrature(kind, nodes)
     bends = []
     for x in points[1:]:
         value = x
         for other in points[:-1]:
-            value = value * (x - (other - one)) // (one - other)
+            value = value * (x - (other - ONE)) // (ONE - other)
         bends.append(value)
-    ahead = [basis(points, one + x) for x in points[1:]]
+    ahead = [basis(points, ONE + x) for x in points[1:]]
     return (
         row(points),
         row(c),
         row(b),
         rows(basis(points, x) for x in c),
         rows(slopes(points, x) for x in c),
-        rows([*values[1:-1], values[-1] - one] for values in ahead),
-        row(slopes(points, one)[1:]),
+        rows([*values[1:-1], values[-1] - ONE] for values in ahead),
+        row(slopes(points, ONE)[1:]),
         row(bends),
     )
 
@@ -132,11 +126,10 @@ def with_gauss_points(places, values, slopes_there, degree):
 
 def shares_up_to(c, b, end):
     """The integrals up to an end of the Lagrange polynomials of the nodes, each by its weight."""
-    one = 10**DIGITS
-    inner = [basis(c, end * x // one) for x in c]
+    inner = [basis(c, end * x // ONE) for x in c]
     shares = []
     for j in range(len(b)):
-        total = sum(b[m] * inner[m][j] for m in range(len(b))) // one
+        total = sum(b[m] * inner[m][j] for m in range(len(b))) // ONE
         shares.append(end * total // b[j])
     return shares
 
@@ -149,23 +142,22 @@ def stage_table(kind, nodes):
     b_i/b_j times the polynomials at 1 + c_i, then the same for their parts up to degree s - 3,
     which are smoother. A column belongs to node i; those past the last are zero.
     """
-    one = 10**DIGITS
     c, b = quadrature(kind, nodes)
     table = array([[real(0)] * STRIDE for _ in range(4 * nodes)])
     velocities, forces, ahead = table[:nodes], table[nodes : 2 * nodes], table[2 * nodes :]
     for i in range(nodes):
         shares = shares_up_to(c, b, c[i])
-        following = basis(c, one + c[i])
-        smooth = [legendre_p(k, 2 * c[i] + one)[0] for k in range(max(1, nodes - 2))]
+        following = basis(c, ONE + c[i])
+        smooth = [legendre_p(k, 2 * c[i] + ONE)[0] for k in range(max(1, nodes - 2))]
         for j in range(nodes):
             velocities[j, i] = on_grid(shares[j])
             forces[i, j] = real(1) - velocities[j, i]
             ahead[j, i] = number(b[i] * following[j] // b[j])
             terms = [
-                (2 * k + 1) * value * legendre_p(k, 2 * c[j] - one)[0] // one
+                (2 * k + 1) * value * legendre_p(k, 2 * c[j] - ONE)[0] // ONE
                 for k, value in enumerate(smooth)
             ]
-            ahead[nodes + j, i] = number(b[i] * sum(terms) // one)
+            ahead[nodes + j, i] = number(b[i] * sum(terms) // ONE)
     return table
 
 
@@ -174,3 +166,9 @@ def reach_table(kind, nodes):
     c, b = quadrature(kind, nodes)
     ends = quadrature("lobatto", nodes + 1)[0][1:]
     return array([[number(share) for share in shares_up_to(c, b, end)] for end in ends])
+
+
+def end_table(kind, nodes):
+    """How moves of the nodes add up to the velocity at the end, times h."""
+    c, b = quadrature(kind, nodes)
+    return array([number(x * ONE // b[j]) for j, x in enumerate(basis(c, ONE))])

@@ -10,6 +10,32 @@ At control points the multipliers u of the rows phi = 0 stand beside w of the ot
 
 
 @compiled
+def undo_projection(W, h, t, lane):
+    """Carry derivatives of a cost from the end of the step to before its projection."""
+    exchange_steps(W, lane)
+    impulse_of_step(W, h, t, lane)
+    exchange_steps(W, lane)
+    take_end(W, lane)
+    factor_at_start(W, t + h, lane)
+    solve_velocity(W, lane)
+    jet(W, lane)
+    if VARIED_BY:
+        differentiate_state(W, h, 1, lane)
+    keep_end(W, lane)
+    momentum_of_adjoint(W, lane)
+    allow_no_change(W, lane)
+    solve_held(W, lane)
+    differentiate_constraints(W, lane)
+    pull_curvature(W, lane)
+    if CARRIED:
+        differentiate_carried(W, lane)
+        pull_carried(W, lane)
+    take_projected(W, lane)
+    differentiate_constraints(W, lane)
+    pull_projection(W, lane)
+
+
+@compiled
 def times_column(W, first, i, x, lane):
     """Multiply a column of derivatives of Phi^T lambda by q, or of Phi^T, with a vector."""
     total = real(0)
@@ -53,7 +79,10 @@ def momentum_of_adjoint(W, lane):
 
 @compiled
 def pull_curvature(W, lane):
-    """Add P_q^T (b - x) - Hess(z.phi) v to the derivative by q1; x stands where velocities do."""
+    """Add P_q^T (b - x) - Hess(z.phi) v to the derivative by q1; x stands where velocities do.
+
+    Parameters change P and the pull as well.
+    """
     for s in range(DIMENSION):
         slope = -times_column(W, CONSTRAINT_QQ, HELD_PLACE[s], ADJOINT_START, lane)
         for c in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
@@ -61,21 +90,17 @@ def pull_curvature(W, lane):
             taken = W[ADJOINT + DIMENSION + a, lane] - W[VELOCITY + a, lane]
             slope += W[NODE_L_QV + s * NODE_STRIDE + c + NODE_OFFSET, lane] * taken
         W[ADJOINT + COORDINATE[s], lane] += slope
-
-
-@compiled
-def pull_curvature_slopes(W, lane):
-    """Find what parameters change of that."""
-    for j in range(VARIED):
-        slope = real(0)
-        for s in range(DIMENSION):
-            velocity = W[ADJOINT_START + COORDINATE[s], lane]
-            slope -= W[CONSTRAINT_QA + j * DIMENSION + s, lane] * velocity
-        for row in range(P_A_FROM[j], P_A_FROM[j + 1]):
-            a = COORDINATE[P_A_PLACE[row]]
-            taken = W[ADJOINT + DIMENSION + a, lane] - W[VELOCITY + a, lane]
-            slope += W[NODE_P_A + row, lane] * taken
-        W[COST_END + j, lane] = slope
+    if VARIED_BY:
+        for j in range(VARIED):
+            slope = real(0)
+            for s in range(DIMENSION):
+                velocity = W[ADJOINT_START + COORDINATE[s], lane]
+                slope -= W[CONSTRAINT_QA + j * DIMENSION + s, lane] * velocity
+            for row in range(P_A_FROM[j], P_A_FROM[j + 1]):
+                a = COORDINATE[P_A_PLACE[row]]
+                taken = W[ADJOINT + DIMENSION + a, lane] - W[VELOCITY + a, lane]
+                slope += W[NODE_P_A + row, lane] * taken
+            W[COST_END + j, lane] = slope
 
 
 @compiled
@@ -89,20 +114,16 @@ def take_projected(W, lane):
 
 @compiled
 def pull_projection(W, lane):
-    """Add -Hess(nu.phi) x to the derivative by q1."""
+    """Add -Hess(nu.phi) x to the derivative by q1, and what parameters change of the pull."""
     for s in range(DIMENSION):
         W[ADJOINT + COORDINATE[s], lane] -= times_column(
             W, CONSTRAINT_QQ, HELD_PLACE[s], ADJOINT + DIMENSION, lane
         )
-
-
-@compiled
-def pull_projection_slopes(W, lane):
-    """Add what parameters change of that."""
-    for j in range(VARIED):
-        for s in range(DIMENSION):
-            x = W[ADJOINT + DIMENSION + COORDINATE[s], lane]
-            W[COST_END + j, lane] -= W[CONSTRAINT_QA + j * DIMENSION + s, lane] * x
+    if VARIED_BY:
+        for j in range(VARIED):
+            for s in range(DIMENSION):
+                x = W[ADJOINT + DIMENSION + COORDINATE[s], lane]
+                W[COST_END + j, lane] -= W[CONSTRAINT_QA + j * DIMENSION + s, lane] * x
 
 
 @compiled
@@ -130,7 +151,7 @@ def pulled(W, point, s, lane):
 
 @compiled
 def pull_start_of_point(W, h, point, lane):
-    """Add the derivative by q0 that goes through a control point."""
+    """Add the derivatives by q0 and by parameters that go through a control point."""
     first = POINT_QQ + point * HELD_SIZE + HELD_OFFSET
     for s in range(DIMENSION):
         i = HELD_PLACE[s]
@@ -145,26 +166,15 @@ def pull_start_of_point(W, h, point, lane):
                 u = W[ADJOINT_RIGHT + DEGREE * DIMENSION + (point - 1) * CONSTRAINTS + c, lane]
                 slope -= W[first + j * HELD_STRIDE + i, lane] * u
         W[ADJOINT_START + s, lane] += slope / h
-
-
-@compiled
-def pull_slopes_of_point(W, h, point, lane):
-    """Add the derivatives by parameters that go through a control point."""
-    for j in range(VARIED):
-        slope = real(0)
-        for s in range(DIMENSION):
-            if point < DEGREE:
-                pull = W[POINT_QA + (point * VARIED + j) * DIMENSION + s, lane]
-                slope += pull * pulled(W, point, s, lane)
-        for c in range(CONSTRAINTS):
-            if point > 0:
-                u = W[ADJOINT_RIGHT + DEGREE * DIMENSION + (point - 1) * CONSTRAINTS + c, lane]
-                slope -= W[POINT_A + (point * VARIED + j) * CONSTRAINTS + c, lane] * u
-        W[COST_SLOPE + j * NODES, lane] += slope / h
-
-
-@compiled
-def add_end_slopes(W, lane):
-    """Add the derivatives by parameters that go through the end of the step."""
-    for j in range(VARIED):
-        W[COST_SLOPE + j * NODES, lane] += W[COST_END + j, lane]
+    if VARIED_BY:
+        for j in range(VARIED):
+            slope = real(0)
+            for s in range(DIMENSION):
+                if point < DEGREE:
+                    pull = W[POINT_QA + (point * VARIED + j) * DIMENSION + s, lane]
+                    slope += pull * pulled(W, point, s, lane)
+            for c in range(CONSTRAINTS):
+                if point > 0:
+                    u = W[ADJOINT_RIGHT + DEGREE * DIMENSION + (point - 1) * CONSTRAINTS + c, lane]
+                    slope -= W[POINT_A + (point * VARIED + j) * CONSTRAINTS + c, lane] * u
+            W[COST_SLOPE + j * NODES, lane] += slope / h

@@ -49,10 +49,13 @@ def assemble_constraint(W, h, point, lane):
     """
     rate = 1 / h
     if point < DEGREE:
-        constraint_forces(W, lane)
         for s in range(DIMENSION):
-            row = ROW_OF_POINT[point] * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
-            W[RESIDUAL + row, lane] -= rate * W[CONSTRAINT_FORCE + COORDINATE[s], lane]
+            i = HELD_PLACE[s]
+            there = ROW_OF_POINT[point] * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
+            for j in range(max(0, i - HELD_BAND), min(HELD_PLACES, i + HELD_BAND + 1)):
+                if CONSTRAINT_AT[j] >= 0:
+                    slope = rate * W[CONSTRAINT_QQ + i * HELD_STRIDE + HELD_OFFSET + j, lane]
+                    W[RESIDUAL + there, lane] -= slope * W[MULTIPLIER + CONSTRAINT_AT[j], lane]
     if point > 0:
         for c in range(CONSTRAINTS):
             row = DEGREE * DIMENSION + (point - 1) * CONSTRAINTS + c
@@ -61,11 +64,14 @@ def assemble_constraint(W, h, point, lane):
         held = CONSTRAINT_AT[i] >= 0
         row = point - 1 if held else ROW_OF_POINT[point]
         scale = rate if held else -rate
-        entry = JACOBIAN + (row * HELD_ROW_STEP + i * HELD_PLACE_STEP) * SOLVE_STRIDE + SOLVE_OFFSET
+        here = HELD_SHIFT + row * HELD_PULL_STEP if held else row * HELD_ROW_STEP
+        entry = JACOBIAN + (here + i * HELD_PLACE_STEP) * SOLVE_STRIDE + SOLVE_OFFSET
         for j in range(max(0, i - HELD_BAND), min(HELD_PLACES, i + HELD_BAND + 1)):
-            column = point if CONSTRAINT_AT[j] >= 0 else COLUMN_OF_POINT[point]
+            pulls = CONSTRAINT_AT[j] >= 0
+            column = point if pulls else COLUMN_OF_POINT[point]
+            there = HELD_SHIFT + column * HELD_PULL_STEP if pulls else column * HELD_ROW_STEP
             if row >= 0 and column >= 0 and column < DEGREE:
-                W[entry + column * HELD_ROW_STEP + j * HELD_PLACE_STEP, lane] += (
+                W[entry + there + j * HELD_PLACE_STEP, lane] += (
                     scale * W[CONSTRAINT_QQ + i * HELD_STRIDE + HELD_OFFSET + j, lane]
                 )
 
@@ -89,6 +95,28 @@ def join_equations(W, lane):
 
 
 @compiled
+def stiffen(W, h, lane):
+    """Add w Phi^T phi to the rows of increments: their pivots are regular where M is not.
+
+    What is added is as large as M at the start of the step, which w is taken from.
+    """
+    for row in range(DEGREE):
+        k, m = ROW_ORDER[row], COLUMN_ORDER[row]
+        for s in range(DIMENSION):
+            i = row * HELD_ROW_STEP + HELD_PLACE[s] * HELD_PLACE_STEP
+            here = JACOBIAN + i * SOLVE_STRIDE + SOLVE_OFFSET
+            for c in range(CONSTRAINTS):
+                place = HELD_SHIFT + HELD_PLACE[DIMENSION + c] * HELD_PLACE_STEP
+                scale = h * ROW_STIFFNESS[row] * W[CONSTRAINT_WEIGHT + c, lane]
+                share = scale * W[here + place + k * HELD_PULL_STEP, lane]
+                asked = place + (m - 1) * HELD_PULL_STEP
+                W[RESIDUAL + i, lane] -= share * W[RESIDUAL + asked, lane]
+                there = JACOBIAN + asked * SOLVE_STRIDE + SOLVE_OFFSET
+                for j in range(SOLVE_UNKNOWNS):
+                    W[here + j, lane] -= share * W[there + j, lane]
+
+
+@compiled
 def join_rows(W, first, lane):
     """Bring rows, of increments and then of multipliers, into the order of elimination."""
     for row in range(DEGREE):
@@ -97,7 +125,8 @@ def join_rows(W, first, lane):
             here = row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
             W[HELD_RIGHT + there, lane] = W[first + here, lane]
         for c in range(CONSTRAINTS):
-            there = row * HELD_ROW_STEP + HELD_PLACE[DIMENSION + c] * HELD_PLACE_STEP
+            there = HELD_SHIFT + row * HELD_PULL_STEP
+            there += HELD_PLACE[DIMENSION + c] * HELD_PLACE_STEP
             here = DEGREE * DIMENSION + row * CONSTRAINTS + c
             W[HELD_RIGHT + there, lane] = W[first + here, lane]
     for row in range(DEGREE * HELD_PLACES):
@@ -115,7 +144,8 @@ def part_rows(W, first, lane):
             here = row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
             W[first + here, lane] = W[HELD_RIGHT + there, lane]
         for c in range(CONSTRAINTS):
-            there = row * HELD_ROW_STEP + HELD_PLACE[DIMENSION + c] * HELD_PLACE_STEP
+            there = HELD_SHIFT + row * HELD_PULL_STEP
+            there += HELD_PLACE[DIMENSION + c] * HELD_PLACE_STEP
             here = DEGREE * DIMENSION + row * CONSTRAINTS + c
             W[first + here, lane] = W[HELD_RIGHT + there, lane]
 
@@ -146,19 +176,31 @@ def carry_multipliers(W, lane):
 
 
 @compiled
-def add_pull(W, h, lane):
-    """Add the pull -Phi^T mu of constraints at a control point to p1 - p0."""
-    constraint_forces(W, lane)
+def add_pull(W, lane):
+    """Add the pull -Phi^T mu of constraints at a control point to p1 - p0, h times."""
+    for s in range(DIMENSION):
+        i = HELD_PLACE[s]
+        row = CONSTRAINT_QQ + i * HELD_STRIDE + HELD_OFFSET
+        for j in range(max(0, i - HELD_BAND), min(HELD_PLACES, i + HELD_BAND + 1)):
+            if CONSTRAINT_AT[j] >= 0:
+                pull = W[row + j, lane] * W[MULTIPLIER + CONSTRAINT_AT[j], lane]
+                W[RESIDUAL + COORDINATE[s], lane] -= pull
+
+
+@compiled
+def divide_pulls(W, h, lane):
+    """Divide their sum by h."""
+    rate = 1 / h
     for a in range(DIMENSION):
-        W[RESIDUAL + a, lane] -= W[CONSTRAINT_FORCE + a, lane] / h
+        W[RESIDUAL + a, lane] *= rate
 
 
 @compiled
 def border_mass(W, lane):
-    """Write M + w Phi^T Phi, bordered by Phi: definite if M is for what constraints allow.
+    """Write M, bordered by Phi, and a weight w of each constraint.
 
-    Velocities with Phi v = 0 do not see what is added. Each w is the trace of M, as far as it is
-    near, in units of its row of Phi.
+    Then M + w Phi^T Phi is definite if M is for what constraints allow: each w is the trace of M,
+    as far as it is near, in units of its row of Phi.
     """
     first = HELD + HELD_OFFSET
     slopes = CONSTRAINT_QQ + HELD_OFFSET
@@ -180,7 +222,17 @@ def border_mass(W, lane):
                 square += slope**2
                 W[first + i * HELD_STRIDE + j, lane] = slope
                 W[first + j * HELD_STRIDE + i, lane] = slope
-        W[CONSTRAINT_WEIGHT + c, lane] = trace / (square if square > 0 else real(1))
+        if TRACED:
+            W[CONSTRAINT_WEIGHT + c, lane] = trace / square
+        else:
+            W[CONSTRAINT_WEIGHT + c, lane] = trace / (square if square > 0 else real(1))
+
+
+@compiled
+def weigh_constraints(W, lane):
+    """Add w Phi^T Phi to M, which velocities with Phi v = 0 do not see."""
+    first = HELD + HELD_OFFSET
+    slopes = CONSTRAINT_QQ + HELD_OFFSET
     for c in range(CONSTRAINTS):
         i = HELD_PLACE[DIMENSION + c]
         begin = max(0, i - HELD_BAND)
@@ -214,7 +266,7 @@ def factor_held(W, lane):
         c = CONSTRAINT_AT[i]
         if c < 0:
             deficit += pivot - abs(pivot)
-        else:
+        elif not TRACED:
             whole = real(0)
             for j in range(max(0, i - HELD_BAND), i):
                 if CONSTRAINT_AT[j] < 0:
@@ -235,7 +287,7 @@ def solve_held(W, lane):
         right = W[NODE_VELOCITY + s, lane]
         for j in range(max(0, i - HELD_BAND), min(HELD_PLACES, i + HELD_BAND + 1)):
             c = CONSTRAINT_AT[j]
-            if c >= 0:  # what was added to M
+            if c >= 0 and WEIGHTED:  # what was added to M
                 share = W[CONSTRAINT_WEIGHT + c, lane] * W[CURVATURE + c, lane]
                 right += share * W[CONSTRAINT_QQ + i * HELD_STRIDE + HELD_OFFSET + j, lane]
         W[HELD_RIGHT + i, lane] = right
@@ -270,12 +322,20 @@ def change_to_constraints(W, lane):
 
 
 @compiled
-def project_momentum(W, lane):
-    """Take from p what constraints do not allow, Phi^T nu."""
+def take_momentum(W, lane):
+    """Take from p what constraints take."""
     constraint_forces(W, lane)
     for a in range(DIMENSION):
-        taken = W[CONSTRAINT_FORCE + a, lane]
-        add_exactly(W, MOMENTUM + a, MOMENTUM_LOW + a, W[MOMENTUM_LOW + a, lane] - taken, lane)
+        W[RESIDUAL + a, lane] -= W[CONSTRAINT_FORCE + a, lane]
+
+
+@compiled
+def momentum_at_end(W, lane):
+    """Return p1 - a to the solve for the velocity, before constraints take their part."""
+    for s in range(DIMENSION):
+        a = COORDINATE[s]
+        p = W[MOMENTUM + a, lane] + (W[RESIDUAL + a, lane] + W[MOMENTUM_LOW + a, lane])
+        W[NODE_VELOCITY + s, lane] = p - W[NODE_L_V + s, lane]
 
 
 @compiled

@@ -10,6 +10,42 @@ with P = L_v, and what is left of the momentum changes by M dv + P_q dq.
 
 
 @compiled
+def project_variations(W, h, t, lane):
+    """Project the variations of p at the end of the step; velocities are found once more."""
+    factor_at_start(W, t + h, lane)
+    solve_velocity(W, lane)
+    jet(W, lane)
+    if VARIED_BY:
+        differentiate_state(W, h, 1, lane)
+    for constraint in range(CONSTRAINTS):
+        choose_constraint(W, constraint, lane)
+        differentiate_constraints(W, lane)
+        for variation in range(int(W[TANGENTS, lane])):
+            vary_curvature(W, constraint, variation, lane)
+    if CARRIED:
+        differentiate_carried(W, lane)
+        for variation in range(int(W[TANGENTS, lane])):
+            vary_carried(W, variation, lane)
+    momentum_taken(W, lane)
+    allow_no_change(W, lane)
+    solve_held(W, lane)
+    differentiate_constraints(W, lane)
+    for variation in range(int(W[TANGENTS, lane])):
+        begin_projection(W, variation, lane)
+        solve_held(W, lane)
+        close_projection(W, variation, lane)
+    solve_velocity(W, lane)
+
+
+@compiled
+def differentiate_constraints(W, lane):
+    """Evaluate phi and Phi^T lambda with their derivatives, by parameters too."""
+    constrain(W, lane)
+    if VARIED_BY:
+        constraint_parameter_slopes(W, lane)
+
+
+@compiled
 def times_dq(W, first, i, dq, lane):
     """Multiply a row of Hess(lambda.phi), or of Phi, with a change of q.
 
@@ -25,34 +61,27 @@ def times_dq(W, first, i, dq, lane):
 
 
 @compiled
-def vary_constraint(W, h, point, dq, room, lane):
-    """Add to the right side what dq0 changes of constraints at a control point and their pull."""
+def vary_constraint(W, h, point, dq, room, parameter, lane):
+    """Add to the right side what changes of constraints at a control point and their pull.
+
+    The pull that a parameter changes belongs to dp1 - dp0, too.
+    """
     first = POINT_QQ + point * HELD_SIZE
     if point < DEGREE:
         for s in range(DIMENSION):
             row = ROW_OF_POINT[point] * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
             W[room + row, lane] += times_dq(W, first, HELD_PLACE[s], dq, lane) / h
+            if VARIED_BY and parameter >= 0:
+                pull = W[POINT_QA + (point * VARIED + parameter) * DIMENSION + s, lane] / h
+                W[room + row, lane] += pull
+                W[room + UNKNOWNS + COORDINATE[s], lane] -= pull
     if point > 0:
         for c in range(CONSTRAINTS):
             row = DEGREE * DIMENSION + (point - 1) * CONSTRAINTS + c
             W[room + row, lane] -= times_dq(W, first, HELD_PLACE[DIMENSION + c], dq, lane) / h
-
-
-@compiled
-def add_constraint_slopes(W, h, point, room, parameter, lane):
-    """Add to it, and to dp1 - dp0, what a parameter changes of these."""
-    if parameter >= 0 and point < DEGREE:
-        for s in range(DIMENSION):
-            row = ROW_OF_POINT[point] * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
-            pull = W[POINT_QA + (point * VARIED + parameter) * DIMENSION + s, lane] / h
-            W[room + row, lane] += pull
-            W[room + UNKNOWNS + COORDINATE[s], lane] -= pull
-    if parameter >= 0 and point > 0:
-        for c in range(CONSTRAINTS):
-            row = DEGREE * DIMENSION + (point - 1) * CONSTRAINTS + c
-            W[room + row, lane] -= (
-                W[POINT_A + (point * VARIED + parameter) * CONSTRAINTS + c, lane] / h
-            )
+            if VARIED_BY and parameter >= 0:
+                slope = POINT_A + (point * VARIED + parameter) * CONSTRAINTS + c
+                W[room + row, lane] -= W[slope, lane] / h
 
 
 @compiled
@@ -84,23 +113,22 @@ def choose_constraint(W, constraint, lane):
 
 
 @compiled
-def vary_curvature(W, constraint, dq, room, lane):
-    """Find -(v.phi_qq) dq of a constraint, behind the right side for dv."""
+def vary_curvature(W, constraint, variation, lane):
+    """Find -(v.phi_qq) dq of a constraint and what a parameter changes of -Phi v.
+
+    It stands after the right side for dv.
+    """
+    dq = TANGENT + variation * 2 * DIMENSION
     total = real(0)
     for s in range(DIMENSION):
         change = times_dq(W, CONSTRAINT_QQ, HELD_PLACE[s], dq, lane)
         total -= W[VELOCITY + COORDINATE[s], lane] * change
-    W[room + DIMENSION + constraint, lane] = total
-
-
-@compiled
-def add_curvature_slopes(W, constraint, room, parameter, lane):
-    """Add to it what a parameter changes of Phi v."""
-    row = room + DIMENSION + constraint
-    if parameter >= 0:
+    parameter = parameter_of(W, variation, lane)
+    if VARIED_BY and parameter >= 0:
         for s in range(DIMENSION):
             slope = W[CONSTRAINT_QA + parameter * DIMENSION + s, lane]
-            W[row, lane] -= W[VELOCITY + COORDINATE[s], lane] * slope
+            total -= W[VELOCITY + COORDINATE[s], lane] * slope
+    W[work_row_of(W, variation, lane) + DIMENSION + constraint, lane] = total
 
 
 @compiled
@@ -123,48 +151,40 @@ def turned_momentum(W, s, dq, lane):
 
 
 @compiled
-def begin_projection(W, dq, room, lane):
-    """Find the right side for dv: dp - Hess(nu.phi) dq - P_q dq."""
+def begin_projection(W, variation, lane):
+    """Let the right side of a variation be what is solved next: dp - Hess(nu.phi) dq - P_q dq.
+
+    A parameter changes P and the pull as well.
+    """
+    dq = TANGENT + variation * 2 * DIMENSION
+    room = work_row_of(W, variation, lane)
     for s in range(DIMENSION):
         right = W[dq + DIMENSION + COORDINATE[s], lane]
         right -= times_dq(W, CONSTRAINT_QQ, HELD_PLACE[s], dq, lane)
-        W[room + s, lane] = right - turned_momentum(W, s, dq, lane)
-
-
-@compiled
-def add_projection_slopes(W, room, parameter, lane):
-    """Add to it what a parameter changes of P and of the pull."""
-    if parameter >= 0:
+        W[NODE_VELOCITY + s, lane] = right - turned_momentum(W, s, dq, lane)
+    parameter = parameter_of(W, variation, lane)
+    if VARIED_BY and parameter >= 0:
         for s in range(DIMENSION):
-            W[room + s, lane] -= W[CONSTRAINT_QA + parameter * DIMENSION + s, lane]
+            slope = W[CONSTRAINT_QA + parameter * DIMENSION + s, lane]
+            W[NODE_VELOCITY + s, lane] -= slope
         for row in range(P_A_FROM[parameter], P_A_FROM[parameter + 1]):
-            W[room + P_A_PLACE[row], lane] -= W[NODE_P_A + row, lane]
-
-
-@compiled
-def take_right_side(W, room, lane):
-    """Let the right side of a variation be that of the next solve."""
-    for s in range(DIMENSION):
-        W[NODE_VELOCITY + s, lane] = W[room + s, lane]
+            W[NODE_VELOCITY + P_A_PLACE[row], lane] -= W[NODE_P_A + row, lane]
     for c in range(CONSTRAINTS):
         W[CURVATURE + c, lane] = W[room + DIMENSION + c, lane]
 
 
 @compiled
-def close_projection(W, dq, lane):
-    """Find dp = M dv + P_q dq of the projected momentum."""
+def close_projection(W, variation, lane):
+    """Find dp = M dv + P_q dq of the projected momentum, and what a parameter changes of P."""
+    dq = TANGENT + variation * 2 * DIMENSION
+    dp = dq + DIMENSION
     for s in range(DIMENSION):
         change = turned_momentum(W, s, dq, lane)
         for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
             mass = W[NODE_L_VV + s * NODE_STRIDE + b + NODE_OFFSET, lane]
             change += mass * W[NODE_VELOCITY + b, lane]
-        W[dq + DIMENSION + COORDINATE[s], lane] = change
-
-
-@compiled
-def add_momentum_slopes(W, dq, parameter, lane):
-    """Add to it what a parameter changes of P."""
-    dp = dq + DIMENSION
-    if parameter >= 0:
+        W[dp + COORDINATE[s], lane] = change
+    parameter = parameter_of(W, variation, lane)
+    if VARIED_BY and parameter >= 0:
         for row in range(P_A_FROM[parameter], P_A_FROM[parameter + 1]):
             W[dp + COORDINATE[P_A_PLACE[row]], lane] += W[NODE_P_A + row, lane]

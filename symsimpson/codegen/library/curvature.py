@@ -11,11 +11,26 @@ varied has at each node.
 """
 
 
-@compiled
-def clear_hessian_of_step(W, lane):
-    """Begin the sums over nodes and control points."""
+@kernel
+def curvature(W, h, t, lane):
+    """Second derivatives of weighted rows of a step."""
     for entry in range(HESSIAN_SIZE * HESSIAN_SIZE):
         W[HESSIAN + entry, lane] = real(0)
+    for node in range(NODES):
+        at_node(W, h, t, node, lane)
+        if TIMED_COST:
+            node_time(W, t + PLACES[node] * h, lane)
+        weigh_node_rows(W, node, lane)
+        go_to_place(W, h, PLACES[node], real(1), lane)
+        node_curvature(W, lane)
+        add_curvature(W, node, lane)
+    if HELD:
+        for point in range(DEGREE + 1):
+            at_point(W, h, t, point, lane)
+            clear_constraints(W, lane)
+            weigh_point_rows(W, h, point, lane)
+            point_curvature(W, lane)
+            add_point_curvature(W, point, lane)
 
 
 @compiled
@@ -31,13 +46,9 @@ def weigh_node_rows(W, node, lane):
         W[NODE_WEIGHT + COORDINATE[s], lane] = force
         W[NODE_WEIGHT + DIMENSION + COORDINATE[s], lane] = momentum
     W[NODE_WEIGHT + 2 * DIMENSION, lane] = WEIGHTS[node] * W[COST_WEIGHT, lane]
-
-
-@compiled
-def grow_weights(W, node, lane):
-    """Multiply these by what the weight of a node has grown to; a cost does not grow."""
-    for row in range(2 * DIMENSION):
-        W[NODE_WEIGHT + row, lane] *= W[GROWTH + node, lane]
+    if DAMPED:  # a cost does not grow
+        for row in range(2 * DIMENSION):
+            W[NODE_WEIGHT + row, lane] *= W[GROWTH + node, lane]
 
 
 @compiled

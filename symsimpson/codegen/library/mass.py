@@ -14,7 +14,10 @@ def factor_mass(W, lane):
     first = NODE_L_VV + NODE_OFFSET
     for i in range(DIMENSION):
         W[MASS_DIAGONAL + COORDINATE[i], lane] = W[first + i * NODE_STRIDE + i, lane]
-    factor_symmetric(W, first, DIMENSION, MASS_BAND, NODE_STRIDE, lane)
+    if TRACED and DIMENSION == 2:
+        factor_two(W, first, NODE_STRIDE, lane)
+    else:
+        factor_symmetric(W, first, DIMENSION, MASS_BAND, NODE_STRIDE, lane)
     deficit = real(0)
     for i in range(DIMENSION):
         pivot = W[first + i * NODE_STRIDE + i, lane]
@@ -30,12 +33,18 @@ def scale_pivots(W, first, lane):
 
 
 @compiled
-def compare_pivots(W, first, lane):
+def least_pivot(W, first, lane):
     """Find the smallest pivot of M, each in units of that at the start."""
-    least = INFINITE
-    for i in range(DIMENSION):
+    least = W[first + PIVOT_AT[0], lane] * W[PIVOT_SCALE, lane]
+    for i in range(1, DIMENSION):
         least = min(least, W[first + PIVOT_AT[i], lane] * W[PIVOT_SCALE + i, lane])
-    W[MASS_PIVOT, lane] = least
+    return least
+
+
+@compiled
+def compare_pivots(W, first, lane):
+    """Compare the pivots of M with those at the start."""
+    W[MASS_PIVOT, lane] = least_pivot(W, first, lane)
 
 
 @compiled
@@ -46,10 +55,19 @@ def momentum_to_solve(W, lane):
 
 
 @compiled
-def solve_mass(W, lane):
-    """Solve L D L^T v = right, which stands in the rows of a node's velocity."""
+def solve_with_mass(W, lane):
+    """Solve M v = right in place, in the rows of a node's velocity, with the factors of M."""
     first = NODE_L_VV + NODE_OFFSET
-    solve_symmetric(W, first, NODE_VELOCITY, DIMENSION, MASS_BAND, NODE_STRIDE, lane)
+    if TRACED and DIMENSION == 2:
+        solve_two(W, first, NODE_VELOCITY, NODE_STRIDE, lane)
+    else:
+        solve_symmetric(W, first, NODE_VELOCITY, DIMENSION, MASS_BAND, NODE_STRIDE, lane)
+
+
+@compiled
+def solve_mass(W, lane):
+    """Find the velocity of a state, whose momentum stands in the rows of a node's velocity."""
+    solve_with_mass(W, lane)
     for i in range(DIMENSION):
         W[VELOCITY + COORDINATE[i], lane] = W[NODE_VELOCITY + i, lane]
 

@@ -8,14 +8,27 @@ def path(W, h, node, lane):
     for s in range(DIMENSION):
         a = COORDINATE[s]
         last = W[INCREMENT + (DEGREE - 1) * DIMENSION + a, lane]
-        q = PLACES[node] * last
+        q = real(0)
         v = last
         for k in range(1, DEGREE):
             bend = W[INCREMENT + (k - 1) * DIMENSION + a, lane] - POINTS[k] * last
             q += BASIS[node, k] * bend
             v += BASIS_SLOPE[node, k] * bend
+        q += PLACES[node] * last
+        if TRACED and AT_POINT[node] > 0:  # the same number, without a sum
+            q = W[INCREMENT + (AT_POINT[node] - 1) * DIMENSION + a, lane]
         W[NODE_POSITION + s, lane] = W[POSITION + a, lane] + q
         W[NODE_VELOCITY + s, lane] = rate * v
+
+
+@compiled
+def path_end(W, lane):
+    """Position at the end of the path, as the sum that closes the step gives it."""
+    for s in range(DIMENSION):
+        a = COORDINATE[s]
+        increment = W[INCREMENT + (DEGREE - 1) * DIMENSION + a, lane] + W[POSITION_LOW + a, lane]
+        q, _ = exact_sum(W[POSITION + a, lane], increment)
+        W[NODE_POSITION + s, lane] = q
 
 
 @compiled
@@ -53,11 +66,13 @@ def straight_path(W, h, lane):
 def predict(W, h, lane):
     """Extrapolate the last path, bent to leave the new point with its velocity v."""
     velocity_jump_squared = real(0)
-    for a in range(DIMENSION):
+    for s in range(DIMENSION):
+        a = COORDINATE[s]
         jump = h * W[VELOCITY + a, lane]
         for j in range(DEGREE):
             jump -= END_SLOPE[j] * W[INCREMENT + j * DIMENSION + a, lane]
-        velocity_jump_squared += W[MASS_DIAGONAL + a, lane] * jump**2
+        if s < SOLVE_COORDINATES:
+            velocity_jump_squared += W[MASS_DIAGONAL + a, lane] * jump**2
         for k in range(DEGREE):
             increment = START_SLOPE[k] * jump
             for j in range(DEGREE):

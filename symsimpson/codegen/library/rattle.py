@@ -12,14 +12,6 @@ def free_velocity(W, lane):
 
 
 @compiled
-def take_momentum(W, lane):
-    """Take from p what constraints take."""
-    constraint_forces(W, lane)
-    for a in range(DIMENSION):
-        W[RESIDUAL + a, lane] -= W[CONSTRAINT_FORCE + a, lane]
-
-
-@compiled
 def momentum_left(W, lane):
     """Return p - Phi^T mu - M v of a drift to the solve, which rounding has left there."""
     for c in range(CONSTRAINTS):
@@ -55,13 +47,13 @@ def add_drift(W, share, lane):
 
 
 @compiled
-def drift_held(W, h, part, lane):
+def drift_held(W, h, node, lane):
     """Move by M^-1 (p - Phi^T mu), with Phi at the start and mu for which phi = 0 at the end.
 
     Corrections take Phi at the start for both, so that one factorisation serves all: each leaves a
     part of the error that is small with h. What does not converge becomes NaN.
     """
-    share = h * DRIFTS[part]
+    share = h * DRIFTS[node - 1]
     for a in range(DIMENSION):
         W[DRIFT_VELOCITY + a, lane] = real(0)
     for c in range(CONSTRAINTS):

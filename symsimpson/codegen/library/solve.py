@@ -36,6 +36,24 @@ def solve_symmetric(W, first, right, count, band, stride, lane):
 
 
 @compiled
+def factor_two(W, first, stride, lane):
+    """Let [[a, b], [d, a d - b^2]] take the place of [[a, b], [b, d]]: one division solves then."""
+    a, b, d = W[first, lane], W[first + 1, lane], W[first + stride + 1, lane]
+    W[first + stride, lane] = d
+    W[first + stride + 1, lane] = a * d - b**2
+
+
+@compiled
+def solve_two(W, first, right, stride, lane):
+    """Solve a symmetric system of two equations with these numbers, in place."""
+    a, b, d = W[first, lane], W[first + 1, lane], W[first + stride, lane]
+    scale = 1 / W[first + stride + 1, lane]
+    x, y = W[right, lane], W[right + 1, lane]
+    W[right, lane] = scale * (d * x - b * y)
+    W[right + 1, lane] = scale * (a * y - b * x)
+
+
+@compiled
 def solve_pivoted(W, lane):
     """Solve J x = R in place with row pivoting; a larger entry takes the pivot's place at once."""
     for k in range(SOLVE_UNKNOWNS):
@@ -108,13 +126,20 @@ def update_increments(W, lane):
     """Apply the Newton correction and measure it and the increments by the diagonal of M(q0)."""
     correction_squared = real(0)
     increment_squared = real(0)
-    for s in range(DIMENSION):
+    for s in range(SOLVE_COORDINATES):
         a = COORDINATE[s]
         correction = real(0)
         increment = real(0)
         for row in range(BLOCKS):
             unknown = INCREMENT + (SOLVE_COLUMNS[row] - 1) * DIMENSION + a
             change = -W[RESIDUAL + row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP, lane]
+            new = W[unknown, lane] + change
+            W[unknown, lane] = new
+            correction += W[MASS_DIAGONAL + a, lane] * change**2
+            increment += W[MASS_DIAGONAL + a, lane] * new**2
+        if FOLLOWS:
+            unknown = INCREMENT + (DEGREE - 1) * DIMENSION + a
+            change = W[RESIDUAL + BLOCKS * DIMENSION + s, lane]
             new = W[unknown, lane] + change
             W[unknown, lane] = new
             correction += W[MASS_DIAGONAL + a, lane] * change**2
@@ -131,7 +156,7 @@ def update_increments(W, lane):
 def solve_following(W, lane):
     """Solve for coordinates whose increments follow from those of the others, which are held."""
     for row in range(BLOCKS):
-        for s in range(DIMENSION):
+        for s in range(SOLVE_COORDINATES):
             i = row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP
             if FOLLOWING[s] == 0:
                 W[RESIDUAL + i, lane] = real(0)
@@ -153,29 +178,32 @@ def clear_following(W, lane):
 
 
 @compiled
-def factor_pivoted(W, first, count, lower, upper, stride, lane):
-    """Factorise P A = L U in the place of A, with exchanges of rows; EXCHANGE tells which."""
-    for k in range(count):
-        last = min(count, k + lower + 1)
-        end = min(count, k + upper + 1)
-        row_k = first + k * stride
+def factor_equations(W, lane):
+    """Factorise the matrix of all unknowns, P S = L U, in its place; EXCHANGE has the P."""
+    if HELD:
+        join_equations(W, lane)
+    first = JACOBIAN + TANGENT_OFFSET
+    for k in range(TANGENT_UNKNOWNS):
+        last = min(TANGENT_UNKNOWNS, k + TANGENT_LOWER + 1)
+        end = min(TANGENT_UNKNOWNS, k + TANGENT_UPPER + 1)
+        row_k = first + k * TANGENT_STRIDE
         pivot = k
         largest = abs(W[row_k + k, lane])
         for i in range(k + 1, last):
-            here = abs(W[first + i * stride + k, lane])
+            here = abs(W[first + i * TANGENT_STRIDE + k, lane])
             if here > largest:
                 largest = here
                 pivot = i
         W[EXCHANGE + k, lane] = pivot
         if pivot != k:
-            row_pivot = first + pivot * stride
+            row_pivot = first + pivot * TANGENT_STRIDE
             for j in range(k, end):
                 swap = W[row_k + j, lane]
                 W[row_k + j, lane] = W[row_pivot + j, lane]
                 W[row_pivot + j, lane] = swap
         inverse = 1 / W[row_k + k, lane]
         for i in range(k + 1, last):
-            row_i = first + i * stride
+            row_i = first + i * TANGENT_STRIDE
             factor = W[row_i + k, lane] * inverse
             W[row_i + k, lane] = factor
             for j in range(k + 1, end):
@@ -214,37 +242,47 @@ def solve_in_order(W, first, right, count, stride, lane):
 
 
 @compiled
-def solve_factored(W, first, right, count, lower, upper, stride, lane):
-    """Solve A x = b with these factors; x takes the place of b."""
-    for k in range(count):
+def solve_factored(W, right, lane):
+    """Solve S x = b with these factors; x takes the place of b."""
+    if HELD:
+        join_rows(W, right, lane)
+    first = JACOBIAN + TANGENT_OFFSET
+    for k in range(TANGENT_UNKNOWNS):
         pivot = int(W[EXCHANGE + k, lane])
         x = W[right + pivot, lane]
         W[right + pivot, lane] = W[right + k, lane]
         W[right + k, lane] = x
-        for i in range(k + 1, min(count, k + lower + 1)):
-            W[right + i, lane] -= W[first + i * stride + k, lane] * x
-    for back in range(count):
-        k = count - 1 - back
-        row_k = first + k * stride
+        for i in range(k + 1, min(TANGENT_UNKNOWNS, k + TANGENT_LOWER + 1)):
+            W[right + i, lane] -= W[first + i * TANGENT_STRIDE + k, lane] * x
+    for back in range(TANGENT_UNKNOWNS):
+        k = TANGENT_UNKNOWNS - 1 - back
+        row_k = first + k * TANGENT_STRIDE
         x = W[right + k, lane]
-        for j in range(k + 1, min(count, k + upper + 1)):
+        for j in range(k + 1, min(TANGENT_UNKNOWNS, k + TANGENT_UPPER + 1)):
             x -= W[row_k + j, lane] * W[right + j, lane]
         W[right + k, lane] = x / W[row_k + k, lane]
+    if HELD:
+        part_rows(W, right, lane)
 
 
 @compiled
-def solve_transposed(W, first, right, count, lower, upper, stride, lane):
-    """Solve A^T x = b with these factors; x takes the place of b."""
-    for k in range(count):
-        x = W[right + k, lane] / W[first + k * stride + k, lane]
+def solve_transposed(W, right, lane):
+    """Solve S^T x = b with these factors; x takes the place of b."""
+    if HELD:
+        join_rows(W, right, lane)
+    first = JACOBIAN + TANGENT_OFFSET
+    for k in range(TANGENT_UNKNOWNS):
+        x = W[right + k, lane] / W[first + k * TANGENT_STRIDE + k, lane]
         W[right + k, lane] = x
-        for j in range(k + 1, min(count, k + upper + 1)):
-            W[right + j, lane] -= W[first + k * stride + j, lane] * x
-    for back in range(count):
-        k = count - 1 - back
+        for j in range(k + 1, min(TANGENT_UNKNOWNS, k + TANGENT_UPPER + 1)):
+            W[right + j, lane] -= W[first + k * TANGENT_STRIDE + j, lane] * x
+    for back in range(TANGENT_UNKNOWNS):
+        k = TANGENT_UNKNOWNS - 1 - back
         x = W[right + k, lane]
-        for i in range(k + 1, min(count, k + lower + 1)):
-            x -= W[first + i * stride + k, lane] * W[right + i, lane]
+        for i in range(k + 1, min(TANGENT_UNKNOWNS, k + TANGENT_LOWER + 1)):
+            x -= W[first + i * TANGENT_STRIDE + k, lane] * W[right + i, lane]
         pivot = int(W[EXCHANGE + k, lane])
         W[right + k, lane] = W[right + pivot, lane]
         W[right + pivot, lane] = x
+    if HELD:
+        part_rows(W, right, lane)

@@ -18,13 +18,8 @@ def stage_constants(W, h, lane):
     W[STAGE_STEP + NODES - 1, lane] = (h - inner) / 2
     for node in range(NODES):
         W[STAGE_RATE + node, lane] = 1 / W[STAGE_STEP + node, lane]
-
-
-@compiled
-def stage_places(W, lane):
-    """Where in the step the nodes are, as a row."""
-    for node in range(NODES):
-        W[STAGE_PLACE + node, lane] = PLACES[node]
+        if not AUTONOMOUS:
+            W[STAGE_PLACE + node, lane] = PLACES[node]
 
 
 @compiled

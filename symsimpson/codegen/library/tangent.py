@@ -8,6 +8,66 @@ dp1 = dp0 + E_q dq0 + E_X dX + E_a da.
 """
 
 
+@kernel
+def tangent(W, h, t, lane):
+    """Carry variations of the state to the end of the step that was taken."""
+    if W[ACTIVE, lane] != 0:
+        exchange_steps(W, lane)
+        if FOLLOWING:
+            step_equations(W, h, t, lane)
+            solve_following(W, lane)
+        if BY_COLUMNS:
+            find_derivative(W, h, t, lane)
+            for variation in range(int(W[TANGENTS, lane])):
+                move_variation(W, variation, lane)
+        else:
+            for node in range(NODES):
+                differentiate_node(W, h, t, node, lane)
+            assemble_derivatives(W, h, t, lane)
+            factor_equations(W, lane)
+            for variation in range(int(W[TANGENTS, lane])):
+                dq = TANGENT + variation * 2 * DIMENSION
+                room = work_row_of(W, variation, lane)
+                begin_variation(W, h, dq, room, parameter_of(W, variation, lane), lane)
+                solve_factored(W, room, lane)
+                close_variation(W, h, dq, room, lane)
+        if HELD:
+            impulse_of_step(W, h, t, lane)
+        exchange_steps(W, lane)
+        if HELD:
+            project_variations(W, h, t, lane)
+        if CONSTANT_MASS:
+            factor_at_start(W, t + h, lane)
+
+
+@compiled
+def find_derivative(W, h, t, lane):
+    """Find the derivative of a step as a whole, column by column."""
+    for node in range(NODES):
+        differentiate_node(W, h, t, node, lane)
+    assemble_derivatives(W, h, t, lane)
+    factor_in_order(W, JACOBIAN, UNKNOWNS, EQUATION_STRIDE, lane)
+    for column in range(2 * DIMENSION + VARIED):
+        dq = DERIVATIVE + column * 2 * DIMENSION
+        room = COLUMN_ROOM + column * (UNKNOWNS + DIMENSION)
+        begin_column(W, column, lane)
+        begin_variation(W, h, dq, room, column - 2 * DIMENSION, lane)
+        solve_in_order(W, JACOBIAN, room, UNKNOWNS, EQUATION_STRIDE, lane)
+        close_variation(W, h, dq, room, lane)
+
+
+@kernel
+def momentum_slopes(W, h, t, lane):
+    """Set dp0 = dP/da for each varied parameter, where v0 is given and p0 = L_v(q0, v0)."""
+    go_to_start(W, t, lane)
+    differentiate_state(W, h, 0, lane)
+    for parameter in range(VARIED):
+        variation = int(W[TANGENTS, lane]) - VARIED + parameter
+        dp = TANGENT + variation * 2 * DIMENSION + DIMENSION
+        for row in range(P_A_FROM[parameter], P_A_FROM[parameter + 1]):
+            W[dp + COORDINATE[P_A_PLACE[row]], lane] = W[NODE_P_A + row, lane]
+
+
 @compiled
 def work_row_of(W, variation, lane):
     """Return the first row of a variation's workspace, which holds its right side."""
@@ -22,18 +82,8 @@ def parameter_of(W, variation, lane):
 
 
 @compiled
-def vary_momentum_at_start(W, lane):
-    """Set dp0 = dP/da for each varied parameter, where v0 is given and p0 = L_v(q0, v0)."""
-    for parameter in range(VARIED):
-        variation = int(W[TANGENTS, lane]) - VARIED + parameter
-        dp = TANGENT + variation * 2 * DIMENSION + DIMENSION
-        for row in range(P_A_FROM[parameter], P_A_FROM[parameter + 1]):
-            W[dp + COORDINATE[P_A_PLACE[row]], lane] = W[NODE_P_A + row, lane]
-
-
-@compiled
-def begin_variation(W, dq, room, lane):
-    """Begin the right side with -(R_q dq0 + R_p dp0), and dp1 - dp0 with E_q dq0."""
+def begin_variation(W, h, dq, room, parameter, lane):
+    """Find the right side -(R_q dq0 + R_p dp0 + R_a da), and E_q dq0 + E_a da of dp1 - dp0."""
     for row in range(DEGREE * DIMENSION, UNKNOWNS):
         W[room + row, lane] = real(0)
     for s in range(DIMENSION):
@@ -48,6 +98,11 @@ def begin_variation(W, dq, room, lane):
             for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
                 start += W[first + b, lane] * W[dq + COORDINATE[b], lane]
             W[room + row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP, lane] = -start
+    if VARIED_BY:
+        add_parameter(W, h, room, parameter, lane)
+    if HELD:
+        for point in range(DEGREE + 1):
+            vary_constraint(W, h, point, dq, room, parameter, lane)
 
 
 @compiled
@@ -73,35 +128,11 @@ def add_parameter(W, h, room, parameter, lane):
 
 
 @compiled
-def solve_variation(W, room, lane):
-    """Solve for dX of a variation."""
-    solve_factored(
-        W,
-        JACOBIAN + TANGENT_OFFSET,
-        room,
-        TANGENT_UNKNOWNS,
-        TANGENT_LOWER,
-        TANGENT_UPPER,
-        TANGENT_STRIDE,
-        lane,
-    )
-
-
-@compiled
-def factor_equations_in_order(W, lane):
-    """LU-factorise the matrix of all unknowns in its place, without exchanges of rows."""
-    factor_in_order(W, JACOBIAN, UNKNOWNS, EQUATION_STRIDE, lane)
-
-
-@compiled
-def solve_variation_in_order(W, room, lane):
-    """Solve for dX of a variation by the factors of ``factor_equations_in_order``."""
-    solve_in_order(W, JACOBIAN, room, UNKNOWNS, EQUATION_STRIDE, lane)
-
-
-@compiled
-def close_variation(W, dq, room, lane):
+def close_variation(W, h, dq, room, lane):
     """Carry a variation to the end of the step: dq1 = dq0 + dX_d, and dp1."""
+    if HELD:
+        for point in range(DEGREE):
+            vary_pull(W, h, point, dq, room, lane)
     for s in range(DIMENSION):
         impulse = W[room + UNKNOWNS + COORDINATE[s], lane]
         for column in range(DEGREE):
@@ -113,13 +144,8 @@ def close_variation(W, dq, room, lane):
             if COLUMN_ORDER[column] == DEGREE:
                 W[dq + COORDINATE[s], lane] += W[moved + s * EQUATION_PLACE_STEP, lane]
         W[dq + DIMENSION + COORDINATE[s], lane] += impulse
-
-
-@compiled
-def decay_variation(W, dq, lane):
-    """Divide dp of a variation by the damping factor of the step."""
-    for a in range(DIMENSION):
-        W[dq + DIMENSION + a, lane] /= W[GROWTH + NODES, lane]
+        if DAMPED:
+            W[dq + DIMENSION + COORDINATE[s], lane] /= W[GROWTH + NODES, lane]
 
 
 @compiled
@@ -130,8 +156,11 @@ def begin_column(W, column, lane):
 
 
 @compiled
-def move_variation(W, dq, room, parameter, lane):
+def move_variation(W, variation, lane):
     """Multiply a variation by the derivative of the step, and add what a parameter changes."""
+    dq = TANGENT + variation * 2 * DIMENSION
+    room = work_row_of(W, variation, lane)
+    parameter = parameter_of(W, variation, lane)
     size = 2 * DIMENSION
     for row in range(size):
         moved = real(0)

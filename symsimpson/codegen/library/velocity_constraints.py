@@ -13,13 +13,15 @@ def assemble_rates(W, h, node, lane):
         rate = c - HOLONOMIC
         W[RESIDUAL + DEGREE * DIMENSION + point * CONSTRAINTS + c, lane] = W[RATE + rate, lane]
         i = HELD_PLACE[DIMENSION + c]
-        row = JACOBIAN + (point * HELD_ROW_STEP + i * HELD_PLACE_STEP) * SOLVE_STRIDE
+        row = HELD_SHIFT + point * HELD_PULL_STEP + i * HELD_PLACE_STEP
+        row = JACOBIAN + row * SOLVE_STRIDE
         for column in range(DEGREE):
             k = COLUMN_ORDER[column]
             for s in range(DIMENSION):
                 a = rate * DIMENSION + COORDINATE[s]
-                entry = column * HELD_ROW_STEP + HELD_PLACE[s] * HELD_PLACE_STEP
-                if abs(i - HELD_PLACE[s]) <= HELD_BAND:
+                j = HELD_PLACE[s]
+                entry = column * HELD_ROW_STEP + j * HELD_PLACE_STEP
+                if abs(i - j) <= HELD_BAND:
                     W[row + SOLVE_OFFSET + entry, lane] = (
                         BASIS[node, k] * W[RATE_Q + a, lane]
                         + BASIS_SLOPE[node, k] / h * W[RATE_V + a, lane]
@@ -48,66 +50,59 @@ def add_carried_end(W, lane):
 
 
 @compiled
-def go_to_point(W, h, point, lane):
-    """Say where in the step a control point is."""
-    W[NODE_STEP, lane] = h
-    W[NODE_STEP + 1, lane] = POINTS[point]
-    W[NODE_STEP + 2, lane] = real(1)
-
-
-@compiled
 def keep_rates(W, h, node, lane):
-    """Keep the derivatives of A v - b by q, h times, in the place of those of phi."""
-    first = POINT_QQ + (node - NODES + 1) * HELD_SIZE + HELD_OFFSET
+    """Keep the derivatives of A v - b by q, h times, in the place of those of phi.
+
+    The derivatives by parameters follow.
+    """
+    point = node - NODES + 1
+    first = POINT_QQ + point * HELD_SIZE + HELD_OFFSET
     for c in range(HOLONOMIC, CONSTRAINTS):
         i = HELD_PLACE[DIMENSION + c]
         for s in range(DIMENSION):
             rate = RATE_Q + (c - HOLONOMIC) * DIMENSION + COORDINATE[s]
             if abs(i - HELD_PLACE[s]) <= HELD_BAND:
                 W[first + i * HELD_STRIDE + HELD_PLACE[s], lane] = h * W[rate, lane]
+    if VARIED_BY:
+        for j in range(VARIED):
+            for c in range(HOLONOMIC, CONSTRAINTS):
+                rate = RATE_A + j * (CONSTRAINTS - HOLONOMIC) + c - HOLONOMIC
+                slope = POINT_A + (point * VARIED + j) * CONSTRAINTS + c
+                W[slope, lane] = h * W[rate, lane]
 
 
 @compiled
-def keep_rate_slopes(W, h, node, lane):
-    """Keep its derivatives by parameters, h times."""
-    for j in range(VARIED):
-        first = POINT_A + ((node - NODES + 1) * VARIED + j) * CONSTRAINTS
-        for c in range(HOLONOMIC, CONSTRAINTS):
-            rate = RATE_A + j * (CONSTRAINTS - HOLONOMIC) + c - HOLONOMIC
-            W[first + c, lane] = h * W[rate, lane]
+def differentiate_carried(W, lane):
+    """Evaluate the derivatives of b by q and by parameters."""
+    carried_slopes(W, lane)
+    if VARIED_BY:
+        carried_parameter_slopes(W, lane)
 
 
 @compiled
-def vary_carried(W, dq, room, lane):
-    """Add b_q dq to what A dv is."""
+def vary_carried(W, variation, lane):
+    """Add b_q dq to what A dv is, and what a parameter changes of b."""
+    dq = TANGENT + variation * 2 * DIMENSION
+    room = work_row_of(W, variation, lane)
+    parameter = parameter_of(W, variation, lane)
     for c in range(HOLONOMIC, CONSTRAINTS):
         for a in range(DIMENSION):
             slope = W[RATE_Q + (c - HOLONOMIC) * DIMENSION + a, lane]
             W[room + DIMENSION + c, lane] += slope * W[dq + a, lane]
-
-
-@compiled
-def add_carried_slopes(W, room, parameter, lane):
-    """Add what a parameter changes of b."""
-    for c in range(HOLONOMIC, CONSTRAINTS):
-        if parameter >= 0:
+        if VARIED_BY and parameter >= 0:
             slope = RATE_A + parameter * (CONSTRAINTS - HOLONOMIC) + c - HOLONOMIC
             W[room + DIMENSION + c, lane] += W[slope, lane]
 
 
 @compiled
 def pull_carried(W, lane):
-    """Add z.b_q to the derivative of a cost by q1."""
+    """Add z.b_q to the derivative of a cost by q1, and z.b_a to those by parameters."""
     for c in range(HOLONOMIC, CONSTRAINTS):
         for a in range(DIMENSION):
             slope = W[RATE_Q + (c - HOLONOMIC) * DIMENSION + a, lane]
             W[ADJOINT + a, lane] += W[MULTIPLIER + c, lane] * slope
-
-
-@compiled
-def pull_carried_slopes(W, lane):
-    """Add z.b_a to the derivatives by parameters."""
-    for j in range(VARIED):
-        for c in range(HOLONOMIC, CONSTRAINTS):
-            slope = RATE_A + j * (CONSTRAINTS - HOLONOMIC) + c - HOLONOMIC
-            W[COST_END + j, lane] += W[MULTIPLIER + c, lane] * W[slope, lane]
+    if VARIED_BY:
+        for j in range(VARIED):
+            for c in range(HOLONOMIC, CONSTRAINTS):
+                slope = RATE_A + j * (CONSTRAINTS - HOLONOMIC) + c - HOLONOMIC
+                W[COST_END + j, lane] += W[MULTIPLIER + c, lane] * W[slope, lane]

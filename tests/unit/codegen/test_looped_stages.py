@@ -10,7 +10,8 @@ from support.forms import limited
 from support.workspace import block, new_workspace
 
 import symsimpson as ss
-from symsimpson.codegen import pipeline
+from symsimpson.codegen import module_kernels, pipeline
+from symsimpson.codegen.stages import looped_stages
 from symsimpson.module.binding import bind_float
 from symsimpson.run.requested import program_for
 from symsimpson.stepping.request import Request
@@ -61,7 +62,7 @@ def runs(stepper, monkeypatch, **given):
 @pytest.mark.parametrize(("about", "more", "given"), sweep(variants(), 2))
 def test_stages_and_newtons_method_agree(about, more, given, by_loops, monkeypatch):
     stepper = ss.compile(model(**more), "gauss10", precision=40)
-    assert "enter_node(" in stepper.source
+    assert "enter_stage(" in stepper.source
     stages, newton = runs(stepper, monkeypatch, **given)
     assert stages.newton_iterations[1:].min() > newton.newton_iterations[1:].max()
     assert abs(stages.q - newton.q).max() < 1e-33
@@ -86,8 +87,8 @@ def test_they_take_as_many_iterations_as_straight_lines(monkeypatch):
     straight = ss.compile(model(), "gauss10", precision=40)
     limited(monkeypatch, STAGE_COORDINATES=0)
     loops = ss.compile(model(), "gauss10", precision=40)
-    assert "enter_node(" in loops.source
-    assert "enter_node(" not in straight.source
+    assert "enter_stage(" in loops.source
+    assert "enter_stage(" not in straight.source
     for h in (H, 8 * H):
         one, other = (stepper.integrate(**given, h=h) for stepper in (straight, loops))
         assert one.newton_iterations.tolist() == other.newton_iterations.tolist()
@@ -110,6 +111,23 @@ def test_they_measure_their_corrections_alike(monkeypatch):
     np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
 
 
+def test_the_same_text_serves_masses_that_change(monkeypatch):
+    """Small systems have a trace of it; as loops it factorises M at each node."""
+    limited(monkeypatch, UNROLLED_UNKNOWNS=0)
+    monkeypatch.setattr(
+        module_kernels, "_stage_kernels", lambda low, loops, known, **_: looped_stages(low, known)
+    )
+    stepper = ss.compile(ss.systems.double_pendulum(), "gauss10", precision=40)
+    assert "least_pivot(" in stepper.source
+    found = []
+    made = stepper.program.kernels
+    for first in (0, 1):
+        monkeypatch.setattr(made, "fallbacks", made.fallbacks[first:])
+        found.append(stepper.integrate([0.8, 1.0], v0=[0.2, -0.1], h=H, steps=3))
+    assert abs(found[0].q - found[1].q).max() < 1e-33
+    assert abs(found[0].p - found[1].p).max() < 1e-33
+
+
 @pytest.mark.slow
 def test_their_derivatives_agree(by_loops, monkeypatch):
     stepper = ss.compile(model(), "gauss10", precision=40)
@@ -122,7 +140,7 @@ def test_their_derivatives_agree(by_loops, monkeypatch):
 def test_clusters_of_atoms_compiled(scheme, monkeypatch):
     system = ss.systems.argon_cluster(9)
     stepper = ss.compile(system, scheme)
-    assert "enter_node(" in stepper.source
+    assert "enter_stage(" in stepper.source
     found = []
     made = stepper.program.kernels
     for first in (0, 1):
