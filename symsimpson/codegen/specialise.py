@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache
 
 from symsimpson.codegen.ir import Excerpt, Kernel, Loop
 from symsimpson.codegen.library import kernel_sources
@@ -31,9 +32,14 @@ def specialised(text: str, facts: Mapping[str, object]) -> str:
 
     Comments and line breaks stay. Raises KeyError for a name of :data:`FACTS` that is not known.
     """
-    if (FACTS | facts.keys()).isdisjoint(re.findall(r"\w+", text)):
-        return text
-    while changed := _changed(text, facts):
+    named = (FACTS | facts.keys()).intersection(re.findall(r"\w+", text))
+    return _specialised(text, tuple((x, facts[x]) for x in sorted(named) if x in facts))
+
+
+@lru_cache(maxsize=1024)
+def _specialised(text: str, facts: tuple[tuple[str, object], ...]) -> str:
+    known = dict(facts)
+    while changed := _changed(text, known):
         text = changed
     return text
 
@@ -87,9 +93,14 @@ def _resolved(test: ast.expr, facts: Mapping[str, object]) -> object:
 
 
 def _changed(text: str, facts: Mapping[str, object]) -> str:
-    """Return the text with one condition resolved, or without a superfluous ``pass``."""
+    """Return the text with its outer conditions resolved, without superfluous ``pass``.
+
+    The text is empty if nothing changes.
+    """
     lines = text.splitlines()
-    for node in ast.walk(ast.parse(text)):
+    # lines of the text, and what stands in place of them; nodes come before what is inside
+    changes: dict[range, list[str]] = {}
+    for node in _nodes(ast.parse(text).body, lines):
         place: ast.stmt | ast.expr | None = None
         match node:
             case ast.If(test) if (value := _resolved(test, facts)) is not test:
@@ -108,8 +119,23 @@ def _changed(text: str, facts: Mapping[str, object]) -> str:
             ):
                 place, kept = next((x for x in node.body if isinstance(x, ast.Pass)), None), []
         if place is not None:
-            return "\n".join([*lines[: place.lineno - 1], *kept, *lines[place.end_lineno :]])
-    return ""
+            here = range(place.lineno - 1, place.end_lineno or 0)
+            if all(here.stop <= x.start or x.stop <= here.start for x in changes):
+                changes[here] = kept
+    for here in sorted(changes, key=lambda x: x.start, reverse=True):
+        lines[here.start : here.stop] = changes[here]
+    return "\n".join(lines) if changes else ""
+
+
+def _nodes(statements: Iterable[ast.stmt], lines: list[str]) -> Iterator[ast.AST]:
+    """Yield statements and the conditional expressions in them, those outside before others."""
+    for statement in statements:
+        yield statement
+        inner = [*getattr(statement, "body", ()), *getattr(statement, "orelse", ())]
+        end = inner[0].lineno - 1 if inner else statement.end_lineno
+        if any(" else " in line for line in lines[statement.lineno - 1 : end]):
+            yield from (x for x in ast.walk(statement) if isinstance(x, ast.IfExp))
+        yield from _nodes(inner, lines)
 
 
 def _branches(node: ast.If, value: object, lines: list[str]) -> Iterator[str]:

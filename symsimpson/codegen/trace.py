@@ -61,16 +61,16 @@ class TracedRows:
 
 
 class Trace:
-    """Executes functions of a text.
+    """Executes functions of texts.
 
-    ``names`` are what else the text names: first rows of blocks, tables, sizes, and functions that
+    ``names`` are what else the texts name: first rows of blocks, tables, sizes, and functions that
     are written in Python. ``sections`` gives for a function the title of what it computes.
     """
 
     def __init__(
         self,
         graph: Definitions,
-        text: str,
+        texts: Iterable[str],
         names: Mapping[str, Any],
         row_name: Callable[[int], str],
         spelt_index: Callable[[str, int], str],
@@ -93,7 +93,8 @@ class Trace:
             "_moved": self.rows.raw,
             "_known": _known,
         }
-        exec(instrumented(text), self.names)
+        for text in texts:
+            exec(instrumented(text), self.names)
         self.names |= names  # functions in Python stand for those of the text
         self.names["exact_sum"] = self._exact_sum
         for name, title in sections.items():
@@ -193,24 +194,21 @@ def _known(value: Any) -> Any:
     return value
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=1024)
 def instrumented(text: str) -> CodeType:
-    """Return functions that tell a :class:`Trace` which values they read."""
-    functions: list[ast.stmt] = []
-    for function in ast.parse(text).body:
-        if isinstance(function, ast.FunctionDef):
-            function.decorator_list = []
-            local = {
-                node.id
-                for node in ast.walk(function)
-                if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
-            }
-            given = [x.arg for x in function.args.args if x.arg in ("node", "point")]
-            writer = _Instrument(local, given)
-            function.body = [writer.visit(statement) for statement in function.body]
-            functions.append(function)
-    module = ast.fix_missing_locations(ast.Module(functions, []))
-    return compile(module, "<traced>", "exec")
+    """Return a function that tells a :class:`Trace` which values it reads."""
+    (function,) = ast.parse(text).body
+    assert isinstance(function, ast.FunctionDef)
+    function.decorator_list = []
+    local = {
+        node.id
+        for node in ast.walk(function)
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
+    }
+    given = [x.arg for x in function.args.args if x.arg in ("node", "point")]
+    writer = _Instrument(local, given)
+    function.body = [writer.visit(statement) for statement in function.body]
+    return compile(ast.Module([function], []), "<traced>", "exec")
 
 
 class _Instrument(ast.NodeTransformer):
@@ -227,8 +225,8 @@ class _Instrument(ast.NodeTransformer):
         if node.id in self._indices:
             return node
         over = tuple(x for x in self._assigned.get(node.id, ()) if x in self._indices)
-        indices = ast.Tuple([ast.Constant(x) for x in over], ast.Load())
-        return _call("_use", ast.Constant(node.id), indices, node, *map(_name, over))
+        indices = ast.Tuple([_constant(x) for x in over], ast.Load(), **_LINE)
+        return _call("_use", _constant(node.id), indices, node, *map(_name, over))
 
     def visit_Assign(self, node: ast.Assign) -> ast.stmt:
         """Leave a value that only moves to a row without a name: the row has one."""
@@ -257,14 +255,15 @@ class _Instrument(ast.NodeTransformer):
         return _call("_divide", node.left, node.right) if isinstance(node.op, ast.Div) else node
 
     def visit_AugAssign(self, node: ast.AugAssign) -> ast.stmt:
-        value, operation = self.visit(node.value), ast.Constant(type(node.op).__name__)
+        value, operation = self.visit(node.value), _constant(type(node.op).__name__)
         if isinstance(node.target, ast.Subscript):
             place = node.target.slice
             assert isinstance(place, ast.Tuple)
             row = self.visit(place.elts[0])
-            return ast.Expr(_call("_add_to_row", row, operation, value))
+            return ast.Expr(_call("_add_to_row", row, operation, value), **_LINE)
         assert isinstance(node.target, ast.Name)
-        return ast.Assign([node.target], _call("_add_to", _name(node.target.id), operation, value))
+        added = _call("_add_to", _name(node.target.id), operation, value)
+        return ast.Assign([node.target], added, **_LINE)
 
     def visit_If(self, node: ast.If) -> ast.stmt:
         self.generic_visit(node)
@@ -283,9 +282,17 @@ class _Instrument(ast.NodeTransformer):
         return node
 
 
+#: Where nodes stand that no text contains.
+_LINE: Any = {"lineno": 1, "col_offset": 0}
+
+
 def _name(name: str) -> ast.expr:
-    return ast.Name(name, ast.Load())
+    return ast.Name(name, ast.Load(), **_LINE)
+
+
+def _constant(value: str) -> ast.expr:
+    return ast.Constant(value, **_LINE)
 
 
 def _call(function: str, *arguments: ast.expr) -> ast.expr:
-    return ast.Call(_name(function), [*arguments], [])
+    return ast.Call(_name(function), [*arguments], [], **_LINE)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial, reduce
+from functools import partial, reduce
 from itertools import product
 from typing import Any
 
@@ -96,13 +96,6 @@ MOVING = (*OF_COORDINATES[:4], *OF_INCREMENTS, "MASS_DIAGONAL")
 RESTING = frozenset(["a", "M", "V"])
 
 
-@lru_cache(maxsize=64)
-def _texts(names: tuple[str, ...], facts: tuple[tuple[str, object], ...]) -> str:
-    """Return the texts of functions and of all that they call, with conditions resolved."""
-    sources = {**library_sources(), **kernel_sources()}
-    return "\n\n\n".join(called(names, sources, dict(facts)).values())
-
-
 class TracedPart:
     """Some coordinates, and the texts of their step.
 
@@ -162,10 +155,10 @@ class TracedPart:
         if held is not None:
             names_ = ("constrain", "constraint_slopes", "hold_velocities", "rates")
             evaluations |= {name: partial(self._constrain, name) for name in names_}
-        text = _texts((*functions,), tuple(facts.items()))
+        sources = {**library_sources(), **kernel_sources()}
         self.trace = Trace(
             low.graph,
-            text,
+            called(functions, sources, facts).values(),
             {**self._first, **names, **evaluations},
             self._row_name,
             self._spelt,
