@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from symsimpson.bench.benchmark_problem import Problem, make_problem
-from symsimpson.bench.contender import Contender, Runnable
-from symsimpson.bench.peers import ours, peers, read_peers
+from symsimpson.bench.contenders import Contender, Runnable, ours, peers, read_peers
 from symsimpson.bench.record import Point, WorkPrecision
 from symsimpson.errors import InputError, SymsimpsonError
 from symsimpson.mechanics.system import MechanicalSystem

@@ -157,12 +157,6 @@ def stress(options: argparse.Namespace) -> int:
 
 def bench(options: argparse.Namespace) -> int:
     """Measure run time against error."""
-    from symsimpson.bench import speed, throughput
-
-    if options.system is None:
-        for line in (throughput if options.ensemble else speed).report():
-            print(line, flush=True)
-        return 0
     from symsimpson.bench.record import WorkPrecision
     from symsimpson.bench.work_precision import work_precision
 

@@ -117,7 +117,7 @@ def parser() -> argparse.ArgumentParser:
     )
 
     subparser = command("bench", commands.bench, "run time against error, beside other programs")
-    subparser.add_argument("system", nargs="?", help=f"{SYSTEM}; none for the time of a step")
+    subparser.add_argument("system", help=SYSTEM)
     _add_time(subparser)
     subparser.add_argument(
         "--schemes", type=words, default=["midpoint", "simpson"], help="as midpoint,simpson,gauss6"
@@ -134,7 +134,6 @@ def parser() -> argparse.ArgumentParser:
     subparser.add_argument("--out", help="write the record to this .json file")
     subparser.add_argument("--against", help="compare with the record in this .json file")
     subparser.add_argument("--plot", help="draw to this .png, .pdf or .svg file")
-    subparser.add_argument("--ensemble", action="store_true", help="time ensembles instead")
     return top
 
 

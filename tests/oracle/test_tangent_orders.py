@@ -5,7 +5,7 @@ import pytest
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.bench.programs import in_heyoka
+from symsimpson.bench.contenders import in_heyoka
 from symsimpson.reference import canonical
 
 START = ([0.8, 1.0], [0.05, -0.02])

@@ -9,11 +9,9 @@ import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.bench import throughput, work_precision
+from symsimpson.bench import work_precision
 from symsimpson.bench.benchmark_problem import make_problem
-from symsimpson.bench.contender import Contender, Outcome
-from symsimpson.bench.peers import ours, peers
-from symsimpson.bench.programs import PROGRAMS, in_heyoka
+from symsimpson.bench.contenders import PROGRAMS, Contender, Outcome, in_heyoka, ours, peers
 from symsimpson.bench.record import WorkPrecision
 from symsimpson.cli import main
 from symsimpson.reference.first_order import second_order
@@ -233,26 +231,6 @@ def test_the_command(tmp_path, capsys):
     text = capsys.readouterr().out
     assert "run time now, in units of that before" in text
     assert main([*given, "--against", figure]) == 1
-
-
-@pytest.mark.slow
-def test_ensembles_are_compared(monkeypatch):
-    monkeypatch.setattr(throughput, "REPEATS", 1)
-    monkeypatch.setattr(throughput, "LEVELS", (1e-3, 1e-6))
-    monkeypatch.setattr(throughput, "SCHEMES", ("simpson", "lobatto8"))
-    lines = list(throughput.report(64))
-    assert "trajectories/s" in lines[1]
-    try:
-        import heyoka
-    except ImportError:
-        assert "heyoka is not installed" in lines[-1]
-    else:
-        found = [line for line in lines if "of the time of" in line]
-        forms = len({heyoka.recommended_simd_size(), 8, 16}) + 1
-        assert len(found) == 2 * (2 + forms)
-        for line in found:
-            level = 1e-3 if found.index(line) < 2 + forms else 1e-6
-            assert float(line.rstrip(")").rsplit(" ", 1)[1]) <= level
 
 
 def test_heyoka_reads_fractions_that_are_not_binary():

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 import symsimpson as ss
-from symsimpson.bench.contender import Contender, alternate
-from symsimpson.bench.programs import in_heyoka
+from symsimpson.bench.contenders import Contender, alternate
+from symsimpson.bench.contenders import in_heyoka
 from symsimpson.ensemble.lanes import run_blocks
 from symsimpson.ensemble.members import read_task
 from symsimpson.ensemble.trial import with_fastest_lanes
@@ -22,8 +22,6 @@ from symsimpson.program.machine import available_threads, lanes_for
 from symsimpson.reference import canonical
 from symsimpson.stepping.request import Request
 from symsimpson.support.array_types import Floats
-
-__all__ = ["report"]
 
 MEMBERS = 10_000
 T_END = 10.0
@@ -189,3 +187,8 @@ def _batches(hy: Any, angles: Floats, lanes: int, threads: int) -> list[Contende
         for name, form in forms.items()
         if form is by_hand or lanes == hy.recommended_simd_size()  # slow, and no faster if wider
     ]
+
+
+if __name__ == "__main__":
+    for line in report():
+        print(line, flush=True)

@@ -1,4 +1,4 @@
-"""Other solvers of differential equations, run on a problem over a range of settings.
+"""Programs that solve a problem, each to accuracies that can be chosen: our schemes and others.
 
 Solvers that call a right-hand side get one that numba compiled; what compiles itself does so before
 the clock starts.
@@ -6,30 +6,112 @@ the clock starts.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import reduce
 from operator import mul
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import sympy as sp
 
+from symsimpson.analysis.stability.frequency import largest_frequency
 from symsimpson.api.compiling import compile as compile_system
 from symsimpson.bench.benchmark_problem import Problem
-from symsimpson.bench.contender import (
-    COARSE,
-    TOLERANCES,
-    Contender,
-    Outcome,
-    Runnable,
-    numbers_of_steps,
-)
 from symsimpson.bench.dop853 import PIECE, make_dop853
+from symsimpson.errors import InputError
+from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.reference import FirstOrder
 from symsimpson.reference.runge_kutta import compiled_rates, compiled_rk4
+from symsimpson.run.ended import uninterrupted
+from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.array_types import Floats
+from symsimpson.support.names import in_a_row
 
-__all__ = ["PROGRAMS", "in_heyoka"]
+#: What a contender makes of a choice.
+Made = TypeVar("Made")
+
+#: Tolerances from coarse to fine.
+TOLERANCES = tuple(10.0 ** (-k / 2) for k in range(2, 31))
+COARSE = TOLERANCES[::2]
+#: Steps begin at this, times the fastest oscillation at the start.
+COARSEST = 8.0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The state at the end of one run, and the work that it took."""
+
+    q: Floats
+    p: Floats
+    evaluations: int
+
+
+@dataclass(frozen=True)
+class Contender(Generic[Made]):
+    """A program that solves a problem to an accuracy that can be chosen."""
+
+    name: str
+    what: str
+    choices: Sequence[float]  #: From coarse to fine; ``what`` says of what.
+    make: Callable[[float], Made]  #: Gives for a choice what runs it.
+
+
+#: A function without arguments that runs, and one that reads the outcome of what it returns.
+Runnable = tuple[Callable[[], Any], Callable[[Any], Outcome]]
+
+
+def numbers_of_steps(problem: Problem) -> list[int]:
+    """Return numbers of steps from coarse to fine; none leaves out an oscillation."""
+    values = problem.system.parameters.values()
+    turns = problem.t_end * largest_frequency(problem.system, problem.q0, values) / COARSEST
+    least = max(4, round(problem.t_end / 2), round(turns))
+    return [round(least * 2 ** (k / 4)) for k in range(80)]
+
+
+def alternate(jobs: Mapping[str, Callable[[], Any]], rounds: int) -> dict[str, list[float]]:
+    """Return seconds of jobs that run in turns: what disturbs the machine disturbs all of them."""
+    times: dict[str, list[float]] = {name: [] for name in jobs}
+    for _ in range(rounds):
+        for name, job in jobs.items():
+            begin = time.perf_counter()
+            job()
+            times[name].append(time.perf_counter() - begin)
+    return times
+
+
+def ours(
+    problem: Problem, scheme: str | Scheme, retimed: RetimedSystem | None = None
+) -> Contender[Runnable]:
+    """Return one of our schemes; it counts Newton iterations.
+
+    In the time of a retimed system, choices are numbers of steps as long as the first.
+    """
+    stepper = compile_system(retimed or problem.system, scheme)
+
+    def make(steps: float) -> Runnable:
+        count = int(steps)
+        h = problem.t_end / count
+        length = {"steps": count} if retimed is None else {"t_end": problem.t_end}
+
+        def run() -> Any:
+            start: dict[str, Any] = {"q0": problem.q0, "p0": problem.p0, "h": h, **length}
+            return uninterrupted(stepper.integrate(**start, every=None, on_failure="return"))
+
+        def read(trajectory: Any) -> Outcome:
+            failed = np.full(stepper.n, np.nan)
+            q, p = (trajectory.q[0], trajectory.p[0]) if trajectory.success else (failed, failed)
+            return Outcome(q, p, int(trajectory.newton_iterations.sum()))
+
+        return run, read
+
+    name, choices = stepper.scheme, numbers_of_steps(problem)
+    if retimed is not None:  # these adapt: fewer are enough
+        coarse = [round(choices[0] * 2 ** (k / 4)) for k in range(-8, 0)]
+        name, choices = f"{name} retimed", [count for count in coarse if count >= 4] + choices
+    return Contender(name, "steps", choices, make)
+
 
 #: A run of heyoka takes no more steps than this.
 MOST_STEPS = 200_000
@@ -284,3 +366,34 @@ PROGRAMS: dict[str, Callable[[Problem], Iterator[Contender[Runnable]]]] = {
     "numbalsoda": _numbalsoda,
     "diffrax": _diffrax,
 }
+
+
+def read_peers(names: Any) -> list[str]:
+    """Return names of other programs, of which there are such; raises InputError."""
+    if names == "installed":
+        return list(PROGRAMS)
+    wanted = list(in_a_row(names))
+    for name in wanted:
+        if name not in PROGRAMS:
+            raise InputError(
+                f"there is no peer {name!r}.\nThere are {', '.join(PROGRAMS)}; () is none of them."
+            )
+    return wanted
+
+
+def peers(
+    problem: Problem, names: str | Sequence[str] = "installed"
+) -> Iterator[Contender[Runnable]]:
+    """Return the other programs: those named, or all that are installed.
+
+    Raises InputError if one is unknown, or named and not installed.
+    """
+    for name in read_peers(names):
+        try:
+            yield from PROGRAMS[name](problem)
+        except ImportError as error:
+            if names != "installed":
+                raise InputError(
+                    f"the peer {name!r} is not installed: {error}.\n"
+                    "Install it with pip install 'symsimpson[bench]', or leave it out."
+                ) from None

@@ -9,11 +9,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import symsimpson as ss
-from symsimpson.bench.contender import alternate
-from symsimpson.bench.programs import in_heyoka
+from symsimpson.bench.contenders import alternate
+from symsimpson.bench.contenders import in_heyoka
 from symsimpson.reference import canonical
-
-__all__ = ["report"]
 
 REPEATS = 15
 T_END = 100.0
@@ -70,3 +68,8 @@ def _heyoka() -> Callable[[], Any] | None:
         integrator.propagate_until(T_END)
 
     return run
+
+
+if __name__ == "__main__":
+    for line in report():
+        print(line, flush=True)
