@@ -1,24 +1,20 @@
-"""The functions by which kernels evaluate constraints: written out, or by loops over families.
-
-A family is a group of constraints of the same form, with other coordinates and parameters.
-"""
+"""The functions by which kernels evaluate constraints, one by one or in loops over families."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from itertools import chain
 
-from symsimpson.codegen.constraint_order import Held
 from symsimpson.codegen.expression import Expression
-from symsimpson.codegen.ir import Call, Function, Index, Row, Store
+from symsimpson.codegen.ir import Call, Function, Row, Store
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.storage import Held
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.terms_of_l import FamilyWriter, Table
 from symsimpson.discrete.constraint_terms import derive_constraints
 from symsimpson.discrete.families import Family
-
-__all__ = ["constraint_family_functions", "constraint_functions", "constraint_stores"]
 
 DOCS = {
     "constraint_slopes": "Phi = dphi/dq at a point.",
@@ -44,16 +40,15 @@ def constraint_functions(
     With velocity constraints A v = b these are derived, too. ``places`` has the row of each
     coordinate in matrices. Schemes with a drift, as RATTLE, call for phi alone (``drifting``).
     """
-    point = Point("c", low.node_q, low.node_v, low.node_t, low.node_u, low.multipliers)
+    point = replace(low.node, suffix="c", multipliers=low.multipliers)
     cleared = (Call("clear_constraints"),)
     first = dict.fromkeys(("constraint_slopes", "constrain"), cleared)
-    return [
-        Function(
-            name, DOCS[name], (*first.get(name, ()), *low.statements(some, (Level.ITERATION,)))
-        )
-        for name, some in constraint_stores(low, held, places, point, "constraints").items()
-        if drifting or name != "constraint_values"
-    ]
+    functions = []
+    for name, some in constraint_stores(low, held, places, point, "constraints").items():
+        if drifting or name != "constraint_values":
+            lines = low.statements(some, (Level.ITERATION,))
+            functions.append(Function(name, DOCS[name], (*first.get(name, ()), *lines)))
+    return functions
 
 
 def constraint_stores(
@@ -141,14 +136,12 @@ def constraint_family_functions(
     return functions, tables
 
 
-def _family_stores(
-    low: Lowering, writer: FamilyWriter
-) -> list[tuple[str, list[Store], list[Index]]]:
+def _family_stores(low: Lowering, writer: FamilyWriter) -> list[tuple[str, list[Store], list[str]]]:
     """Return what a member stores in each function, and which places it looks up before."""
     n, c = len(writer.indices), writer.constraint
     here = [low.names.fresh(f"s{i}") for i in range(n + 1)]
     items = [*writer.indices, f"DIMENSION + {c}"]
-    indices = [Index(s, f"HELD_PLACE[{item}]") for s, item in zip(here, items, strict=True)]
+    indices = [f"{s} = HELD_PLACE[{item}]" for s, item in zip(here, items, strict=True)]
 
     def entry(what: str, *index: int) -> Expression:
         return writer.template.entry(writer.point, "constraints", what, *index)
@@ -159,14 +152,11 @@ def _family_stores(
 
     slopes = [*_first_derivatives(entry, entry_row, n, range(1))]
     value = Store(Row("CONSTRAINT", c), entry("phi", 0))
+    pulls = [*_second_derivatives(entry, entry_row, n, add=True)]
     curve = Store(Row("CURVATURE", c), -entry("curve", 0))
     return [
         ("constraint_slopes", slopes, indices),
-        (
-            "constrain",
-            [value, *slopes, *_second_derivatives(entry, entry_row, n, add=True)],
-            indices,
-        ),
+        ("constrain", [value, *slopes, *pulls], indices),
         ("constraint_values", [value], []),
         ("curves", [curve], []),
     ]

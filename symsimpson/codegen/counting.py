@@ -11,8 +11,6 @@ import numpy as np
 
 from symsimpson.module.binding import bind, plain_arithmetic
 
-__all__ = ["Cost", "cost"]
-
 
 @dataclass(frozen=True)
 class Cost:

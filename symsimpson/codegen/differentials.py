@@ -1,28 +1,20 @@
-"""Kernels that differentiate a step, and functions of the system that they call.
-
-They solve the equations themselves, linearised at the solution: the derivative of whatever solved
-the step, as reduced parts have the same solution. The library has their texts, in the files
-``tangent.py``, ``adjoint.py`` and ``curvature.py``.
-"""
+"""Kernels that differentiate a step, with the functions of the system that they call."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import accumulate
+from itertools import accumulate, starmap
 from typing import Any
 
-from symsimpson.codegen.ir import Function, Kernel, Row, Store
+from symsimpson.codegen.ir import Function, Kernel, Row, Store, stored
 from symsimpson.codegen.levels import Level
-from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.specialise import kernel_from_text
-from symsimpson.codegen.template import Point
+from symsimpson.codegen.storage import LoopKernels
 from symsimpson.codegen.traced_parts import TracedPart
 from symsimpson.module.interface import WITH_PIVOTS
-
-__all__ = ["differentiating", "few_columns", "sizes"]
 
 #: With more products than this, variations are solved for one by one.
 MOST_TERMS = 4000
@@ -52,7 +44,11 @@ DOCS = {
 def differentiating(
     low: Lowering, loops: LoopKernels, facts: Mapping[str, object]
 ) -> tuple[list[Function], list[Kernel], dict[str, object]]:
-    """Return the functions, kernels and tables that differentiate a step, if that is wanted."""
+    """Return the functions, kernels and tables that differentiate a step, if that is wanted.
+
+    They solve the equations of the step, linearised at the solution: this is the derivative of
+    whatever solved the step, as reduced parts have the same solution.
+    """
     if low.equations.varied is None:
         return [], [], {}
     places = loops.storage.order
@@ -90,9 +86,8 @@ def _derivative(
     part.run_step(name)
     size = 2 * low.n * (2 * low.n + len(low.varied))
     values = part.named("DERIVATIVE", size, section="derivative")
-    stores = [Store(Row("DERIVATIVE", k), value) for k, value in enumerate(values)]
     doc = "Find the derivative of a step, column by column."
-    lines = low.statements(stores, (Level.STEP, Level.ITERATION))
+    lines = low.statements(stored("DERIVATIVE", values), (Level.STEP, Level.ITERATION))
     return Function(name, doc, lines, ("W", "h", "t", "lane"))
 
 
@@ -116,9 +111,20 @@ def _kernels(facts: Mapping[str, object]) -> Iterable[Kernel]:
 
 def _slopes(low: Lowering, places: Sequence[int]) -> dict[str, list[Store]]:
     """Return the derivatives by the parameters that are varied, which functions evaluate."""
-    varied, plain, here = low.varied, low.equations.plain, _node(low)
+    varied, plain, here = low.varied, low.equations.plain, low.node
     if not varied:
         return {}
+    point = replace(here, suffix="c", multipliers=low.multipliers)
+
+    def by_parameters(*kinds: tuple[str, str, Sequence[int]]) -> list[Store]:
+        """Store derivatives, each kind with its block and the rows or constraints it has."""
+        return [
+            Store(Row(block, j * len(which) + k), low.slopes.entry(point, "slopes", what, c, name))
+            for j, name in enumerate(varied)
+            for block, what, which in kinds
+            for k, c in enumerate(which)
+        ]
+
     stores = {
         "parameter_slopes": [
             Store(Row(block, k), low.slopes.entry(here, "slopes", what, places[s], name))
@@ -126,33 +132,15 @@ def _slopes(low: Lowering, places: Sequence[int]) -> dict[str, list[Store]]:
             for k, (name, s) in enumerate(_not_zero(low, places, what))
         ]
     }
-    point = replace(here, suffix="c", multipliers=low.multipliers)
-
-    def by_parameter(block: str, what: str, which: Sequence[int], j: int) -> list[Store]:
-        first = j * len(which)
-        return [
-            Store(Row(block, first + k), low.slopes.entry(point, "slopes", what, c, varied[j]))
-            for k, c in enumerate(which)
-        ]
-
     count = range(len(low.multipliers))
     rolling = range(len(plain.constraints), len(plain.held))
     if count:
-        stores["constraint_parameter_slopes"] = [
-            store
-            for j in range(len(varied))
-            for store in (
-                *by_parameter("CONSTRAINT_A", "phi_a", count, j),
-                *by_parameter("CONSTRAINT_QA", "pull_a", places, j),
-            )
-        ]
-    for name, what, wanted in (("rate", "rate_a", rolling), ("carried", "b_a", plain.carried)):
-        if wanted:
-            stores[f"{name}_parameter_slopes"] = [
-                store
-                for j in range(len(varied))
-                for store in by_parameter("RATE_A", what, rolling, j)
-            ]
+        kinds = ("CONSTRAINT_A", "phi_a", count), ("CONSTRAINT_QA", "pull_a", places)
+        stores["constraint_parameter_slopes"] = by_parameters(*kinds)
+    if rolling:
+        stores["rate_parameter_slopes"] = by_parameters(("RATE_A", "rate_a", rolling))
+    if plain.carried:
+        stores["carried_parameter_slopes"] = by_parameters(("RATE_A", "b_a", rolling))
     return stores
 
 
@@ -163,14 +151,14 @@ def _cost(low: Lowering, places: Sequence[int]) -> dict[str, list[Store]]:
     keys: list[tuple[str, *tuple[int | str, ...]]] = [("g",)]
     keys += [(what, a) for what in ("g_q", "g_v") for a in places]
     keys += [("g_a", name) for name in low.varied]
-    here = _node(low)
+    here = low.node
     values = (low.cost.entry(here, "cost", *key) for key in keys)
-    return {"cost_slopes": [Store(Row("NODE_COST", k), value) for k, value in enumerate(values)]}
+    return {"cost_slopes": stored("NODE_COST", values)}
 
 
 def _curvatures(low: Lowering) -> dict[str, list[Store]]:
     """Return the second derivatives at a node, and at a control point if there are constraints."""
-    here, stores = _node(low), {}
+    here, stores = low.node, {}
     v = tuple(low.step[0] * v for v in here.v or ())
     t = here.t - low.step[1] * low.step[0] if low.sized and here.t is not None else here.t
     for what, (name, block, _) in _CURVATURES.items() if low.equations.second else ():
@@ -179,10 +167,8 @@ def _curvatures(low: Lowering) -> dict[str, list[Store]]:
         point = replace(
             here, suffix=what, v=v, t=t, weights=low.weights, multipliers=low.multipliers
         )
-        stores[name] = [
-            Store(Row(block, k), low.curvatures.entry(point, "curvatures", what, i, j))
-            for k, (i, j) in enumerate(low.curvatures.places(what))
-        ]
+        entry = partial(low.curvatures.entry, point, "curvatures", what)
+        stores[name] = stored(block, starmap(entry, low.curvatures.places(what)))
     return stores
 
 
@@ -251,8 +237,3 @@ def _not_zero(low: Lowering, places: Sequence[int], what: str) -> list[tuple[str
         for s, a in enumerate(places)
         if not low.slopes.vanishes(what, a, name)
     ]
-
-
-def _node(low: Lowering) -> Point:
-    """Return the node at hand, as loops have it."""
-    return Point("i", low.node_q, low.node_v, low.node_t, low.node_u, step=low.step)

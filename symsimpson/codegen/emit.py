@@ -12,32 +12,16 @@ from typing import Any
 
 import sympy as sp
 
+from symsimpson.codegen import ir
 from symsimpson.codegen.expression import Expressions
-from symsimpson.codegen.heading import banner, docstring, folded
-from symsimpson.codegen.ir import (
-    Assign,
-    Call,
-    Excerpt,
-    Function,
-    IfActive,
-    Index,
-    Kernel,
-    Load,
-    Loop,
-    Module,
-    Section,
-    Statement,
-    Store,
-)
+from symsimpson.codegen.heading import banner, docstring, folded, thresholds
+from symsimpson.codegen.ir import Function, Kernel, Load, Module, Statement, Store
 from symsimpson.codegen.library import library_sources
 from symsimpson.codegen.printer import NAMED_CONSTANTS, Printer, count_operations
 from symsimpson.codegen.specialise import called
-from symsimpson.codegen.thresholds import thresholds
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.module.binding import MATH
 from symsimpson.module.interface import INTERFACE, OPTIONS, SIGNATURE
-
-__all__ = ["emit"]
 
 #: Moves that stand on a line of this width; the compiler takes more of them apart slowly.
 ON_A_LINE, WIDTH = 3, 100
@@ -53,19 +37,9 @@ _SHARED = "Loops and solvers: the same text in all modules."
 
 
 def emit(equations: DiscreteEquations, module: Module) -> str:
-    """Write the module's text, the same bytes for the same system and scheme.
+    """Write the text of a module, the same bytes for the same system and scheme.
 
-    Parameters
-    ----------
-    equations : DiscreteEquations
-        Where the module comes from; told in its docstring.
-    module : Module
-        What :func:`symsimpson.codegen.module_kernels.lower` made of them.
-
-    Returns
-    -------
-    str
-        A module that imports only numba, math and numpy's array.
+    It imports only numba, math and numpy's array.
     """
     printer = Printer()
     kernels = [_kernel(kernel, printer) for kernel in module.kernels]
@@ -82,24 +56,10 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
     }
     tables = _tables(equations, module, printer, set(_WORD.findall("\n".join(texts))))
     used = (printer.used | names.intersection(MATH)).difference(library_sources())
-    numbers = "\n".join(
-        part
-        for part in (
-            _imports(used, arrays=any("array(" in part for part in (tables, *library))),
-            _header(equations, module),
-            _layout(module),
-        )
-        if part
-    )
+    imports = _imports(used, arrays=any("array(" in part for part in (tables, *library)))
     # what belongs to the system comes first, as that is what people look for
-    head = "\n".join(
-        [
-            numbers,
-            tables,
-            *(part for part in (constants, limits) if part),
-            "compiled = njit(**OPTIONS)",
-        ]
-    )
+    first = [imports, _header(equations, module), _layout(module), tables, constants, limits]
+    head = "\n".join([*filter(None, first), "compiled = njit(**OPTIONS)"])
     groups = [(_STEP, kernels), (_OF_SYSTEM, functions), (_SHARED, library)]
     parts = [head, *(_group(*group) for group in groups if group[1]), computed_tables]
     text = "\n\n\n".join(part.rstrip("\n") for part in parts if part) + "\n"
@@ -342,24 +302,22 @@ def _statement(statement: Statement, printer: Printer, depth: int) -> list[str]:
     match statement:
         case Load():  # written with others of its block
             return []
-        case Assign(target, value):
+        case ir.Assign(target, value):
             return folded(f"{pad}{target.name} = ", write(value), pad + "    ", parentheses=True)
         case Store(row, value, _, add):
             head = f"{pad}{row} {'+=' if add else '='} "
             return folded(head, write(value), pad + "    ", parentheses=True)
-        case Call(function, arguments, results):
+        case ir.Call(function, arguments, results):
             targets = f"{', '.join(x.name for x in results)} = " if results else ""
             given = (x if isinstance(x, str) else write(x) for x in arguments)
             return [f"{pad}{targets}{function}({', '.join(given)})"]
-        case Section(title, body):
+        case ir.Section(title, body):
             return [f"{pad}# {title}", *_statements(body, printer, depth)]
-        case Index(target, source):
-            return [f"{pad}{target} = {source}"]
-        case Loop(index, over, body):
+        case ir.Loop(index, over, body):
             return [f"{pad}for {index} in {over}:", *_statements(body, printer, depth + 1)]
-        case Excerpt(text):
+        case ir.Excerpt(text):
             return [f"{pad}{line}" if line else "" for line in text]
-        case IfActive(body):
+        case ir.IfActive(body):
             return [f"{pad}if W[ACTIVE, lane] != 0:", *_statements(body, printer, depth + 1)]
 
 

@@ -17,8 +17,6 @@ from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.module.interface import KERNELS
 from symsimpson.module.workspace_layout import BLOCKS
 
-__all__ = ["NameTable"]
-
 #: What a module imports, names in its kernels, and defines beside what its library knows of: words,
 #: constants, and functions of the system that kernels call. No symbol takes one of these names.
 OWN = """

@@ -1,4 +1,4 @@
-"""Expressions of a module: exact numbers and nodes, each made once, with arithmetic."""
+"""Arithmetic with expressions of a module: each node is made once, numbers are exact."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ import sympy as sp
 from symsimpson.graph.nodes import UNIT, Exact, Graph, Value, exact
 from symsimpson.graph.read import Reader
 from symsimpson.graph.rebuild import rebuilt
-
-__all__ = ["Expression", "Expressions", "Number"]
 
 
 class Expression:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from symsimpson.codegen.sizes import drifting
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.reductions import Affine, Composed, Coupled, Linear, Part, Routh
 from symsimpson.mechanics.constraints import regular_mass
-
-__all__ = ["UNROLLED_UNKNOWNS", "few_equations", "part_unknowns", "solves_all", "unrolled"]
 
 #: Straight lines are written up to about so many: each takes some 3 ms to compile, and loops, of
 #: which each is a function of its own, 12 s in all. They run two to five times as fast.
@@ -78,3 +75,8 @@ def _size(part: Part) -> int:
 def part_unknowns(part: Part) -> int:
     """Count the unknowns that a part solves for together."""
     return len(part.coordinates) * len(part.columns)
+
+
+def drifting(equations: DiscreteEquations) -> bool:
+    """Return whether steps are kicks and drifts."""
+    return any(isinstance(part, Composed) for part in equations.parts)

@@ -2,29 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from heapq import heappop, heappush
+from itertools import groupby
 
 from symsimpson.codegen.emitted_names import NameTable
 from symsimpson.codegen.expression import Expression
+from symsimpson.codegen.levels import Definition
 from symsimpson.module.workspace_layout import BLOCKS
-
-__all__ = [
-    "Assign",
-    "Call",
-    "Excerpt",
-    "Function",
-    "IfActive",
-    "Index",
-    "Kernel",
-    "Load",
-    "Loop",
-    "Module",
-    "Row",
-    "Section",
-    "Statement",
-    "Store",
-]
 
 
 @dataclass(frozen=True)
@@ -60,14 +46,6 @@ class Store:
 
 
 @dataclass(frozen=True)
-class Index:
-    """``target = table[...]``: an integer from a table of the module."""
-
-    target: str
-    source: str
-
-
-@dataclass(frozen=True)
 class Assign:
     """``target = value``."""
 
@@ -82,6 +60,11 @@ class Call:
     function: str
     arguments: tuple[str | Expression, ...] = ("W", "lane")
     results: tuple[Expression, ...] = ()
+
+    @property
+    def values(self) -> list[Expression]:
+        """Those of its arguments that are values."""
+        return [x for x in self.arguments if isinstance(x, Expression)]
 
 
 @dataclass(frozen=True)
@@ -110,12 +93,12 @@ class IfActive:
 
 @dataclass(frozen=True)
 class Excerpt:
-    """Excerpt of a text of the library, with no indentation of the first one."""
+    """Lines of a text, with no indentation of the first one."""
 
     lines: tuple[str, ...]
 
 
-Statement = Load | Store | Index | Assign | Call | Section | Loop | IfActive | Excerpt
+Statement = Load | Store | Assign | Call | Section | Loop | IfActive | Excerpt
 
 
 @dataclass(frozen=True)
@@ -126,11 +109,6 @@ class Function:
     doc: str
     body: tuple[Statement, ...]
     arguments: tuple[str, ...] = ("W", "lane")
-
-    @property
-    def call(self) -> Call:
-        """The call of it where its arguments have the names that they have in it."""
-        return Call(self.name, self.arguments)
 
 
 @dataclass(frozen=True)
@@ -165,3 +143,58 @@ class Module:
     newton_unknowns: int
     tables: Mapping[str, object]
     facts: Mapping[str, object] = field(default_factory=dict)
+
+
+def stored(block: str, values: Iterable[Expression]) -> list[Store]:
+    """Store values in the first rows of a block."""
+    return [Store(Row(block, k), value) for k, value in enumerate(values)]
+
+
+def _by_section(definitions: Sequence[Definition]) -> list[Definition]:
+    """Order definitions so that those of a section stand together as far as they can.
+
+    Each stands behind what it is made of. Sections begin in the order of their first definitions.
+    """
+    maker = {target: n for n, d in enumerate(definitions) for target in d.targets}
+    needs = [{maker[s] for s in d.symbols if s in maker} for d in definitions]
+    users: dict[int, list[int]] = {}
+    for n, made_of in enumerate(needs):
+        for m in made_of:
+            users.setdefault(m, []).append(n)
+    first: dict[str, int] = {}
+    for n, definition in enumerate(definitions):
+        first.setdefault(definition.section, n)
+    ready: dict[str, list[int]] = {section: [] for section in first}
+    for n, made_of in enumerate(needs):
+        if not made_of:
+            heappush(ready[definitions[n].section], n)
+    ordered: list[Definition] = []
+    section = next(iter(first), "")
+    while len(ordered) < len(definitions):
+        if not ready[section]:
+            section = min((s for s in ready if ready[s]), key=first.__getitem__)
+        n = heappop(ready[section])
+        ordered.append(definitions[n])
+        for user in users.get(n, ()):
+            needs[user].discard(n)
+            if not needs[user]:
+                heappush(ready[definitions[user].section], user)
+    return ordered
+
+
+def sections(definitions: Sequence[Definition], common: str | None) -> list[Section]:
+    """Group consecutive definitions under their section's title, with its operation count."""
+    ordered, section_list = definitions if common else _by_section(definitions), []
+    for title, group in groupby(ordered, lambda definition: common or definition.section):
+        members = [*group]
+        operations = sum(definition.operations for definition in members)
+        pairs = sum(definition.function == "sincos" for definition in members)
+        count = f"{operations} operations" + (f", {pairs} sincos" if pairs else "")
+        section_list.append(Section(f"{title}: {count}", tuple(map(_defining, members))))
+    return section_list
+
+
+def _defining(definition: Definition) -> Statement:
+    """Return the statement that computes a definition."""
+    function, targets, values = definition.function, definition.targets, definition.values
+    return Call(function, values, targets) if function else Assign(*targets, *values)

@@ -1,9 +1,4 @@
-"""Binding times: what depends on the run, on the step, on the iteration.
-
-An expression is cut where it changes level, so that what is known earlier becomes a definition of
-its own and is computed only there: products of parameters once a run, the trigonometry of the
-left node once a step.
-"""
+"""Binding times: what depends on the run, on the step, on the iteration."""
 
 from __future__ import annotations
 
@@ -20,9 +15,6 @@ from symsimpson.codegen.printer import LARGE, count_operations
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import UNIT, Exact
 from symsimpson.graph.read import in_doubles, is_float
-
-__all__ = ["Definition", "Definitions", "Level"]
-
 
 #: Numbers that agree in so many digits, computed with some more, are the same.
 DIGITS, GUARD = 50, 15
@@ -78,7 +70,11 @@ Part = tuple[Expression, Level]
 
 
 class Definitions(Expressions):
-    """Definitions in an order in which they can be computed, each made once."""
+    """Definitions in an order in which they can be computed, each made once.
+
+    An expression is cut where its level changes: products of parameters are computed once a run,
+    the trigonometry of the left node once a step.
+    """
 
     def __init__(self, names: NameTable) -> None:
         super().__init__()

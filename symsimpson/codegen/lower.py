@@ -1,4 +1,4 @@
-"""From discrete equations to kernels: what is computed where, and in which rows it is kept."""
+"""Lowering of discrete equations: what a kernel computes, what it loads from rows."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ import sympy as sp
 
 from symsimpson.codegen.emitted_names import NameTable
 from symsimpson.codegen.expression import Expression, Number
-from symsimpson.codegen.ir import IfActive, Load, Row, Section, Statement, Store
+from symsimpson.codegen.ir import IfActive, Load, Row, Section, Statement, Store, sections
 from symsimpson.codegen.levels import Definition, Definitions, Level
-from symsimpson.codegen.sections import sections
 from symsimpson.codegen.storage import node_stride
 from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.discrete.constraint_terms import derive_constraints
@@ -25,8 +24,6 @@ from symsimpson.discrete.node_derivatives import derive_cost, derive_slopes
 from symsimpson.discrete.reductions import Coupled, Routh
 from symsimpson.graph.nodes import Value
 from symsimpson.mechanics.constraints import regular_mass
-
-__all__ = ["Lowering"]
 
 #: A line has about so many symbols if others are put in their place.
 MOST_SYMBOLS = 9
@@ -149,6 +146,11 @@ class Lowering:
         values = self.equations.system.parameters.values()
         return not regular_mass(self.equations.plain, values)
 
+    @cached_property
+    def node(self) -> Point:
+        """The node at hand, as loops have it."""
+        return Point("i", self.node_q, self.node_v, self.node_t, self.node_u, step=self.step)
+
     def of_all(self, jet: Jet) -> Self:
         """Return the same with another jet, and all coordinates solved for together."""
         lowering, every = copy(self), Coupled(tuple(range(self.n)), (), ())
@@ -232,29 +234,25 @@ class Lowering:
         return [self.growth(c) for c in places]
 
     def growth(self, part: Number) -> Expression:
-        """Return by how much what is weighted has grown after a part of the step; 1 for most."""
-        rate = self.equations.plain.rate
-        if rate is None:
-            return self.graph.of(1)
-        grown = self.graph.applied("exp", 2 * self.known(rate) * part * self.h)
+        """Return by how much what is weighted has grown after a part of the step."""
+        grown = self.graph.applied("exp", 2 * self._rate * part * self.h)
         return self.graph.define("growth", grown, "constants")
 
     def decayed(self, momentum: Expression, impulse: Expression) -> Expression:
-        """Return p1 - p0 from what p0 is at the start and the weighted impulse of the step.
+        """Return p1 - p0 from p0 and the weighted impulse of the step, without cancellation.
 
-        p1 = exp(-2 gamma h) (p0 + impulse); the difference from p0 is taken without cancellation.
+        p1 = exp(-2 gamma h) (p0 + impulse), and exp(-2 x) - 1 = -2 exp(-x) sinh(x).
         """
-        rate = self.equations.plain.rate
-        if rate is None:
-            return impulse
-        lost = self.lost(2 * self.known(rate) * self.h)
+        x, define = self._rate * self.h, self.graph.define
+        half = define("half", self.graph.applied("exp", -x), "constants")
+        lost = define("lost", -2 * half * self.graph.applied("sinh", x), "constants")
         return lost * momentum + self.growth(-1) * impulse
 
-    def lost(self, exponent: Expression) -> Expression:
-        """Return exp(-x) - 1, to the last digit for small x too."""
-        applied, define = self.graph.applied, self.graph.define
-        half = define("half", applied("exp", -exponent / 2), "constants")
-        return define("lost", -2 * half * applied("sinh", exponent / 2), "constants")
+    @property
+    def _rate(self) -> Expression:
+        """The rate gamma at which all momenta decay."""
+        assert self.equations.plain.rate is not None
+        return self.known(self.equations.plain.rate)
 
     def statements(
         self, stores: Iterable[Store], computed: Iterable[Level], title: str | None = None
@@ -318,13 +316,9 @@ class Lowering:
 
     def keep(self, stores: Iterable[Store], computed: Iterable[Level]) -> list[Expression]:
         """Give rows to the values that stores need and that are known before these levels."""
-        levels = set(computed)
-        needed = self._needed(stores, levels)
-        kept = [
-            s
-            for s, definition in self.graph.definitions.items()
-            if s in needed and definition.level not in levels and s not in self.rows
-        ]
+        levels, level = set(computed), self.graph.level
+        needed = self.needed(stores, levels)
+        kept = [s for s in needed if level(s) not in levels and s not in self.rows]
         for symbol in kept:
             assert self.graph.level(symbol) in (Level.RUN, Level.STEP)
             self.hoisted.setdefault(symbol, Row("HOISTED", len(self.hoisted)))
@@ -344,19 +338,10 @@ class Lowering:
                 work.extend(definition.symbols)
         return needed
 
-    def reached(self, stores: Iterable[Store]) -> list[Expression]:
-        """List all that is defined for stores, whatever its level."""
-        needed = self._needed(stores, set(Level))
+    def needed(self, stores: Iterable[Store], levels: Iterable[Level]) -> list[Expression]:
+        """List what stores need of all that is defined, through definitions of these levels."""
+        needed = self._needed(stores, set(levels))
         return [symbol for symbol in self.graph.definitions if symbol in needed]
-
-    def needed_before(self, stores: Iterable[Store], level: Level) -> list[Expression]:
-        """List what definitions of a level need of the levels of an iteration before it."""
-        needed = self._needed(stores, {level})
-        return [
-            symbol
-            for symbol, definition in self.graph.definitions.items()
-            if symbol in needed and Level.RUN < definition.level < level
-        ]
 
     def hoisted_at(self, level: Level) -> list[tuple[Expression, Row]]:
         """List the hoisted values of a level with their rows."""

@@ -25,26 +25,11 @@ from symsimpson.support.derivation import LAGRANGIAN, Derivation
 from symsimpson.support.garbage import rarely_collected
 from symsimpson.support.stopwatch import collecting, timed
 
-__all__ = ["derive", "source"]
-
 
 def source(
     system: MechanicalSystem, scheme: str | Scheme = "simpson", exploit: str | Iterable[str] = "all"
 ) -> str:
-    """Generate the module of a system and a scheme.
-
-    Parameters
-    ----------
-    system : MechanicalSystem
-    scheme : str or Scheme
-    exploit : str or iterable of str
-        Findings about the system that may be made use of.
-
-    Returns
-    -------
-    str
-        The module's text, the same bytes every time; remembered for systems asked for of late.
-    """
+    """Generate the text of a module; ``exploit`` names the findings that it makes use of."""
     return derive(system, scheme, exploit).text
 
 
@@ -69,10 +54,6 @@ def derive(
         A cost that is integrated along the path, in the user's symbols.
     second : bool
         Whether rows of a step are to be differentiated twice.
-
-    Returns
-    -------
-    Derivation
     """
     names = None if varied is None else tuple(varied)
     return _derive(system, read_scheme(scheme), read_exploit(exploit), names, running, second)

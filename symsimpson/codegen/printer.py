@@ -9,8 +9,6 @@ from symsimpson.codegen.expression import Expression, Expressions
 from symsimpson.graph.nodes import TINY, UNIT, Exact, Graph, Value, exact, magnitude
 from symsimpson.graph.read import in_doubles, is_float
 
-__all__ = ["LARGE", "NAMED_CONSTANTS", "Printer", "count_operations", "formula"]
-
 #: Numbers without a formula: their names in a module, where they stand as doubles, and their
 #: values; a binding of more digits has its own.
 NAMED_CONSTANTS = {"EULER_GAMMA": 0.5772156649015329, "CATALAN": 0.915965594177219, "TINY": TINY}

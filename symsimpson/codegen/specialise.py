@@ -1,8 +1,4 @@
-"""Texts of functions, with conditions on facts resolved.
-
-A fact is known when a module is written. ``if HELD:`` in a text of the library leaves one branch in
-the module, and no trace of the other one.
-"""
+"""Texts of functions, with conditions on facts resolved."""
 
 from __future__ import annotations
 
@@ -13,8 +9,6 @@ from functools import lru_cache
 
 from symsimpson.codegen.ir import Excerpt, Kernel, Loop
 from symsimpson.codegen.library import kernel_sources
-
-__all__ = ["FACTS", "called", "kernel_from_text", "specialised"]
 
 _NAMES = """
     TRACED AUTONOMOUS DRIVEN TIMED DRAGGED DAMPED FRICTION GYROSCOPIC RETIMED ALIKE

@@ -1,28 +1,32 @@
-"""Kernels that iterate the velocities and forces at the nodes: texts of the library.
-
-What they do at a node is a loop over coordinates in large systems with a constant M; it is traced
-for all others.
-"""
+"""Kernels that iterate what the nodes of a step have: velocities, forces."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import count
 from typing import Any
 
 from symsimpson.codegen.expression import Expression
-from symsimpson.codegen.ir import Call, Function, Kernel, Loop, Row, Statement, Store
+from symsimpson.codegen.ir import (
+    Assign,
+    Call,
+    Function,
+    Kernel,
+    Load,
+    Loop,
+    Row,
+    Section,
+    Statement,
+    Store,
+)
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
-from symsimpson.codegen.pivots import begun_pivots, least_pivot
 from symsimpson.codegen.specialise import kernel_from_text
+from symsimpson.codegen.state_kernels import STATE, begun_pivots, least_pivot
 from symsimpson.codegen.storage import node_stride
 from symsimpson.codegen.terms_of_l import split_loads
-from symsimpson.codegen.traced_kernels import STATE
 from symsimpson.codegen.traced_parts import TracedPart
-from symsimpson.codegen.turning import Turning
-
-__all__ = ["Stages", "looped_stages", "traced_stages"]
 
 #: An iteration with more operations a node than this is not written out.
 MOST_OPERATIONS = 3000
@@ -33,6 +37,8 @@ FIRST = (Level.STEP, Level.ITERATION)
 #: Rows of a node that these read, and tables with a row for each node, by names of their values.
 READ = {"STAGE_STEP": "h_b", "STAGE_RATE": "rate", "STAGE_PLACE": "c_j"}
 TABLES = {"STAGE_MU": "mu_{}", "STAGE_NU": "nu_{}", "STAGE_AHEAD": "ahead_{}"}
+#: An angle of a node, its sine and its cosine, from which later iterations turn them.
+TURNED = ("STAGE_ANGLE", "STAGE_SINE", "STAGE_COSINE")
 #: What depends on forces of other nodes is known late.
 LATE = ("STAGE_NU", "STAGE_F")
 
@@ -48,12 +54,11 @@ class _Node(int):
 class Stages:
     """Kernels, functions of the system that they call, and what a module needs for them."""
 
-    kernels: tuple[Kernel, ...]
-    functions: tuple[Function, ...]
-    tables: dict[str, object]
-    facts: dict[str, object]
-    sizes: dict[str, Any]
-    constants = (Call("stage_constants", ("W", "h", "lane")),)
+    kernels: tuple[Kernel, ...] = ()
+    functions: tuple[Function, ...] = ()
+    tables: dict[str, object] = field(default_factory=dict)
+    facts: dict[str, object] = field(default_factory=dict)
+    sizes: dict[str, Any] = field(default_factory=dict)
 
 
 def looped_stages(low: Lowering, known: Mapping[str, object]) -> Stages:
@@ -64,11 +69,6 @@ def looped_stages(low: Lowering, known: Mapping[str, object]) -> Stages:
     pendulums).
     """
     return _stages(low, range(low.n), {**known, "TURNED": False})
-
-
-def traced_stages(low: Lowering, known: Mapping[str, object]) -> Stages | None:
-    """Return the kernels of a small system; None if what is done at a node would be too long."""
-    return _TracedStages(low, known).stages()
 
 
 def _stages(
@@ -99,7 +99,7 @@ def _over_nodes(name: str, doc: str, body: Sequence[Statement], *given: str) -> 
     return Function(name, doc, (*outside, loop), ("W", *(given or ("h", "t")), "lane"))
 
 
-class _TracedStages:
+class TracedStages:
     """Traces what is done at a node."""
 
     def __init__(self, low: Lowering, known: Mapping[str, object]) -> None:
@@ -115,7 +115,7 @@ class _TracedStages:
         self._rows = self._symbols()
 
     def stages(self) -> Stages | None:
-        """Trace all functions, and complete the kernels."""
+        """Return the kernels of a small system; None if those of a node would be too long."""
         low, h, t = self._low, self._low.h, self._low.t
         start, end = self._velocity("start_velocity", t), self._velocity("end_velocity", h, t)
         self._run("stage_force", h, t, self._node)
@@ -127,32 +127,32 @@ class _TracedStages:
             moves.append(Store(self._row(block), value))
         pivot = self._row("STAGE_PIVOT")
         forces += least_pivot(low, self._pivots(), pivot, "velocities", self._scales)
-        reached = [low.graph.definitions[s] for s in low.reached([*forces, *moves])]
+        reached = [low.graph.definitions[s] for s in low.needed([*forces, *moves], Level)]
         if sum(definition.operations for definition in reached) > MOST_OPERATIONS:
             return None
-        between = [s for s in low.needed_before(moves, Level.LATE) if s not in low.rows]
+        early = [s for s in low.needed(moves, (Level.LATE,)) if s not in low.rows]
+        between = [s for s in early if Level.RUN < low.graph.level(s) < Level.LATE]
         rows = {s: self._row("STAGE_HELD", k) for k, s in enumerate(between)}
         opening = low.statements([*forces, *(Store(rows[s], s) for s in between)], FIRST)
         low.rows |= rows
         closing = low.statements(moves, (Level.LATE,))
         for symbol in between:
             del low.rows[symbol]
-        turning = Turning(low, self._row)
-        kept, turned = turning.kept(opening), turning.turned(opening)
+        kept, turned, angles = self._turning(opening)
         functions = [
             Function("start_velocity", "Find the velocity at (q, p).", start, ("W", "t", "lane")),
             _over_nodes("stage_forces", "Find forces at all nodes.", kept),
             _over_nodes("stage_velocities", "Find velocities at all nodes.", closing),
             self._ahead(),
         ]
-        if turning.count:
+        if angles:
             doc = "Find forces, with sines and cosines turned by what angles change."
             functions.append(_over_nodes("turned_forces", doc, turned))
         if len(self._forced) < low.n:
             doc = "Find the velocity at q1 of coordinates without a force."
             functions.append(Function("end_velocity", doc, end, ("W", "h", "t", "lane")))
-        facts = {"PIVOTS": len(low.scales) > self._scales, "TURNED": turning.count > 0}
-        sizes = {"staged_values": len(between), "angles": turning.count}
+        facts = {"PIVOTS": len(low.scales) > self._scales, "TURNED": angles > 0}
+        sizes = {"staged_values": len(between), "angles": angles}
         return _stages(low, self._forced, {**self._known, **facts}, tuple(functions), **sizes)
 
     def _velocity(self, function: str, *times: Expression) -> tuple[Statement, ...]:
@@ -245,3 +245,49 @@ class _TracedStages:
         """Return the pivots of M at the point at hand."""
         n = self._low.n
         return [self._part.row("NODE_L_VV", s * n + s) for s in range(n)]
+
+    def _turning(self, body: Iterable[Statement]) -> tuple[list[Statement], list[Statement], int]:
+        """Return statements that keep sines and cosines, others that turn these, and their number.
+
+        The latter turn them by what angles have changed since, and store how far.
+        """
+        fresh = self._low.graph.fresh
+        numbers, changes = count(), list[Expression]()
+
+        def keep(call: Call) -> list[Statement]:
+            number, (angle,) = next(numbers), call.values
+            rows = (self._row(block, number) for block in TURNED)
+            return [call, *map(Store, rows, (angle, *call.results))]
+
+        def turn(call: Call) -> list[Statement]:
+            (angle,) = call.values
+            hints = ("angle_before", "sine_before", "cosine_before", "turn")
+            *before, change = (fresh(hint, Level.ITERATION) for hint in hints)
+            rows = (self._row(block, len(changes)) for block in TURNED)
+            loads = [*map(Load, before, rows)]
+            changes.append(change)
+            turned = Call("turned", (*before[1:], change), call.results)
+            return [*loads, Assign(change, angle - before[0]), turned]
+
+        kept, turned = _with_angles(body, keep), _with_angles(body, turn)
+        if changes:
+            squares = self._low.graph.total(change**2 for change in changes)
+            turned.append(Store(Row("STAGE_TURN", "node"), squares))
+        return kept, turned, len(changes)
+
+
+def _with_angles(
+    body: Iterable[Statement], rewrite: Callable[[Call], list[Statement]]
+) -> list[Statement]:
+    """Return statements in which others stand for the calls that give a sine and a cosine."""
+    statements: list[Statement] = []
+    for statement in body:
+        match statement:
+            case Section():
+                inner = tuple(_with_angles(statement.body, rewrite))
+                statements.append(replace(statement, body=inner))
+            case Call("sincos"):
+                statements += rewrite(statement)
+            case _:
+                statements.append(statement)
+    return statements

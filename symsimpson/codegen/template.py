@@ -13,8 +13,6 @@ from symsimpson.discrete.jet import Jet, Key
 from symsimpson.graph.nodes import UNIT, Value
 from symsimpson.graph.shared_lines import Line, Program
 
-__all__ = ["JetTemplate", "Point"]
-
 #: What a point has in place of plain symbols, by the first letter of these.
 _AT_POINT = {"q": "q", "v": "v", "u": "u", "l": "multipliers", "s": "step", "w": "weights"}
 

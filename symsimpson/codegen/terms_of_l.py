@@ -1,15 +1,25 @@
-"""The functions by which kernels evaluate L at nodes: written out, or by loops over families.
-
-A family is a group of terms of L of the same form, with other coordinates and parameters.
-"""
+"""The functions by which kernels evaluate L at nodes: written out, or by loops over families."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from functools import cache, partial
+from functools import cache, partial, reduce
+from itertools import product
 
 from symsimpson.codegen.expression import Expression
-from symsimpson.codegen.ir import Call, Function, Index, Load, Loop, Row, Section, Statement, Store
+from symsimpson.codegen.ir import (
+    Call,
+    Excerpt,
+    Function,
+    Load,
+    Loop,
+    Row,
+    Section,
+    Statement,
+    Store,
+    stored,
+)
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.printer import formula
@@ -17,26 +27,11 @@ from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.discrete.families import Family
 from symsimpson.discrete.jet import Jet, derive_jet
 from symsimpson.discrete.reductions import Routh
+from symsimpson.graph.nodes import Exact
 from symsimpson.graph.read import tree_size
-
-__all__ = [
-    "BLOCKS",
-    "FUNCTIONS",
-    "FamilyWriter",
-    "Table",
-    "cyclic_function",
-    "cyclic_values",
-    "family_functions",
-    "power_function",
-    "power_stores",
-    "pull_stores",
-    "split_loads",
-    "unrolled_functions",
-]
 
 #: Rows of integers.
 Table = tuple[tuple[int, ...], ...]
-
 #: Functions of a node, and the entries of the jet that they store: F = L_q + f with forces f,
 #: P = L_v, a = L_v at v = 0, and derivatives of these.
 FUNCTIONS = {
@@ -86,8 +81,7 @@ def cyclic_values(
 
 def cyclic_function(low: Lowering, part: Routh) -> Function:
     """Write D and L of cyclic coordinates, and their momenta at v_y = 0, at a node."""
-    point = Point("i", low.node_q, low.node_v, low.node_t, low.node_u)
-    values = cyclic_values(low, low.cyclic(part), part, point, "cyclic coordinates")
+    values = cyclic_values(low, low.cyclic(part), part, low.node, "cyclic coordinates")
     places = {1: "node * CYCLIC + {}", 2: "(node * CYCLIC + {}) * CYCLIC + {}"}
     stores = [
         Store(Row(block, places[len(index)].format(*index)), value)
@@ -106,28 +100,42 @@ def unrolled_functions(
     With forces most entries of a large system are zero: loops clear them all before.
     """
     sparse = not low.equations.plain.conservative
-    point = Point("i", low.node_q, low.node_v, low.node_t, low.node_u)
     dragged = low.equations.plain.dragged
-    size = range(low.n)
     functions = []
     for name in names:
         doc, parts = FUNCTIONS[name]
         stores = []
-        asked = (*parts, *(("f_v",) if dragged and "F_v" in parts else ()))
-        for what in asked:
-            for index in _indices(what, size):
-                # L_qv is the transpose of P_q, and df/dv is stored apart: F_v is their sum
-                turned = dragged and what == "F_v"
-                entry, places = ("P_q", index[::-1]) if turned else (what, index)
-                value = low.template.entry(point, "jet", entry, *places)
-                stored = index if stand is None else [stand[i] for i in index]
-                number = sum(i * low.n**k for k, i in enumerate(reversed(stored)))
-                if value != 0 or not sparse:
-                    stores.append(Store(Row(BLOCKS[what], number), value, add=what == "V"))
-        body = _clearing(asked) if sparse else []
+        for what, index, key in jet_entries(parts, low.n, dragged=dragged):
+            value = low.template.entry(low.node, "jet", *key)
+            stored = index if stand is None else [stand[i] for i in index]
+            if value != 0 or not sparse:
+                row = Row(BLOCKS[what], position(stored, low.n))
+                stores.append(Store(row, value, add=what == "V"))
+        body = _clearing(_with_drag(parts, dragged=dragged)) if sparse else []
         lines = low.statements(stores, (Level.ITERATION,))
         functions.append(Function(name, doc, (*body, *lines)))
     return functions
+
+
+def jet_entries(
+    parts: Sequence[str], n: int, *, dragged: bool
+) -> Iterator[tuple[str, tuple[int, ...], tuple[str, *tuple[int, ...]]]]:
+    """Yield what functions of a node store, the index of each, and its entry in the jet."""
+    for what in _with_drag(parts, dragged=dragged):
+        for index in _indices(what, n):
+            # L_qv is the transpose of P_q, and df/dv is stored apart: F_v is their sum
+            turned = dragged and what == "F_v"
+            yield what, index, ("P_q", *index[::-1]) if turned else (what, *index)
+
+
+def position(index: Iterable[int], size: int) -> int:
+    """Return where an entry of an array stands, of so many rows in each direction."""
+    return reduce(lambda place, k: place * size + k, index, 0)
+
+
+def _with_drag(parts: Sequence[str], *, dragged: bool) -> Sequence[str]:
+    """Return the parts of the jet, with df/dv where forces depend on velocities."""
+    return (*parts, "f_v") if dragged and "F_v" in parts else parts
 
 
 def _clearing(parts: Sequence[str]) -> list[Call]:
@@ -139,7 +147,7 @@ def power_stores(low: Lowering, template: JetTemplate, point: Point) -> list[Sto
     """Store the power of each force, and dL/dt; that of constraints is 0 here."""
     powers = low.equations.plain.powers
     values = [template.entry(point, "powers", "power", name) for name in powers]
-    return [Store(Row("POWER", k), value) for k, value in enumerate(values)]
+    return stored("POWER", values)
 
 
 def pull_stores(low: Lowering, point: Point) -> list[Store]:
@@ -154,7 +162,7 @@ def pull_stores(low: Lowering, point: Point) -> list[Store]:
 
 def power_function(low: Lowering, template: JetTemplate) -> Function:
     """Write the powers of all forces at a node."""
-    stores = power_stores(low, template, Point("i", low.node_q, low.node_v, low.node_t, low.node_u))
+    stores = power_stores(low, template, low.node)
     doc = "Power of each force at a node, then the partial dL/dt where L depends on t."
     return Function("node_power", doc, low.statements(stores, (Level.ITERATION,)))
 
@@ -174,9 +182,8 @@ def family_functions(
         writers.append((number, writer))
     functions: list[Function] = []
     for name in names:
-        doc, parts = FUNCTIONS[name]
-        if low.equations.plain.dragged and "F_v" in parts:
-            parts = (*parts, "f_v")
+        doc, known = FUNCTIONS[name]
+        parts = _with_drag(known, dragged=low.equations.plain.dragged)
         calls: list[Statement] = [*_clearing(parts)]
         for number, writer in writers:
             stores = _family_stores(writer, parts)
@@ -188,7 +195,7 @@ def family_functions(
 
 
 class FamilyWriter:
-    """Writes loops over the members of one family.
+    """Writes loops over the members of one family: terms of the same form.
 
     Its ``table`` has a row for each member, of places of coordinates, the constraint if the term is
     one, and rows of coefficients.
@@ -212,21 +219,12 @@ class FamilyWriter:
         q = tuple(indexed(f"q_{s}", "NODE_POSITION", self.indices[s]) for s in size)
         v = tuple(indexed(f"v_{s}", "NODE_VELOCITY", self.indices[s]) for s in size)
         held = [indexed("l", "MULTIPLIER", self.constraint)] if family.constraints else []
-        coefficients = [
-            indexed(f"c_{s}", "COEFFICIENT", kind) for s, kind in enumerate(self._coefficient_rows)
-        ]
-        parameters = [
-            *coefficients,
-            *(low.parameters[a.name] for a in plain.parameters[family.slots :]),
-        ]
+        rows = enumerate(self._coefficient_rows)
+        parameters = [indexed(f"c_{s}", "COEFFICIENT", row) for s, row in rows]
+        parameters += [low.parameters[a.name] for a in plain.parameters[family.slots :]]
+        known = dict(zip((a.name for a in plain.parameters), parameters, strict=True))
         self.point = Point(table.lower(), q, v, low.node_t, low.node_u, multipliers=tuple(held))
-        self.template = JetTemplate(
-            jet,
-            low.graph,
-            [f"{s}" for s in size],
-            {a.name: x for a, x in zip(plain.parameters, parameters, strict=True)},
-            momenta=(),
-        )
+        self.template = JetTemplate(jet, low.graph, [*map(str, size)], known, momenta=())
 
     def build_table(self, places: Sequence[int]) -> Table:
         """Return the table; coefficients that are new get rows in the module."""
@@ -235,9 +233,8 @@ class FamilyWriter:
         table = []
         for k, member in enumerate(family.coordinates):
             row_numbers = [rows.setdefault(known(x), len(rows)) for x in family.coefficients[k]]
-            table.append(
-                (*(places[i] for i in member), *family.constraints[k : k + 1], *row_numbers)
-            )
+            at = [places[i] for i in member]
+            table.append((*at, *family.constraints[k : k + 1], *row_numbers))
         self._low.coefficients = tuple(rows)
         return tuple(table)
 
@@ -248,7 +245,7 @@ class FamilyWriter:
         return [x for x in parts if x != other and (x != "f_v" or plain.dragged)]
 
     def function(
-        self, name: str, doc: str, stores: Sequence[Store], more: Sequence[Index] = ()
+        self, name: str, doc: str, stores: Sequence[Store], more: Sequence[str] = ()
     ) -> Function:
         """Write the loop over members with these stores.
 
@@ -257,14 +254,13 @@ class FamilyWriter:
         """
         constraint = [self.constraint] if self.constraint else []
         columns = [*self.indices, *constraint, *self._coefficient_rows]
-        used: list[Statement] = [
-            Index(target, f"{self.table}[term, {column}]") for column, target in enumerate(columns)
-        ]
+        lines = (f"{x} = {self.table}[term, {column}]" for column, x in enumerate(columns))
+        looked_up = Excerpt((*lines, *more))
         first, *rest = self._low.statements(stores, (Level.ITERATION,))
         outside, inside = split_loads(first)
         members = self._family.coordinates
         doc = f"{doc[:-1]}: {len(members)} terms {self._term_text()}."
-        loop = Loop("term", f"range({len(members)})", (*used, *more, *inside, *rest))
+        loop = Loop("term", f"range({len(members)})", (looked_up, *inside, *rest))
         return Function(name, doc, (*outside, loop))
 
     def _term_text(self) -> str:
@@ -285,7 +281,7 @@ def _family_stores(writer: FamilyWriter, parts: Iterable[str]) -> list[Store]:
     """Return what a member adds to some derivatives of L."""
     stores = []
     for what in writer.entries(parts):
-        for index in _indices(what, range(len(writer.indices))):
+        for index in _indices(what, len(writer.indices)):
             value = writer.template.entry(writer.point, "jet", what, *index)
             if value != 0:
                 places = [writer.indices[i] for i in index]
@@ -315,9 +311,70 @@ def split_loads(reads: Statement) -> tuple[list[Statement], list[Statement]]:
     return outside, inside
 
 
-def _indices(what: str, size: range) -> Iterable[tuple[int, ...]]:
-    if what == "V":
-        return [()]
-    if what in ("F", "P", "a"):
-        return [(i,) for i in size]
-    return [(i, j) for i in size for j in size]
+def _indices(what: str, n: int) -> Iterator[tuple[int, ...]]:
+    """Yield the indices of a number, of a vector or of a matrix."""
+    directions = {"V": 0, "F": 1, "P": 1, "a": 1}.get(what, 2)
+    return product(range(n), repeat=directions)
+
+
+#: Fewer products of one kind are written out.
+FEWEST = 8
+
+
+def coefficient_loops(
+    low: Lowering, values: Sequence[Expression]
+) -> tuple[list[Statement], list[Store], dict[str, object]]:
+    """Generate the loops, single stores and tables that compute the coefficients of L.
+
+    ``values`` are the coefficients, in the order of their rows, made of the parameters of ``low``.
+    Loops are for products of one form, of which there are at least FEWEST; stores are for what is
+    left. A table has for each turn of a loop the row of a coefficient, then those of its
+    parameters.
+    """
+    kinds: dict[tuple[Exact, int], list[tuple[int, ...]]] = defaultdict(list)
+    stores = []
+    for row, value in enumerate(values):
+        places = _places(low, value)
+        number = value.coefficient
+        if places:
+            kinds[number, len(places)].append((row, *places))
+        else:
+            stores.append(_store(low, row, value))
+    loops: list[Statement] = []
+    tables: dict[str, object] = {}
+    for (number, _), members in kinds.items():
+        if len(members) < FEWEST:
+            stores += [_store(low, row, values[row]) for row, *_ in members]
+            continue
+        name = f"PRODUCTS_{len(tables) + 1}"
+        tables[name] = tuple(members)
+        loops.append(_loop(low, name, number, members))
+    return loops, sorted(stores, key=lambda store: int(store.row.index)), tables
+
+
+def _places(low: Lowering, product: Expression) -> tuple[int, ...]:
+    """Return the rows of the parameters in a pure product; () for any other expression."""
+    factors = [Expression(low.graph, (e, n)) for n, e in low.graph.factors(product.node)]
+    rows = [low.rows[factor] for factor in factors if factor in low.rows]
+    return tuple(sorted(int(row.index) for row in rows)) if len(rows) == len(factors) else ()
+
+
+def _store(low: Lowering, row: int, value: Expression) -> Store:
+    return Store(Row("COEFFICIENT", row), low.graph.split(value, "constants")[0])
+
+
+def _loop(
+    low: Lowering, table: str, number: Exact, members: Sequence[tuple[int, ...]]
+) -> Statement:
+    """Write the loop over products of one kind."""
+    target, *indices = [low.names.fresh("row") for _ in members[0]]
+    factors = []
+    for index in indices:
+        factors.append(low.graph.fresh("factor", Level.RUN))
+        low.rows[factors[-1]] = Row("PARAMETER", index)
+    value = low.graph.split(low.graph.product([number, *factors]), "constants")[0]
+    rows = enumerate((target, *indices))
+    read = Excerpt(tuple(f"{name} = {table}[term, {k}]" for k, name in rows))
+    body = low.statements([Store(Row("COEFFICIENT", target), value)], (Level.RUN,))
+    inside = [part for section in body if isinstance(section, Section) for part in section.body]
+    return Loop("term", f"range({len(members)})", (read, *inside))

@@ -1,36 +1,119 @@
-"""Texts of the library, executed with expressions for numbers: what is left is their arithmetic.
-
-Python resolves loops, indices, tables, and conditions on these while a text runs. A value that the
-text reads again, from a local or from a row, becomes a definition. Definitions are then cut where
-they change their level, as in :mod:`symsimpson.codegen.levels`.
-"""
+"""Texts of the library, executed with expressions for numbers."""
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import operator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from functools import lru_cache
 from types import CodeType
-from typing import Any
+from typing import Any, TypeAlias
 
-from symsimpson.codegen.exact_tables import Irrational, exact_number
+import sympy as sp
+
 from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.levels import Definitions, Level
 from symsimpson.discrete.combined_rows import simplified
 from symsimpson.errors import GenerationError
 from symsimpson.graph.nodes import exact
 
-__all__ = ["Trace", "TracedRows", "instrumented"]
+
+class Irrational:
+    """An irrational number, exact: roots that cancel do so, and no denominator has a root."""
+
+    __slots__ = ("value",)
+
+    def __init__(self, value: sp.Expr) -> None:
+        self.value = value
+
+    def _with(self, other: Any, operate: Callable[[Any, Any], Any]) -> Any:
+        if isinstance(other, Expression):
+            return operate(other.graph.of(self.value), other)
+        if not isinstance(other, (int, Fraction, Irrational)):
+            return NotImplemented
+        return _combined(operate, self.value, _written(other))
+
+    def __neg__(self) -> ExactNumber:
+        return Irrational(-self.value)
+
+    def __add__(self, other: Any) -> Any:
+        return self._with(other, operator.add)
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Any) -> Any:
+        return self + -other
+
+    def __rsub__(self, other: Any) -> Any:
+        return -self + other
+
+    def __mul__(self, other: Any) -> Any:
+        return self._with(other, operator.mul)
+
+    __rmul__ = __mul__
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether another number is the same; no whole number is."""
+        return isinstance(other, Irrational) and self.value == other.value
+
+    def __hash__(self) -> int:
+        return hash(self.value)
+
+    def __gt__(self, other: Any) -> bool:
+        return bool(self.value > _written(other))
+
+    def __lt__(self, other: Any) -> bool:
+        return bool(self.value < _written(other))
+
+
+#: A number of a table.
+ExactNumber: TypeAlias = int | Fraction | Irrational
+
+
+class ExactTable:
+    """A table of the scheme, or a number of it, with all digits."""
+
+    def __init__(self, entries: tuple[Any, ...]) -> None:
+        self._entries = entries
+
+    def __getitem__(self, place: int | tuple[int, ...]) -> Any:
+        entry: Any = self._entries
+        for k in place if isinstance(place, tuple) else (place,):
+            if k < 0:
+                raise IndexError(f"a text reads entry {place} of a table")
+            entry = entry[k]
+        return ExactTable(entry) if isinstance(entry, tuple) else exact_number(entry)
+
+    def __iter__(self) -> Iterator[Any]:
+        return (self[k] for k in range(len(self._entries)))
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+
+def exact_number(number: Any) -> ExactNumber:
+    """Return a number of SymPy as a whole number, a fraction, or an irrational number."""
+    if isinstance(number, (int, Fraction, Irrational)):
+        return number
+    value = sp.sympify(number)
+    return exact(Fraction(int(value.p), int(value.q))) if value.is_Rational else Irrational(value)
+
+
+def _written(number: ExactNumber) -> sp.Expr:
+    if isinstance(number, Irrational):
+        return number.value
+    return sp.Rational(number.numerator, number.denominator)
+
+
+@lru_cache(maxsize=10_000)  # the same products of entries for all pairs of coordinates
+def _combined(operate: Callable[[Any, Any], Any], x: sp.Expr, y: sp.Expr) -> ExactNumber:
+    return exact_number(simplified(operate(x, y)))
+
 
 #: Where functions go to that are given no node and no control point.
 PLACES = {"path_start": "start", "path_end": "end"}
-
-_OPERATIONS: Mapping[str, Callable[[Any, Any], Any]] = {
-    "Add": lambda x, y: x + y,
-    "Sub": lambda x, y: x - y,
-    "Mult": lambda x, y: x * y,
-}
+_OPERATIONS = {"Add": operator.add, "Sub": operator.sub, "Mult": operator.mul}
 
 
 class TracedRows:
@@ -61,7 +144,9 @@ class TracedRows:
 
 
 class Trace:
-    """Executes functions of texts.
+    """Executes functions of texts: Python resolves loops, tables, and conditions on these.
+
+    A value that a text reads again, from a local or from a row, becomes a definition.
 
     ``names`` are what else the texts name: first rows of blocks, tables, sizes, and functions that
     are written in Python. ``sections`` gives for a function the title of what it computes.
@@ -265,15 +350,12 @@ class _Instrument(ast.NodeTransformer):
         added = _call("_add_to", _name(node.target.id), operation, value)
         return ast.Assign([node.target], added, **_LINE)
 
-    def visit_If(self, node: ast.If) -> ast.stmt:
+    def _visit_choice(self, node: Any) -> Any:
         self.generic_visit(node)
         node.test = _call("_known", node.test)
         return node
 
-    def visit_IfExp(self, node: ast.IfExp) -> ast.expr:
-        self.generic_visit(node)
-        node.test = _call("_known", node.test)
-        return node
+    visit_If = visit_IfExp = _visit_choice
 
     def visit_Compare(self, node: ast.Compare) -> ast.expr:
         self.generic_visit(node)

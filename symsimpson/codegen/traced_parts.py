@@ -5,29 +5,24 @@ from __future__ import annotations
 from bisect import bisect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial, reduce
-from itertools import product
+from functools import partial
 from typing import Any
 
 from symsimpson.codegen.constraint_functions import constraint_stores
-from symsimpson.codegen.constraint_order import Held
-from symsimpson.codegen.exact_tables import ExactTable
 from symsimpson.codegen.expression import Expression
+from symsimpson.codegen.facts import common_sizes, equation_constants, node_tables
 from symsimpson.codegen.ir import Row, Store
 from symsimpson.codegen.library import kernel_sources, library_sources
-from symsimpson.codegen.loop_tables import equation_constants, node_tables
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.specialise import called
-from symsimpson.codegen.storage import Storage, node_stride
+from symsimpson.codegen.storage import Held, Storage, node_stride
 from symsimpson.codegen.template import JetTemplate, Point
-from symsimpson.codegen.terms_of_l import BLOCKS, FUNCTIONS, cyclic_values
-from symsimpson.codegen.trace import Trace
+from symsimpson.codegen.terms_of_l import BLOCKS, FUNCTIONS, cyclic_values, jet_entries, position
+from symsimpson.codegen.trace import ExactTable, Trace
 from symsimpson.discrete.reductions import Routh
 from symsimpson.module.dimensions import Sizes
 from symsimpson.module.table import TABLE
 from symsimpson.module.workspace_layout import layout
-
-__all__ = ["TracedPart"]
 
 #: What functions compute, as titles of sections.
 TITLES = {
@@ -155,46 +150,24 @@ class TracedPart:
         if held is not None:
             names_ = ("constrain", "constraint_slopes", "hold_velocities", "rates")
             evaluations |= {name: partial(self._constrain, name) for name in names_}
-        sources = {**library_sources(), **kernel_sources()}
-        self.trace = Trace(
-            low.graph,
-            called(functions, sources, facts).values(),
-            {**self._first, **names, **evaluations},
-            self._row_name,
-            self._spelt,
-            SECTIONS,
-        )
+        texts = called(functions, {**library_sources(), **kernel_sources()}, facts).values()
+        known = self._first | names | evaluations
+        self.trace = Trace(low.graph, texts, known, self._row_name, self._spelt, SECTIONS)
 
     def _sizes(self) -> Sizes:
         """Return sizes of blocks that are large enough for all texts."""
         low, n, eqs = self.low, self._n, self.low.equations
         unknowns = eqs.scheme.degree * n + eqs.unknowns.behind
+        kinds = ("assembled", "constant_mass", "dragged", "timed", "damped", "decaying", "retimed")
         return Sizes(
             n=n,
-            parameters=len(low.names.parameters),
-            inputs=len(low.names.inputs),
-            powers=len(eqs.plain.powers),
-            degree=eqs.scheme.degree,
-            nodes=eqs.scheme.stages,
             unknowns=unknowns,
             entries=n**2,
-            m=self.held.count if self.held else 0,
-            rolling=self.held.velocities if self.held else 0,
-            constrained=self.held is not None,
-            carried=eqs.plain.carried,
             bordered=self.held.storage.node_size if self.held else 0,
             jacobian=2 * unknowns**2,
-            stride=node_stride(eqs.scheme),
             pivots=n,
-            assembled=True,
-            constant_mass=True,
-            dragged=True,
-            timed=True,
-            damped=True,
-            decaying=True,
-            retimed=True,
-            cyclic=len(self._cyclic),
-            cyclic_multipliers=self._routh.multipliers if self._routh else 0,
+            **common_sizes(low, self.held, self._routh),
+            **dict.fromkeys(kinds, True),
         )
 
     # -- rows
@@ -210,31 +183,22 @@ class TracedPart:
                 self.trace.rows.values[place] = symbol
         self._base = dict(self.trace.rows.values)
         if "GROWTH" in self._first and self.low.equations.plain.rate is not None:
-            for i, growth in enumerate(self.low.growths()):
-                self.put("GROWTH", i, growth)
+            self.hold("GROWTH", self.low.growths())
 
     def _place(self, row: Row) -> int | None:
         """Return where a row of the system stands; None if it is not one of the part."""
-        if row.block not in self._first or not isinstance(row.index, int):
+        index, name = row.index, row.block
+        if name not in self._first or not isinstance(index, int):
             return None
-        index, n = row.index, self.low.n
-        if row.block in OF_INCREMENTS:
-            block, a = divmod(index, n)
-            if block >= self.low.equations.scheme.degree:
-                return self._first[row.block] + index
-            return self._local(row.block, block, a)
-        if row.block in OF_COORDINATES:
-            return self._local(row.block, 0, index)
-        return (
-            self._first[row.block] + index
-            if row.block in ("INPUT", "PARAMETER", "PIVOT_SCALE")
-            else None
-        )
-
-    def _local(self, name: str, block: int, a: int) -> int | None:
-        if a not in self.coordinates:
+        if name in (*OF_COORDINATES, *OF_INCREMENTS):
+            block, a = divmod(index, self.low.n)
+            if block < self.low.equations.scheme.degree:
+                if a not in self.coordinates:
+                    return None
+                index = block * self._n + self.coordinates.index(a)
+        elif name not in ("INPUT", "PARAMETER", "PIVOT_SCALE"):
             return None
-        return self._first[name] + block * self._n + self.coordinates.index(a)
+        return self._first[name] + index
 
     def run(self, function: str, *arguments: Expression) -> None:
         """Execute a text with these arguments between the workspace and the lane."""
@@ -263,11 +227,6 @@ class TracedPart:
     def put(self, block: str, index: int, value: Expression) -> None:
         """Let a row hold a value."""
         self.trace.rows.values[self._first[block] + index] = value
-
-    def rename(self, block: str, hints: Sequence[str], section: str) -> None:
-        """Let the first rows of a block hold symbols of these names."""
-        for index, value in enumerate(self.named(block, len(hints), hints, section)):
-            self.put(block, index, value)
 
     def take(self, other: TracedPart, blocks: Iterable[str]) -> None:
         """Take rows of coordinates that another part has, too."""
@@ -302,9 +261,8 @@ class TracedPart:
     ) -> list[Store]:
         """Return stores of the rows of blocks that have changed; of increments, of some of them."""
         low, values, stores = self.low, self.trace.rows.values, []
-        wanted = None
-        if unknowns is not None:
-            wanted = {low.equations.unknowns.place(m, a) for m, a in unknowns}
+        place = low.equations.unknowns.place
+        wanted = None if unknowns is None else {place(m, a) for m, a in unknowns}
         for block in blocks:
             first = self._first.get(block, 0)
             for index in range(self._count[block]):
@@ -327,8 +285,7 @@ class TracedPart:
 
     def _row_name(self, row: int) -> str:
         """Name the value of a row."""
-        number = bisect(self._blocks, (row, "~")) - 1
-        first, block = self._blocks[number]
+        first, block = self._blocks[bisect(self._blocks, (row, "~")) - 1]
         return self.name_of(block, row - first)
 
     def name_of(self, block: str, index: int) -> str:
@@ -376,22 +333,16 @@ class TracedPart:
 
     def _evaluate(self, parts: Sequence[str], W: Any, lane: int) -> None:
         """Let rows hold entries of the jet at the point whose q and v stand in rows of a node."""
-        low, n, first = self.low, range(self._n), self._first
+        low, n = self.low, self._n
         point = self.point(moving=not RESTING.issuperset(parts))
         section, place = self.trace.section, self.coordinates
         rows = self.trace.rows.values
         dragged = low.equations.plain.dragged
-        more = ("f_v",) if dragged and "F_v" in parts else ()
-        for what in (*parts, *more):
-            block = first[BLOCKS[what]]
-            if what == "V":
-                rows[block] += low.template.entry(point, section, "V")
-                continue
-            for s, index in enumerate(product(n, repeat=2 if "_" in what or what == "M" else 1)):
-                # L_qv is the transpose of P_q, and df/dv stands by itself: F_v is their sum
-                entry, at = ("P_q", index[::-1]) if dragged and what == "F_v" else (what, index)
-                where = tuple(place[i] for i in at)
-                rows[block + s] = partial(low.template.entry, point, section, entry, *where)
+        for what, index, (entry, *at) in jet_entries(parts, n, dragged=dragged):
+            row = self._first[BLOCKS[what]] + position(index, n)
+            where = (place[i] for i in at)
+            value = partial(low.template.entry, point, section, entry, *where)
+            rows[row] = rows[row] + value() if what == "V" else value
 
     def _evaluate_cyclic(self, W: Any, node: int, lane: int) -> None:
         """Let rows hold M of cyclic coordinates at the point, and their momenta at v_y = 0."""
@@ -399,21 +350,20 @@ class TracedPart:
         size, section = len(self._cyclic), self.trace.section
         point, template = self.point(moving=True), self.low.template
         for block, index, value in cyclic_values(self.low, template, self._routh, point, section):
-            place = reduce(lambda x, k: x * size + k, index, node)
-            self.trace.rows.values[self._first[block] + place] = value
+            self.put(block, position((node, *index), size), value)
 
     def _constrain(self, function: str, W: Any, lane: int) -> None:
         """Let rows hold what constraints are at the point whose q and v stand in rows of a node."""
-        low, held, first = self.low, self.held, self._first
+        low, held = self.low, self.held
         assert held is not None
         rows = self.trace.rows.values
         if function.startswith("constrain"):
             cleared = range(held.storage.node_size)
-            rows |= {first["CONSTRAINT_QQ"] + entry: 0 for entry in cleared}
+            rows |= {self._first["CONSTRAINT_QQ"] + entry: 0 for entry in cleared}
         point = self.point(moving=True, template=low.held)
         stores = constraint_stores(low, held, range(self._n), point, self.trace.section)
         for store in stores[function]:
-            rows[first[store.row.block] + int(store.row.index)] = store.value
+            rows[self._first[store.row.block] + int(store.row.index)] = store.value
 
     def point(self, *, moving: bool, template: JetTemplate | None = None) -> Point:
         """Return the point that the rows of a node describe."""

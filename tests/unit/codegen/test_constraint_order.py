@@ -7,9 +7,9 @@ from support.cases import sweep
 from support.workspace import begin, block
 
 import symsimpson as ss
-from symsimpson.codegen.constraint_order import Held
 from symsimpson.codegen.module_kernels import lower
 from symsimpson.codegen.pipeline import source
+from symsimpson.codegen.storage import Held
 from symsimpson.discrete.equations import discretise
 from symsimpson.module.binding import bind_float, bind_mpmath
 
