@@ -8,12 +8,17 @@ from functools import partial
 from itertools import accumulate, starmap
 from typing import Any
 
+import sympy as sp
+
+from symsimpson.codegen.expression import Expression
+from symsimpson.codegen.facts import solve_tables
 from symsimpson.codegen.ir import Function, Kernel, Row, Store, stored
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.specialise import kernel_from_text
 from symsimpson.codegen.storage import LoopKernels
 from symsimpson.codegen.traced_parts import TracedPart
+from symsimpson.discrete.reductions import Affine, Linear, Routh
 from symsimpson.module.interface import WITH_PIVOTS
 
 #: With more products than this, variations are solved for one by one.
@@ -59,36 +64,103 @@ def differentiating(
     ]
     tables = _tables(low, loops)
     if facts["BY_COLUMNS"]:
-        functions.append(_derivative(low, facts, tables))
+        functions += _TracedEnd(low, facts, tables).functions()
     return functions, [*_kernels(facts)], tables
 
 
-def _derivative(
-    low: Lowering, facts: Mapping[str, object], tables: Mapping[str, object]
-) -> Function:
-    """Return the derivative of a step as a whole, written out."""
-    name, every = "find_derivative", range(low.n)
-    whole = low.of_all(low.equations.jet)
-    known = {**facts, "TRACED": True}
-    part = TracedPart(whole, every, [name], known, tables, sizes(low, by_columns=True))
-    part.begin()
+class _TracedEnd:
+    """Traces how a variation moves the end of a step, without inner control points.
 
-    def slopes(W: Any, lane: int) -> None:
-        here, section = part.point(moving=True), part.trace.section
-        here = replace(here, step=tuple(part.row("NODE_STEP", k) for k in range(3 * low.sized)))
+    This takes fewer operations than all columns of the derivative do.
+    """
+
+    def __init__(
+        self, low: Lowering, facts: Mapping[str, object], tables: Mapping[str, object]
+    ) -> None:
+        self._low, scheme, d = low, low.equations.scheme, low.equations.scheme.degree
+        routh, *_ = (*(x for x in low.equations.parts if isinstance(x, Routh)), None)
+        self._cyclic = cyclic = () if routh is None else routh.cyclic
+        self._order = [*(a for a in range(low.n) if a not in cyclic), *cyclic]
+        rows, columns = ((*range(1, d + 1),),) * 2 if d > 1 else ((0,), (1,))
+        tables = {
+            **tables,
+            **(solve_tables(routh, scheme) if routh is not None else {}),
+            **_slope_tables(low, self._order),
+            "OTHERS": low.n - len(cyclic),
+            "BASIS": tuple((*row, sp.S.One) for row in scheme.A),
+            "BASIS_SLOPE": tuple((*row, sp.S.Zero) for row in scheme.B),
+            "ROW_ORDER": (*rows, d + 1),
+            "COLUMN_ORDER": (*columns, d + 1),
+            "EQUATION_STRIDE": (d + 1) * low.n + len(low.varied),
+        }
+        known = {**facts, "TRACED": True, "SYMMETRIC": d > 1 and not low.equations.plain.forces}
+        if routh is not None:
+            known |= {"CYCLIC": len(cyclic), "EXTRA": len(routh.annihilator)}
+        names = ("cyclic_velocities", "differentiate_node", "condense", "move_end")
+        blocks = sizes(low, by_columns=True)
+        whole = low.of_all(low.equations.jet)
+        self._part = TracedPart(whole, self._order, names, known, tables, blocks, routh)
+
+    def functions(self) -> tuple[Function, Function]:
+        """Return the function that differentiates the end, and the one that moves a variation."""
+        low, early = self._low, (Level.STEP, Level.ITERATION)
+        self._condense()
+        size, count = 2 * low.n, len(low.varied)
+        units = ([int(k == j) for j in range(count)] for k in range(count))
+        ends = [x for unit in units for x in self._moved([0] * size, unit)]
+        kept = [Store(Row("DERIVATIVE", k), value) for k, value in enumerate(ends)]
+        rows = [Row("TANGENT", f"first + {k}") for k in range(size)]
+        hints = [f"d{p}{q}" for p in ("", "p_") for q in low.names.coordinates]
+        variation = [low.graph.fresh(hint, Level.LATE) for hint in hints]
+        low.rows |= dict(zip(variation, rows, strict=True))
+        moved = [Store(*x) for x in zip(rows, self._moved(variation, [0] * count), strict=True)]
+        needed = [s for s in low.needed(moved, (Level.LATE,)) if s not in low.rows]
+        between = [s for s in needed if Level.RUN < low.graph.level(s) < Level.LATE]
+        places = {s: Row("DERIVATIVE", len(ends) + k) for k, s in enumerate(between)}
+        doc = "Find what moves variations to the end of the step."
+        lines = low.statements([*kept, *(Store(places[s], s) for s in between)], early)
+        first = Function("differentiate_end", doc, lines, ("W", "h", "t", "lane"))
+        low.rows |= places
+        doc = "Carry a variation to the end of the step."
+        lines = low.statements(moved, (Level.LATE,))
+        for symbol in between:
+            del low.rows[symbol]
+        return first, Function("move_variation", doc, lines, ("W", "h", "t", "first", "lane"))
+
+    def _condense(self) -> None:
+        """Differentiate all nodes, and eliminate the inner control points."""
+        low, part, names = self._low, self._part, self._part.trace.names
+        part.begin()
+        names["parameter_slopes"] = self._slopes
+        if self._cyclic:
+            part.run("cyclic_velocities", low.h, low.t, 0)
+        for node in range(low.equations.scheme.stages):
+            part.run("differentiate_node", low.h, low.t, node)
+        names["JACOBIAN"] = first = names["CONDENSED"]
+        names["DEGREE"] += 1
+        end, names["UNKNOWNS"] = names["UNKNOWNS"] - low.n, names["UNKNOWNS"] + low.n
+        names["CONDENSED_END"] = first + end * (names["EQUATION_STRIDE"] + 1)
+        part.run("condense", low.h)
+
+    def _slopes(self, W: Any, lane: int) -> None:
+        """Set the rows of the derivatives by parameters at the current node."""
+        low, part, section = self._low, self._part, self._part.trace.section
+        step = tuple(part.row("NODE_STEP", k) for k in range(3 * low.sized))
+        here, entry = replace(part.point(moving=True), step=step), low.slopes.entry
         for block, what in _BLOCKS:
-            entries = _not_zero(low, every, what)
-            part.hold(
-                block, (partial(low.slopes.entry, here, section, what, s, by) for by, s in entries)
-            )
+            entries = _not_zero(low, self._order, what)
+            values = (partial(entry, here, section, what, self._order[s], by) for by, s in entries)
+            part.hold(block, values)
 
-    part.trace.names["parameter_slopes"] = slopes
-    part.run_step(name)
-    size = 2 * low.n * (2 * low.n + len(low.varied))
-    values = part.named("DERIVATIVE", size, section="derivative")
-    doc = "Find the derivative of a step, column by column."
-    lines = low.statements(stored("DERIVATIVE", values), (Level.STEP, Level.ITERATION))
-    return Function(name, doc, lines, ("W", "h", "t", "lane"))
+    def _moved(self, variation: Sequence[Any], parameters: Sequence[int]) -> list[Expression]:
+        """Move a variation of the state and of parameters."""
+        part, n, define = self._part, self._low.n, self._low.graph.define
+        dq, dp = ([variation[first + a] for a in self._order] for first in (0, n))
+        part.hold("TANGENT", (*dq, *parameters, *dp))
+        part.run("move_end")
+        places = [*map(self._order.index, range(n))]
+        places += [n + len(parameters) + s for s in places]
+        return [define("moved", part.row("TANGENT", k), "end of the step") for k in places]
 
 
 def _kernels(facts: Mapping[str, object]) -> Iterable[Kernel]:
@@ -173,11 +245,7 @@ def _curvatures(low: Lowering) -> dict[str, list[Store]]:
 
 
 def _tables(low: Lowering, loops: LoopKernels) -> dict[str, object]:
-    """Return what the loops must know.
-
-    Those derivatives of F and P by a parameter that are not zero stand one after the other; their
-    coordinates are given by place.
-    """
+    """Return what the loops must know."""
     storage, degree = (loops.held or loops).storage, loops.degree
     constants = {**storage.constants("TANGENT", degree), **storage.bounds("TANGENT", degree)}
     tables = {
@@ -185,11 +253,7 @@ def _tables(low: Lowering, loops: LoopKernels) -> dict[str, object]:
         **{key: constants[key] for key in constants if not key.endswith("_STEP")},
         "TANGENT_UNKNOWNS": storage.unknowns(degree),
     }
-    for block, what in _BLOCKS if low.varied else ():
-        rows, name = _not_zero(low, loops.storage.order, what), block.removeprefix("NODE_")
-        counts = (sum(parameter == varied for parameter, _ in rows) for varied in low.varied)
-        tables[f"{name}_FROM"] = (0, *accumulate(counts))
-        tables[f"{name}_PLACE"] = (*(s for _, s in rows), 0)
+    tables |= _slope_tables(low, loops.storage.order)
     if not low.equations.second:
         return tables
     count = len(low.multipliers)
@@ -204,11 +268,31 @@ def _tables(low: Lowering, loops: LoopKernels) -> dict[str, object]:
     return tables
 
 
-def few_columns(low: Lowering) -> bool:
-    """Return whether the derivative of a step is worth to be computed as a whole."""
-    n, size, stages = low.n, low.equations.unknowns.size, low.equations.scheme.stages
+def _slope_tables(low: Lowering, places: Sequence[int]) -> dict[str, object]:
+    """Return where the derivatives of F and P by parameters stand that are not zero.
+
+    Those by a parameter stand one after the other; their coordinates are given by place.
+    """
+    tables: dict[str, object] = {}
+    for block, what in _BLOCKS if low.varied else ():
+        rows, name = _not_zero(low, places, what), block.removeprefix("NODE_")
+        counts = (sum(parameter == varied for parameter, _ in rows) for varied in low.varied)
+        tables[f"{name}_FROM"] = (0, *accumulate(counts))
+        tables[f"{name}_PLACE"] = (*(s for _, s in rows), 0)
+    return tables
+
+
+def traces_end(low: Lowering) -> bool:
+    """Return whether the derivative of a small step is traced."""
+    equations = low.equations
+    n, size, stages = low.n, equations.unknowns.size, equations.scheme.stages
     columns = 2 * n + len(low.varied)
-    return columns * (size**2 + 2 * stages * n**2) + size**3 / 3 <= MOST_TERMS
+    few = columns * (size**2 + 2 * stages * n**2) + size**3 / 3 <= MOST_TERMS
+    # the derivatives of linear equations do not depend on the path
+    linear = () if low.varied else (Affine, Linear)
+    known = all(part.columns or isinstance(part, linear) for part in equations.parts)
+    alone = sum(isinstance(part, Routh) for part in equations.parts) < 2
+    return few and known and alone and not equations.plain.held
 
 
 def sizes(low: Lowering, *, by_columns: bool) -> dict[str, Any]:

@@ -27,7 +27,7 @@ OWN = """
     step_equations jet forces gradient mass gyroscopic potential pushes parameter_slopes cost_slopes
     time_rate constrain constraint_slopes constraint_values constraint_parameter_slopes
     node_curvature point_curvature node_power hold_velocities rates rate_parameter_slopes
-    carried_slopes carried_parameter_slopes
+    carried_slopes carried_parameter_slopes differentiate_end move_variation
 """
 
 

@@ -11,7 +11,7 @@ from symsimpson.codegen.constraint_functions import (
     constraint_family_functions,
     constraint_functions,
 )
-from symsimpson.codegen.differentials import differentiating, few_columns
+from symsimpson.codegen.differentials import differentiating, traces_end
 from symsimpson.codegen.differentials import sizes as differential_sizes
 from symsimpson.codegen.facts import equation_constants, facts, sizes, solve_constants, solve_tables
 from symsimpson.codegen.forms import drifting, few_equations, part_unknowns, solves_all, unrolled
@@ -226,10 +226,8 @@ class _ModuleWriter:
         Derivatives of a step are taken of all that it consists of.
         """
         low, loops, plain = self.low, self.loops, self.equations.plain
-        # the order of elimination in which Newton's method exchanges no rows serves here, too
-        pivoted = any(kernel.name == PIVOTED for kernel in self.kernels) and not loops.held
-        solves_all = self.unknowns == self.equations.unknowns.size
-        by_columns = pivoted and solves_all and few_columns(low)
+        differentiated = self.equations.varied is not None and unrolled(self.equations)
+        by_columns = differentiated and traces_end(low)
         self.known["BY_COLUMNS"] = by_columns
         functions, kernels, tables = differentiating(low, loops, self.known)
         more, self.kernels = keeping_time(low, self.known, [*self.kernels, *kernels])

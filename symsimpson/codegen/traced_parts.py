@@ -38,8 +38,8 @@ TITLES = {
     "compensated sums": "find_cyclic_impulse close_step close_composed path_end",
     "predictor": "cyclic_ends cyclic_checks measure_prediction predict",
     "elimination": "solve_in_pairs factor_in_order",
-    "derivatives of the rows, and of p1 - p0": "assemble_slopes",
-    "columns of the derivative": "begin_variation solve_in_order close_variation",
+    "without inner control points": "condense",
+    "end of the step": "move_end solve_in_order",
     "update": "update_increments update_multipliers",
     "increments": "straight_path",
     "momentum": "momentum",
@@ -68,7 +68,7 @@ ROWS = {
     "RESIDUAL": "R_{row}",
     "START_SLOPES": "R_q_{index}",
     "END_SLOPES": "E_{index}",
-    "COLUMN_ROOM": "dX_{index}",
+    "CONDENSED": "S_{index}",
     "MOMENTUM": "p_{q}",
     "VELOCITY": "v_{q}",
     "INCREMENT": "{q}_X{next}",
@@ -200,7 +200,7 @@ class TracedPart:
             return None
         return self._first[name] + index
 
-    def run(self, function: str, *arguments: Expression) -> None:
+    def run(self, function: str, *arguments: Expression | int) -> None:
         """Execute a text with these arguments between the workspace and the lane."""
         self.trace.run(function, *arguments, 0)
 

@@ -312,13 +312,13 @@ TABLE = (
     ),
     scratch(
         "DERIVATIVE",
-        "of the end of the step, column by column: by q, by p and by what is varied",
+        "what parameters change at the end of the step, then the numbers that move variations",
         lambda s: s.by_columns * 2 * s.n * (2 * s.n + s.varied),
     ),
     scratch(
-        "COLUMN_ROOM",
-        "right sides of the equations for these columns",
-        lambda s: s.by_columns * (s.unknowns + s.n) * (2 * s.n + s.varied),
+        "CONDENSED",
+        "second derivatives of L_d, by q0, too",
+        lambda s: s.by_columns * (s.unknowns + 2 * s.n) * (s.unknowns + s.n + s.varied),
     ),
     part("ADJOINT", "derivatives of a cost by q and p", lambda s: 2 * s.differentiated * s.n),
     part(

@@ -1,6 +1,7 @@
 """What the pages say: their Python runs, and what they point to is there."""
 
 import ast
+import logging
 import re
 import subprocess
 
@@ -36,8 +37,9 @@ WITHOUT_CODE = [
     "page", sweep(["README.md", "symsimpson/codegen/PARTS.md", "notebooks/coming_from.md", *GUIDE])
 )
 @pytest.mark.filterwarnings("ignore::symsimpson.StabilityWarning")
-def test_python_on_a_page_runs(page, tmp_path, monkeypatch):
+def test_python_on_a_page_runs(page, tmp_path, monkeypatch, caplog):
     monkeypatch.chdir(tmp_path)
+    caplog.set_level(logging.NOTSET, logger="symsimpson")  # a page sets it, and this is undone
     names = {"__name__": "page"}  # what is guarded by "__main__" is left out
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text("utf-8"), re.DOTALL)
     assert blocks or page in WITHOUT_CODE

@@ -14,7 +14,10 @@ parameters stay at the nodes, STEP_F_A and STEP_P_A, and those of constraints at
 @compiled
 def differentiate_node(W, h, t, node, lane):
     """Evaluate and keep the derivatives of F and P at a node."""
-    at_node(W, h, t, node, lane)
+    if TRACED and CYCLIC > 0:
+        cyclic_state(W, h, t, node, 0, lane)
+    else:
+        at_node(W, h, t, node, lane)
     jet(W, lane)
     if DAMPED:
         grow_node(W, node, lane)

@@ -13,14 +13,17 @@ def tangent(W, h, t, lane):
     """Carry variations of the state to the end of the step that was taken."""
     if W[ACTIVE, lane] != 0:
         exchange_steps(W, lane)
-        if FOLLOWING:
-            step_equations(W, h, t, lane)
-            solve_following(W, lane)
         if BY_COLUMNS:
-            find_derivative(W, h, t, lane)
+            differentiate_end(W, h, t, lane)
             for variation in range(int(W[TANGENTS, lane])):
-                move_variation(W, variation, lane)
+                first = variation * 2 * DIMENSION
+                move_variation(W, h, t, first, lane)
+                if VARIED_BY:
+                    vary_end(W, first, parameter_of(W, variation, lane), lane)
         else:
+            if FOLLOWING:
+                step_equations(W, h, t, lane)
+                solve_following(W, lane)
             for node in range(NODES):
                 differentiate_node(W, h, t, node, lane)
             assemble_derivatives(W, h, t, lane)
@@ -41,19 +44,78 @@ def tangent(W, h, t, lane):
 
 
 @compiled
-def find_derivative(W, h, t, lane):
-    """Find the derivative of a step as a whole, column by column."""
-    for node in range(NODES):
-        differentiate_node(W, h, t, node, lane)
-    assemble_derivatives(W, h, t, lane)
-    factor_in_order(W, JACOBIAN, UNKNOWNS, EQUATION_STRIDE, lane)
-    for column in range(2 * DIMENSION + VARIED):
-        dq = DERIVATIVE + column * 2 * DIMENSION
-        room = COLUMN_ROOM + column * (UNKNOWNS + DIMENSION)
-        begin_column(W, column, lane)
-        begin_variation(W, h, dq, room, column - 2 * DIMENSION, lane)
-        solve_in_order(W, JACOBIAN, room, UNKNOWNS, EQUATION_STRIDE, lane)
-        close_variation(W, h, dq, room, lane)
+def condense(W, h, lane):
+    """Eliminate inner control points from the derivatives of D_k L_d by X_m, q0 and parameters.
+
+    The displacement q0 of all points follows X_d, as if it were one more control point. The
+    result [[S, R], [E_X, E_q]] gives S dX_d + R dq0 + dp0 = 0 and dp1 - dp0 = E_X dX_d + E_q dq0.
+    """
+    assemble_nodes(W, h, lane)
+    if VARIED_BY:
+        condense_parameters(W, h, lane)
+    last = UNKNOWNS - 2 * DIMENSION
+    for i in range(last):
+        row_i = JACOBIAN + i * EQUATION_STRIDE
+        inverse = 1 / W[row_i + i, lane]
+        for j in range(i + 1, UNKNOWNS):
+            row_j = JACOBIAN + j * EQUATION_STRIDE
+            factor = W[row_j + i, lane] * inverse
+            for k in range(j if SYMMETRIC else i + 1, EQUATION_STRIDE):
+                change = factor * W[row_i + k, lane]
+                W[row_j + k, lane] -= change
+                if SYMMETRIC and j < k < UNKNOWNS:
+                    W[JACOBIAN + k * EQUATION_STRIDE + j, lane] -= change
+    for a in range(DIMENSION if last > 0 else 0):  # the row of p0 is that of p1 less the impulse
+        for k in range(last, EQUATION_STRIDE):
+            here = JACOBIAN + (last + a) * EQUATION_STRIDE + k
+            impulse = W[here + DIMENSION * EQUATION_STRIDE, lane]
+            W[here, lane] = impulse - W[here, lane]
+    factor_in_order(W, CONDENSED_END, DIMENSION, EQUATION_STRIDE, lane)
+
+
+@compiled
+def condense_parameters(W, h, lane):
+    """Put derivatives by parameters beside the others."""
+    room = JACOBIAN + UNKNOWNS * EQUATION_STRIDE
+    for parameter in range(VARIED):
+        for row in range(UNKNOWNS + DIMENSION):
+            W[room + row, lane] = real(0)
+        add_parameter(W, h, room, parameter, lane)
+        for row in range(UNKNOWNS):
+            here = JACOBIAN + row * EQUATION_STRIDE + UNKNOWNS + parameter
+            W[here, lane] = -W[room + row, lane]
+
+
+@compiled
+def move_end(W, lane):
+    """Carry dq, parameters and dp to the end of the step."""
+    moved = DIMENSION + VARIED
+    for a in range(DIMENSION):
+        right = W[TANGENT + moved + a, lane]
+        for b in range(moved):
+            slope = W[CONDENSED_END + a * EQUATION_STRIDE + DIMENSION + b, lane]
+            right += slope * W[TANGENT + b, lane]
+        W[RESIDUAL + a, lane] = -right
+    solve_in_order(W, CONDENSED_END, RESIDUAL, DIMENSION, EQUATION_STRIDE, lane)
+    for a in range(DIMENSION):
+        row = CONDENSED_END + (DIMENSION + a) * EQUATION_STRIDE
+        momentum = W[TANGENT + moved + a, lane]
+        for b in range(DIMENSION):
+            momentum += W[row + b, lane] * W[RESIDUAL + b, lane]
+        for b in range(moved):
+            momentum += W[row + DIMENSION + b, lane] * W[TANGENT + b, lane]
+        W[TANGENT + moved + a, lane] = momentum / W[GROWTH + NODES, lane] if DAMPED else momentum
+    for a in range(DIMENSION):
+        W[TANGENT + a, lane] += W[RESIDUAL + a, lane]
+
+
+@compiled
+def vary_end(W, first, parameter, lane):
+    """Add what a parameter changes at the end of the step."""
+    if parameter >= 0:
+        for row in range(2 * DIMENSION):
+            changed = W[DERIVATIVE + parameter * 2 * DIMENSION + row, lane]
+            W[TANGENT + first + row, lane] += changed
 
 
 @kernel
@@ -146,28 +208,3 @@ def close_variation(W, h, dq, room, lane):
         W[dq + DIMENSION + COORDINATE[s], lane] += impulse
         if DAMPED:
             W[dq + DIMENSION + COORDINATE[s], lane] /= W[GROWTH + NODES, lane]
-
-
-@compiled
-def begin_column(W, column, lane):
-    """Set a column to a unit vector, or to zero for a parameter."""
-    for row in range(2 * DIMENSION):
-        W[DERIVATIVE + column * 2 * DIMENSION + row, lane] = real(1) if row == column else real(0)
-
-
-@compiled
-def move_variation(W, variation, lane):
-    """Multiply a variation by the derivative of the step, and add what a parameter changes."""
-    dq = TANGENT + variation * 2 * DIMENSION
-    room = work_row_of(W, variation, lane)
-    parameter = parameter_of(W, variation, lane)
-    size = 2 * DIMENSION
-    for row in range(size):
-        moved = real(0)
-        for column in range(size):
-            moved += W[DERIVATIVE + column * size + row, lane] * W[dq + column, lane]
-        if parameter >= 0:
-            moved += W[DERIVATIVE + (size + parameter) * size + row, lane]
-        W[room + row, lane] = moved
-    for row in range(size):
-        W[dq + row, lane] = W[room + row, lane]
