@@ -52,12 +52,12 @@ from .program.cache_contents import clear_cache as clear_cache
 from .program.configuration import show_config as show_config
 from .program.status import Status as Status
 from .results.archive import open_trajectory as open_trajectory
-from .results.chaos import Chaos as Chaos
 from .results.events import Events as Events
-from .results.gradient import Gradient as Gradient
-from .results.gradient import hessian_product as hessian_product
 from .results.interpolate import DenseOutput as DenseOutput
-from .results.linearisation import Linearisation as Linearisation
+from .results.motion_derivatives import Chaos as Chaos
+from .results.motion_derivatives import Gradient as Gradient
+from .results.motion_derivatives import Linearisation as Linearisation
+from .results.motion_derivatives import hessian_product as hessian_product
 from .results.records import Actions as Actions
 from .results.sampled import Sampled as Sampled
 from .results.sampled import Saved as Saved

@@ -17,9 +17,8 @@ from symsimpson.codegen.pipeline import derive
 from symsimpson.discrete.equations import check_differentiable
 from symsimpson.discrete.reductions import read_exploit
 from symsimpson.errors import GenerationError, StorageError
-from symsimpson.mechanics.extended import extended
-from symsimpson.mechanics.points import points_of
-from symsimpson.mechanics.retimed import RetimedSystem
+from symsimpson.mechanics.declared import points_of
+from symsimpson.mechanics.retimed import RetimedSystem, extended
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.module.header import check_interface
 from symsimpson.module.interface import INTERFACE

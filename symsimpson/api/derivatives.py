@@ -12,9 +12,7 @@ from symsimpson.api.stepping import Stepping
 from symsimpson.derivatives.gradients import Wanted, gradient_of
 from symsimpson.derivatives.linearised import linearise
 from symsimpson.derivatives.lyapunov import lyapunov
-from symsimpson.results.chaos import Chaos
-from symsimpson.results.gradient import Gradient
-from symsimpson.results.linearisation import Linearisation
+from symsimpson.results.motion_derivatives import Chaos, Gradient, Linearisation
 from symsimpson.run.requested import tangent_of_step
 from symsimpson.stepping.request import Request, step_request
 from symsimpson.stepping.variations import read_varied

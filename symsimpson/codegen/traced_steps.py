@@ -25,8 +25,8 @@ from symsimpson.discrete.reductions import (
     Separable,
 )
 from symsimpson.errors import GenerationError
-from symsimpson.mechanics.functions_of_potential import level as of_potential
 from symsimpson.mechanics.retimed import energy
+from symsimpson.mechanics.retimed import level as of_potential
 
 
 def traced_facts(low: Lowering, part: Part, held: Held | None = None) -> dict[str, object]:

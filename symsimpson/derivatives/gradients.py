@@ -15,7 +15,7 @@ from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_count
 from symsimpson.program.numbers import Numbers
 from symsimpson.program.program import Program
-from symsimpson.results.gradient import Gradient
+from symsimpson.results.motion_derivatives import Gradient
 from symsimpson.stepping.driving import Samples, given_inputs, steps_a_period
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec, read_run

@@ -10,7 +10,7 @@ import numpy as np
 from symsimpson.derivatives.adjoint_run import Way
 from symsimpson.program.program import Program
 from symsimpson.program.workspace import workspace
-from symsimpson.results.linearisation import Linearisation
+from symsimpson.results.motion_derivatives import Linearisation
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec, read_run
 from symsimpson.stepping.variations import read_varied, refuse_retimed, varied_program

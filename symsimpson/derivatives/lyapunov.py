@@ -11,7 +11,7 @@ from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_count, whole_number
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import growth
-from symsimpson.results.chaos import Chaos, chaos_of
+from symsimpson.results.motion_derivatives import Chaos, chaos_of
 from symsimpson.run.ended import raise_failure, trajectory_of
 from symsimpson.run.integrate import integrate
 from symsimpson.run.start import started

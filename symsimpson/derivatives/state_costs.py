@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from symsimpson.errors import InputError
-from symsimpson.module.quantity import SCALARS
+from symsimpson.module.quantity import OBSERVABLE
 from symsimpson.program.evaluating import evaluate
 from symsimpson.program.input_values import read_array
 from symsimpson.program.numbers import Numbers
@@ -48,7 +48,7 @@ class _Written:
         names += [f"a_{j}" for j in range(parameters)] + ["t"]
         symbols = {name: sp.Symbol(name, real=True) for name in names}
         functions = {"abs": sp.Abs, "min": sp.Min, "max": sp.Max}
-        computed = {scalar.symbol: sp.Symbol(scalar.symbol) for scalar in SCALARS}
+        computed = {scalar.symbol: sp.Symbol(scalar.symbol) for scalar in OBSERVABLE}
         # the text was written anew from a list of what is allowed; numbers are what they say
         self._expression = sp.sympify(text, locals=symbols | functions | computed, rational=True)
         self.computed = self._expression.has(*computed.values())

@@ -42,9 +42,9 @@ from symsimpson.errors import SchemeError
 from symsimpson.graph.nodes import ZERO, Value
 from symsimpson.graph.read import Reader
 from symsimpson.mechanics.checks import spell
-from symsimpson.mechanics.damping import decay_rates, forces_at_rest
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.retimed import RetimedSystem
+from symsimpson.mechanics.structure import decay_rates, forces_at_rest
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.scheme import Scheme

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import operator
-import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import chain, count
@@ -17,18 +16,17 @@ from symsimpson.program.evaluating import evaluate, evaluate_members
 from symsimpson.program.input_values import read_count
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
-from symsimpson.results.differentiated import Differentiated
+from symsimpson.results.energies import WORK, named_parts
+from symsimpson.results.outcome import Differentiated
 from symsimpson.results.quantities import Quantities
 from symsimpson.results.records import Record
 from symsimpson.results.sampled import Sampled, member_of
 from symsimpson.results.saving import RECORDED
-from symsimpson.results.states import about_program, with_units
-from symsimpson.results.tables import dataframe, write
-from symsimpson.results.work import WORK, named_parts
+from symsimpson.results.states import about_program
+from symsimpson.results.tables import Savable, Variable, table_of
 from symsimpson.stepping.driving import Driven, inputs_there
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explaining
-from symsimpson.support.extras import library
 from symsimpson.support.names import counted
 
 __all__ = ["Ensemble", "names_in_dataset", "spread"]
@@ -45,7 +43,7 @@ def spread(members: int, most: int) -> NDArray[np.int64]:
 
 @explaining()
 @dataclass(frozen=True, eq=False, repr=False)
-class Ensemble(Quantities, Differentiated):
+class Ensemble(Quantities, Differentiated, Savable):
     """The results of the members of an ensemble.
 
     ``energy``, ``v``, ``invariants``, ``tangent``, ``sensitivity`` and quantities by name are as
@@ -206,108 +204,66 @@ class Ensemble(Quantities, Differentiated):
         words = ", ".join(f"{count} {code.name}" for code, count in counts.items() if count)
         return f"{words}.{self.note}" if self.note else words
 
-    def to_xarray(self) -> Any:
-        """Return an ``xarray.Dataset`` with dimensions member, time and coord.
+    def _opened(self, xarray: Any) -> Any:
+        if self.store is None:
+            return None
+        how = {"chunks": None, "consolidated": False, "decode_times": False}
+        data = xarray.open_zarr(self.q.store, **how).set_coords(list(self._parameters_in_dataset()))
+        return data.drop_encoding().drop_attrs(deep=False).assign_attrs(self._about())
 
-        Parameters are coordinates of the members. Needs xarray (the extra ``data``). What is in
-        a store stays there until it is asked for.
+    def _parameters_in_dataset(self) -> dict[str, Floats]:
+        _, names = self._names_in_dataset()
+        return dict(zip(names.values(), self.parameters.values(), strict=True))
 
-        Raises
-        ------
-        InputError
-            If xarray is not installed.
+    def _names_in_dataset(self) -> tuple[dict[str, str], dict[str, str]]:
+        return names_in_dataset(self.reduced, self.program.names.parameters.own)
 
-        Examples
-        --------
-        >>> import symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50)
-        >>> many.to_xarray()["q"].dims
-        ('member', 'coord')
-        """
-        xarray = library("xarray", "to_xarray", "data")
-        identifiers = self.program.names.parameters.own  # identifiers, as in a store
-        reduced, parameters = names_in_dataset(self.reduced, identifiers)
-        coordinates = dict(zip(parameters.values(), self.parameters.values(), strict=True))
-        if self.store is not None:
-            how = {"chunks": None, "consolidated": False, "decode_times": False}
-            data = xarray.open_zarr(self.q.store, **how).set_coords(list(coordinates))
-            return data.drop_encoding().drop_attrs(deep=False).assign_attrs(self._about())
-        dims = ("member", "time", "coord") if self.q.ndim == 3 else ("member", "coord")
-        variables: dict[str, Any] = {"q": (dims, self.q), "p": (dims, self.p)}
+    @property
+    def _dims(self) -> tuple[str, ...]:
+        """The axes of the states of members in a dataset."""
+        return ("member", "time") if self.q.ndim == 3 else ("member",)
+
+    def _variables(self) -> list[Variable]:
+        dims, of_member = self._dims, ("member",)
+        states = {"q": ("coord",), "p": ("coord",)}
+        variables = [Variable(x, getattr(self, x), (*dims, *axes)) for x, axes in states.items()]
         if self.variations is not None:
-            variables["variations"] = ((*dims[:-1], "state", "variation"), self.variations)
+            axes = (*dims, "state", "variation")
+            variables.append(Variable("variations", self.variations, axes))
         for name, rows in self.recorded.items():
-            variables[f"{RECORDED}{name}"] = ((*dims[:-1], f"{name}_number"), rows)
+            variables.append(Variable(f"{RECORDED}{name}", rows, (*dims, f"{name}_number")))
         for name, values in self.initial.items():
-            variables[name] = (("member", "coord"), values)
+            variables.append(Variable(name, values, ("member", "coord")))
         for name in ("status", "steps", "newton_iterations", "ended_at"):
             if getattr(self, name) is not None:
-                variables[name] = (("member",), getattr(self, name))
-        for name, values in self.reduced.items():
-            variables[reduced[name]] = (("member",), values)
-        named: dict[str, Any] = {name: (("member",), x) for name, x in coordinates.items()}
-        named |= {"coord": list(self.program.coordinates), "member": np.arange(len(self))}
+                variables.append(Variable(name, getattr(self, name), of_member))
+        reduced, _ = self._names_in_dataset()
+        return variables + [
+            Variable(reduced[name], values, of_member) for name, values in self.reduced.items()
+        ]
+
+    def _axes(self) -> dict[str, Any]:
+        parameters = self._parameters_in_dataset()
+        axes: dict[str, Any] = {name: (("member",), x) for name, x in parameters.items()}
+        axes |= {"coord": list(self.program.coordinates), "member": np.arange(len(self))}
         if self.tau is not None:
-            named |= {"t": (dims[:-1], self.t), "tau": (dims[:-1], self.tau)}
+            axes |= {"t": (self._dims, self.t), "tau": (self._dims, self.tau)}
         elif self.q.ndim == 3:
-            named["time"] = self.t
-        return with_units(xarray.Dataset(variables, named, self._about()), self.program.units)
-
-    def to_pandas(self) -> Any:
-        """Return a ``pandas.DataFrame``, a row for each stored state of each member.
-
-        The index is the member; columns are its parameters, what ``reduce`` asked for, t, and what
-        :meth:`Trajectory.to_pandas` has.
-
-        Raises
-        ------
-        InputError
-            If pandas is not installed.
-
-        Examples
-        --------
-        >>> import symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, every=10)
-        >>> many.to_pandas().shape
-        (12, 11)
-        """
-        return dataframe(self._table(), "member", self._about(), self.program.units)
+            axes["time"] = self.t
+        return axes
 
     def _table(self) -> dict[str, NDArray[Any]]:
         shape = np.shape(self.energy)
         by_member = {"member": np.arange(len(self)), **self.parameters, **self.reduced}
-        table = {
-            name: np.broadcast_to(np.asarray(x)[(...,) + (None,) * (len(shape) - 1)], shape)
-            for name, x in by_member.items()
+        index = {
+            name: np.reshape(x, (-1, *[1] * (len(shape) - 1))) for name, x in by_member.items()
         }
-        columns = {"t": np.broadcast_to(self.t, shape), **self._columns()}
-        table |= {name: x for name, x in columns.items() if name not in by_member}
-        return {name: np.asarray(x).reshape(-1) for name, x in table.items()}
+        index.setdefault("t", self.t)
+        index = {name: np.broadcast_to(x, shape).reshape(-1) for name, x in index.items()}
+        return table_of(index, self._quantities(self._dims), self.program)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Keep the members in a file, of the kind that its ending says.
-
-        ``.nc`` (netCDF) and ``.zarr`` (a store of Zarr) hold what :meth:`to_xarray` gives; ``.csv``
-        and ``.parquet`` the table of :meth:`to_pandas`; ``.npz`` arrays t, q, p, status, and those
-        of parameters and of what ``reduce`` asked for.
-
-        Raises
-        ------
-        InputError
-            If the name ends otherwise, or a library is missing.
-        StorageError
-            If the file cannot be written.
-
-        Examples
-        --------
-        >>> import pathlib, tempfile, symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, every=10)
-        >>> many.save(pathlib.Path(tempfile.mkdtemp()) / "many.csv")
-        """
-        write(path, "ensemble", self._arrays, self._table, self.to_xarray)
+    def _kind_of_result(self) -> str:
+        return "ensemble"
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         names = ("t", "q", "p", "status", "steps", "newton_iterations")

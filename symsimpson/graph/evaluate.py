@@ -35,6 +35,14 @@ def doubles(graph: Graph, values: Sequence[Value], symbols: Mapping[int, Any]) -
     return [float(c) * float(numbers[n]) if c else 0.0 for c, n in values]
 
 
+def numbers_of(
+    graph: Graph, values: Sequence[Value], symbols: Mapping[int, Any], context: Any
+) -> list[Any]:
+    """Evaluate values in the numbers of a context; NaN where one is not real."""
+    numbers = evaluated(graph, [n for c, n in values if c], symbols, context)
+    return [_number(context, c) * numbers[n] if c else context.mpf(0) for c, n in values]
+
+
 def moduli(graph: Graph, roots: Iterable[int], values: Mapping[int, float]) -> dict[int, float]:
     """Return what nodes are at most as large as, however their terms cancel: sums of moduli.
 

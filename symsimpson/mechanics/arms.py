@@ -16,8 +16,6 @@ from symsimpson.mechanics.checks import fail, read_name, spell
 from symsimpson.mechanics.coordinates import coordinates
 from symsimpson.mechanics.system import MechanicalSystem
 
-__all__ = ["Link", "arm_energies", "serial_arm"]
-
 #: Three expressions, or three rows of them, as objects of NumPy.
 Vector = NDArray[Any]
 #: Floats this close to multiples of pi/2 are taken for these.

@@ -23,8 +23,6 @@ from symsimpson.mechanics.rotations import (
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explaining, warn
 
-__all__ = ["RigidBody"]
-
 #: A quaternion or a rotation matrix may be off by so much.
 ROUNDED = 1e-9
 #: Moments are written in two digits or more.

@@ -22,8 +22,6 @@ from symsimpson.mechanics.coordinates import time
 from symsimpson.module.quantity import SCALARS
 from symsimpson.support.names import is_masked
 
-__all__ = ["check_names", "fail", "read_coordinates", "read_name", "read_parameters", "spell"]
-
 
 def spell(expression: object, width: int = 60) -> str:
     """Write an expression on one line, velocities as q', for use in a message."""

@@ -12,13 +12,10 @@ from symsimpson.errors import InputError
 from symsimpson.graph.evaluate import doubles
 from symsimpson.graph.nodes import Value
 from symsimpson.mechanics import constraints
-from symsimpson.mechanics.declared import Declared
-from symsimpson.mechanics.given_states import read_values, read_vector
+from symsimpson.mechanics.declared import Declared, read_values, read_vector
 from symsimpson.support.array_types import Floats
 from symsimpson.support.lengths import bending_length
 from symsimpson.support.names import constraint_called, spelled
-
-__all__ = ["consistent"]
 
 #: Iterations for positions; what is left of constraints, relative to their slopes and to q.
 MOST, NEAR = 200, 1e-15

@@ -11,8 +11,6 @@ from symsimpson.errors import ModelError
 from symsimpson.support.calling import explained
 from symsimpson.support.names import speed_of_approach
 
-__all__ = ["approach", "coordinates", "momenta", "time"]
-
 #: The time, equal to ``dynamicsymbols._t`` of SymPy, of which coordinates are functions. It is made
 #: here because SymPy's mechanics, with units and constants, takes long to import.
 time: sp.Symbol = sp.Symbol("t")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 from typing import Any
@@ -10,12 +10,20 @@ from typing import Any
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
+from symsimpson.errors import ModelError
 from symsimpson.graph.findings import Findings
 from symsimpson.graph.nodes import ZERO, Value, scaled
 from symsimpson.graph.read import tree_size
 from symsimpson.mechanics.bodies import warn_of_lengths
 from symsimpson.mechanics.checks import check_names, fail, spell
-from symsimpson.mechanics.constraints import check_held_mass, check_number, read_constraints, slopes
+from symsimpson.mechanics.constraints import (
+    check_held_mass,
+    check_number,
+    read_constraints,
+    read_velocity_constraints,
+    slopes,
+    warn_of_integrable,
+)
 from symsimpson.mechanics.coordinates import momenta
 from symsimpson.mechanics.declared import LARGE, Declared
 from symsimpson.mechanics.expression_checks import read_expression
@@ -28,11 +36,11 @@ from symsimpson.mechanics.quadratic import (
     polynomial,
     quadratic_form,
 )
-from symsimpson.mechanics.velocities import read_velocity_constraints, warn_of_integrable
-
-__all__ = ["energies", "read_energies"]
+from symsimpson.module.quantity import SCALARS
+from symsimpson.support.names import did_you_mean, spelled
 
 Positions = Mapping[str, Sequence[Any]]
+NO_UNITS: Mapping[Any, str] = MappingProxyType({})
 
 
 def energies(
@@ -230,3 +238,51 @@ def _read_positions(
             points.append(tuple(sp.sympify(c) for c in components))
         positions[str(key)] = tuple(points) if body else points[0]
     return positions
+
+
+def read_units(
+    name: str, given: Mapping[Any, Any] | None, coordinates: Iterable[Any], others: Iterable[Any]
+) -> dict[str, str]:
+    """Read units by name, and add those of velocities.
+
+    ``given`` are units by names or symbols, ``others`` further quantities that a system has:
+    parameters, inputs, invariants, points. Raises ModelError if a name is none of these, or a unit
+    is no text.
+    """
+    names = [spelled(q) for q in coordinates]
+    known = [*names, *(f"{x}_{q}" for x in "vp" for q in names), *map(spelled, others), "t"]
+    known += [x.name for x in SCALARS]
+    units: dict[str, str] = {}
+    if given is not None and not isinstance(given, Mapping):
+        raise ModelError(
+            f"system '{name}': units is {type(given).__name__}, no mapping.\n"
+            "Units are labels: units={'x': 'm', 't': 's'}."
+        )
+    for key, unit in (given or {}).items():
+        quantity = spelled(key)
+        if quantity not in known:
+            raise ModelError(
+                f"system '{name}': units names {quantity!r}, which the system does not have."
+                f"{did_you_mean(quantity, known)}\n"
+                "Name coordinates, momenta and velocities (p_ and v_ before a coordinate), "
+                f"parameters, invariants, points, 't', {', '.join(x.name for x in SCALARS)}."
+            )
+        if quantity in units:
+            raise ModelError(
+                f"system '{name}': units gives {quantity} twice, by name and by symbol.\n"
+                "Give it once."
+            )
+        if not isinstance(unit, str):
+            raise ModelError(
+                f"system '{name}': the unit of {quantity} is {unit!r}, no text.\n"
+                "Units are labels: units={'x': 'm', 't': 's'}."
+            )
+        units[quantity] = unit
+    if "t" in units:
+        for q in names:
+            if q in units:
+                units.setdefault(f"v_{q}", f"{units[q]}/{units['t']}")
+    for scalar in SCALARS:
+        if scalar.like in units:
+            units.setdefault(scalar.name, units[scalar.like])
+    return units

@@ -23,8 +23,6 @@ from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.plain import Symbols
 from symsimpson.support.names import did_you_mean, shortened
 
-__all__ = ["read_expression"]
-
 #: Functions with closed-form first and second derivatives, smooth on their domain.
 SMOOTH = tuple(FUNCTIONS)
 #: Functions with corners or jumps.

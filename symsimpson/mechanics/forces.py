@@ -22,8 +22,6 @@ from symsimpson.mechanics.plain import Symbols
 from symsimpson.mechanics.quadratic import samples
 from symsimpson.support.calling import warn
 
-__all__ = ["DISSIPATION", "TOTAL", "check_used", "read_forces", "read_inputs"]
-
 #: Names of the forces that Rayleigh's function gives, and of the sum of all.
 DISSIPATION, TOTAL = "dissipation", "total"
 #: Names of what is no force but does work, too.

@@ -17,8 +17,6 @@ from symsimpson.graph.rebuild import rebuilt
 from symsimpson.graph.signs import Signs
 from symsimpson.mechanics.coordinates import time
 
-__all__ = ["Held", "Plain", "Symbols", "unfrozen"]
-
 Matrix: TypeAlias = sp.ImmutableDenseMatrix
 SIGNS = ("positive", "negative", "nonnegative", "nonpositive")
 #: Stands for the time.

@@ -24,18 +24,6 @@ from symsimpson.graph.rebuild import fixed, rebuilt
 from symsimpson.mechanics.checks import fail, spell
 from symsimpson.mechanics.plain import Symbols
 
-__all__ = [
-    "QuadraticInVelocities",
-    "check_degenerate",
-    "check_mass_matrix",
-    "connected",
-    "is_well_conditioned",
-    "polynomial",
-    "quadratic_form",
-    "rank",
-    "samples",
-]
-
 #: Second derivatives with more nodes than this are not simplified, and not shown.
 TOO_LONG = 400
 #: Points at which a mass matrix is looked at in doubles.

@@ -2,29 +2,42 @@
 
 K = g (H - E0) has on K = 0 the orbits of H, at the rate t' = g, and is quadratic in the momenta as
 H is: L~ = T(q, q')/g + a.q' - g (V - E0) is a system of the same kind, with the same momenta.
+Derivatives of retimed runs are taken of a system with E0 as a coordinate, of which the time is the
+momentum: its steps are the same (Marsden and West 2001, section 1.2.3).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Set
+import random
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
+from fractions import Fraction
 from functools import cached_property
 from typing import Any, ClassVar
 
+import mpmath
 import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.graph.derive import gradient
+from symsimpson.graph.evaluate import numbers_of
 from symsimpson.graph.nodes import Graph, Value
+from symsimpson.graph.read import Reader
 from symsimpson.mechanics.checks import fail, spell
+from symsimpson.mechanics.coordinates import coordinates
+from symsimpson.mechanics.declared import Declared
 from symsimpson.mechanics.expression_checks import read_expression
-from symsimpson.mechanics.functions_of_potential import function_of_level, level
 from symsimpson.mechanics.plain import Plain, Symbols
 from symsimpson.mechanics.system import MechanicalSystem
 
-__all__ = ["RetimedSystem", "Retiming", "attracts", "energy", "not_retimed", "retimed"]
-
+#: Stands for V in functions of it.
+level = sp.Symbol("level", real=True)
+#: Where a power of V is looked for, and with how many digits.
+POINTS, DIGITS = 4, 40
+#: Powers have denominators up to this.
+LARGEST = 12
 #: E0, the energy of the run, in rates and among the parameters of a retimed system.
 energy = sp.Symbol("E0", real=True)
 #: g at the start of the run: rates are divided by it.
@@ -38,6 +51,52 @@ REST, REST_OF_ATTRACTION = sp.Rational(1, 8), sp.Rational(1, 1024)
 NOTHING = sp.Rational(1, 2**800)
 #: Functions that are finite for all real numbers.
 FINITE = (sp.sin, sp.cos, sp.sinh, sp.cosh, sp.tanh, sp.exp, sp.atan, sp.asinh, sp.erf, sp.erfc)
+#: What names of the derivatives of E0, of the rate and of p at given velocities begin with.
+E_BY, RATE_BY, MOMENTUM_BY = "E by ", "rate by ", "p by "
+#: So heavy is E0 that it does not move, by less than any rounding.
+HEAVY = sp.Integer(2) ** 200
+
+
+def function_of_level(
+    system: Declared, rate: sp.Expr, symbols: Symbols, value: Value
+) -> sp.Expr | None:
+    """Return a rate, a function of positions, as one of V, with :data:`level` in its place.
+
+    Return None if V is not in the rate as a whole, unless the rate is a constant times a power of
+    -V: that power is returned. The ``value`` is that of the rate in the graph of the symbols.
+    """
+    V, coordinates = system.potential, system.coordinates
+    for sign in (1, -1):
+        expression = rate.subs(sign * V, sign * level)
+        if not expression.has(*coordinates) and expression.has(level):
+            return expression
+    power = _power(symbols, Reader(symbols.graph, symbols.known)(V), value)
+    return None if power is None else (-level) ** power
+
+
+def _power(symbols: Symbols, V: Value, rate: Value) -> sp.Rational | None:
+    """Return the power s of a constant times (-V)^s, from slopes at some points; None if none."""
+    graph, q = symbols.graph, symbols.numbers(symbols.q)
+    inside = sorted(graph.nodes[V[1]].symbols | graph.nodes[rate[1]].symbols | {*q})
+    wanted = [V, rate, *gradient(graph, V, q), *gradient(graph, rate, q)]
+    numbers, powers = random.Random(1), []
+    with mpmath.workdps(DIGITS):
+        small = mpmath.mpf(10) ** (DIGITS // -2)
+        for _ in range(POINTS):
+            point = {n: mpmath.mpf(numbers.uniform(0.3, 1.7)) for n in inside}
+            v, u, *d = numbers_of(graph, wanted, point, mpmath.mp)
+            if not v < 0 or u == 0 or not all(map(mpmath.isfinite, (v, u, *d))):
+                return None
+            for dv, du in zip(d[: len(q)], d[len(q) :], strict=True):
+                if abs(dv) > small:
+                    powers.append(du * v / (dv * u))
+                elif abs(du) > small:
+                    return None
+        if not powers or max(powers) - min(powers) > small:
+            return None
+        power = Fraction(float(powers[0])).limit_denominator(LARGEST)
+        exact = abs(powers[0] - mpmath.mpf(power.numerator) / power.denominator) < small
+    return sp.Rational(power.numerator, power.denominator) if exact and power else None
 
 
 @dataclass(frozen=True)
@@ -146,9 +205,9 @@ def retimed(system: MechanicalSystem, rate: Any) -> RetimedSystem:
                 "E0 is the energy of a run, symsimpson.energy. Call your parameter otherwise.",
             )
     parameters |= {energy: 0.0, first_rate: 1.0}
-    _read_rate(name, g, Symbols(system.coordinates, parameters))
-    g = sp.sympify(g)
-    of_level = of_level or function_of_level(system, g)
+    symbols = Symbols(system.coordinates, parameters)
+    value, g = _read_rate(name, g, symbols), sp.sympify(g)
+    of_level = of_level or function_of_level(system, g, symbols, value)
     g = g if of_level is None else of_level.subs(level, V)
     pace = g / first_rate
     velocities = {q.diff(): q.diff() / pace for q in system.coordinates}
@@ -326,3 +385,43 @@ def _without_pole(term: sp.Expr, coordinates: Set[sp.Expr]) -> bool:
         work += [x for x in part.args if x not in seen]
         seen.update(part.args)
     return True
+
+
+def extended(
+    system: RetimedSystem, varied: Sequence[sp.Symbol]
+) -> tuple[MechanicalSystem, tuple[str, ...]]:
+    """Return a retimed system with E0 as its last coordinate, and what to differentiate it by.
+
+    L = T/g - g (V - e) + M e'^2/2 with so large an M that e stays what it is; then p_e' = g, and
+    each scheme of the family adds up the time as the retimed system does. Its invariants are the
+    derivatives of H and of the rate, and of p at given velocities, by what may change at the start.
+    """
+    original, parameters = system.original, dict(system.parameters)
+    (e,) = coordinates("E0_of_run")
+    pace = system.rate / first_rate
+    in_rate = system.rate.has(energy)
+    parameters = {a: value for a, value in parameters.items() if a != energy or in_rate}
+    in_tau = {q.diff(): q.diff() / pace for q in original.coordinates}
+    L, watched = original.lagrangian, {}
+    for i, q in enumerate(original.coordinates):
+        watched[f"{E_BY}q{i}"] = -L.diff(q)
+        watched[f"{E_BY}p{i}"] = q.diff()
+        watched[f"{RATE_BY}q{i}"] = system.rate.diff(q)
+    for j, a in enumerate(varied):
+        watched[f"{E_BY}a{j}"] = -L.diff(a)
+        watched[f"{RATE_BY}a{j}"] = system.rate.diff(a)
+        for i, q in enumerate(original.coordinates):
+            watched[f"{MOMENTUM_BY}{i} a{j}"] = L.diff(q.diff()).diff(a)
+    watched[f"{RATE_BY}E"] = system.rate.diff(energy)
+    watched["rate"] = system.rate
+    augmented = MechanicalSystem(
+        f"{original.name[:50]}_extended",
+        coordinates=(*original.coordinates, e),
+        kinetic=original.kinetic / pace + HEAVY * e.diff() ** 2 / 2,
+        potential=pace * (original.potential - e),
+        gyroscopic=original.gyroscopic,
+        parameters=parameters,
+        invariants={name: sp.sympify(x).xreplace(in_tau) for name, x in watched.items()},
+    )
+    more = (energy, first_rate) if in_rate else (first_rate,)
+    return augmented, tuple(map(str, (*varied, *more)))

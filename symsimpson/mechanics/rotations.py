@@ -16,15 +16,6 @@ from sympy.core.function import AppliedUndef
 from symsimpson.errors import ModelError
 from symsimpson.mechanics.coordinates import coordinates, time
 
-__all__ = [
-    "body_rates",
-    "coincide",
-    "quaternion",
-    "read_components",
-    "read_scalar",
-    "rotation_matrix",
-]
-
 
 def read_scalar(what: str, given: Any) -> sp.Expr:
     """Read a number or an expression; text is not evaluated.

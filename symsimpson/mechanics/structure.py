@@ -1,8 +1,8 @@
 """Structure of a system: granted by algebra, or by an identity test in a finite field.
 
 Forces F = L_q + f and momenta P = L_v are asked what moves them; the error of an answer is below
-2^-100 (:mod:`symsimpson.graph.field`). What a field leaves open, 60 digits may refuse and SymPy may
-grant; the rest is undecided, and counts as not there.
+2^-100 (:mod:`symsimpson.graph.field`). What a field leaves open, 60 digits may refuse or SymPy may
+grant; the rest is undecided, which counts as not there.
 """
 
 from __future__ import annotations
@@ -15,16 +15,74 @@ from symsimpson.graph.derive import Derivatives, gradient
 from symsimpson.graph.findings import Findings
 from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.rebuild import NUMBERS, fixed, rebuilt, same
-from symsimpson.mechanics.damping import damping_rate
 from symsimpson.mechanics.declared import Declared
-from symsimpson.mechanics.independence import Dependence, Samples, certain
+from symsimpson.mechanics.identities import Dependence, Samples, certain
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.quadratic import connected, quadratic_form
 
-__all__ = ["MOST_AFFINE", "Structure", "Subsystem", "analyse"]
-
 #: Linear equations of more unknowns than this are iterated as others are.
 MOST_AFFINE = 16
+
+
+def damping_rate(plain: Plain) -> Value | None:
+    """Return gamma where the forces are f = -2 gamma L_v, gamma made of parameters; else None.
+
+    The motion is then that of the Lagrangian e^(2 gamma t) L (R. McLachlan and M. Perlmutter,
+    J. Geom. Phys. 39 (2001) 276).
+    """
+    graph, v = plain.graph, plain.numbers(plain.v)
+    if not all(c for c, _ in plain.f):
+        return None
+    mass = plain.entry(0, 0)
+    slope = Derivatives(graph)(plain.f[0], v[0])
+    if not slope[0]:
+        return None
+    rate = scaled(-1, graph.multiply([slope, (1, graph.kept((2 * mass[0], mass[1])), -1)]))
+    momenta = gradient(graph, plain.L, v)
+    pairs = zip(plain.f, momenta, strict=True)
+    left = [graph.add([f, graph.multiply([(2, 0), rate, p])]) for f, p in pairs]
+    findings = Findings(graph, [rate, *left])
+    if not all(map(findings.vanishes, left)):
+        return None
+    moving = plain.numbers((*plain.q, *plain.v, *plain.u, plain.t))
+    present = graph.nodes[rate[1]].symbols.intersection(moving)
+    if any(findings.depends(rate, x) for x in present):
+        return None
+    return fixed(graph, rate, present) if present else rate
+
+
+def decay_rates(plain: Plain) -> tuple[Value, ...] | None:
+    """Return Gamma_i where forces are f_i = g_i(t, q, u) - Gamma_i (M v)_i; else None.
+
+    M must be constant. The rates are made of parameters, each zero or known to be positive; where
+    all are alike they are twice the gamma of :func:`damping_rate`.
+    """
+    graph, v = plain.graph, plain.numbers(plain.v)
+    n, derivatives = len(v), Derivatives(graph)
+    slopes = [[derivatives(f, x) for x in v] for f in plain.f]
+    rates = []
+    for i in range(n):
+        slope, inverse = slopes[i][i], (1, graph.kept(plain.entry(i, i)), -1)
+        rates.append(scaled(-1, graph.multiply([slope, inverse])) if slope[0] else ZERO)
+    moving = set(plain.numbers((*plain.q, *plain.v, *plain.u, plain.t)))
+    if any(not graph.nodes[k].symbols.isdisjoint(moving) for _, k in rates):
+        return None
+    left = [
+        graph.add([slopes[i][j], graph.multiply([rates[i], plain.entry(i, j)])])
+        for i in range(n)
+        for j in range(n)
+    ]
+    findings = Findings(graph, left)
+    if not all(map(findings.vanishes, left)):
+        return None
+    known = all(not rate[0] or plain.signs(rate) == (1, True) for rate in rates)
+    return tuple(rates) if known else None
+
+
+def forces_at_rest(plain: Plain) -> tuple[Value, ...]:
+    """Return the forces with v = 0."""
+    still = dict.fromkeys(plain.numbers(plain.v), ZERO)
+    return tuple(rebuilt(plain.graph, list(plain.f), still))
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,6 @@ from typing import Any
 
 from symsimpson.support import markup
 
-__all__ = ["as_html", "as_text", "rows"]
-
 Row = tuple[str, str, str, str]
 HEAD: Row = ("finding", "here", "because", "removes")
 

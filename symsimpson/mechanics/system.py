@@ -15,22 +15,19 @@ from sympy.core.function import AppliedUndef
 from symsimpson.errors import ModelError
 from symsimpson.mechanics.checks import read_coordinates, read_name, read_parameters
 from symsimpson.mechanics.constraints import names_of
-from symsimpson.mechanics.declaration import energies, read_energies
+from symsimpson.mechanics.declaration import NO_UNITS, energies, read_energies, read_units
+from symsimpson.mechanics.declared import fingerprint
 from symsimpson.mechanics.described import Described
-from symsimpson.mechanics.digest import fingerprint
 from symsimpson.mechanics.expression_checks import read_expression
 from symsimpson.mechanics.forces import read_inputs
 from symsimpson.mechanics.methods import read_method
 from symsimpson.mechanics.plain import Plain, Symbols, unfrozen
 from symsimpson.mechanics.quadratic import polynomial
 from symsimpson.mechanics.structure import Structure, analyse
-from symsimpson.mechanics.units import NO_UNITS, read_units
 from symsimpson.support.calling import explaining
 from symsimpson.support.garbage import rarely_collected
 from symsimpson.support.progress import waiting
 from symsimpson.support.stopwatch import collecting, timed
-
-__all__ = ["MechanicalSystem"]
 
 #: No parameters.
 NONE: Mapping[sp.Symbol, float] = MappingProxyType({})

@@ -13,8 +13,6 @@ from typing import Any
 from symsimpson.module.header import Header
 from symsimpson.support.names import Named
 
-__all__ = ["QUANTITIES", "SCALARS", "VECTORS", "Quantity"]
-
 
 def velocities_by(header: Header) -> str:
     """Return the kernel that gives the velocities of a state; a retimed start gives dq/dtau."""
@@ -32,7 +30,7 @@ class Quantity:
 
     name: str  #: Of the attribute, of variables in files, and in ``run[name]`` if it is one number.
     doc: str  #: In words, as figures and files say it.
-    block: str  #: Where it stands in the workspace.
+    block: str = ""  #: Where it stands in the workspace; "" if Python computes it.
     #: Takes a header, and returns the kernel that computes it; None for the state itself.
     kernel: Callable[[Header], str] | None = None
     #: What it has a number for each of; "" for a single number. Tables and files have single
@@ -87,3 +85,5 @@ QUANTITIES = {quantity.name: quantity for quantity in _TABLE}
 #: Those with a number for each coordinate, and those of one number.
 VECTORS = tuple(quantity for quantity in _TABLE if quantity.axis == "coordinates")
 SCALARS = tuple(quantity for quantity in _TABLE if not quantity.axis)
+#: Single numbers that expressions of users may contain.
+OBSERVABLE = tuple(quantity for quantity in SCALARS if quantity.symbol)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from symsimpson.errors import InputError
-from symsimpson.mechanics.points import points_of
+from symsimpson.mechanics.declared import points_of
 from symsimpson.support.array_types import Floats
 from symsimpson.support.names import spelled
 

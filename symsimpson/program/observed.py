@@ -11,7 +11,7 @@ from typing import Any
 from symsimpson.errors import InputError
 from symsimpson.module.header import Header
 from symsimpson.module.interface import MET, WATCHED, ZERO
-from symsimpson.module.quantity import SCALARS, VECTORS
+from symsimpson.module.quantity import OBSERVABLE, VECTORS
 from symsimpson.program.program import Program
 from symsimpson.program.reader import OF_MATH, Reader
 from symsimpson.program.recorders import Recorder
@@ -321,7 +321,7 @@ def _names(header: Header) -> list[str]:
     """Return lines that give quantities of a state the names that expressions have for them."""
     rows = [(f"{x.symbol}{i}", f"{x.block} + {i}") for x in VECTORS for i in range(header.n)]
     rows += [(f"a_{i}", f"PARAMETER + {i}") for i in range(len(header.parameters))]
-    rows += [(x.symbol, x.block) for x in SCALARS]
+    rows += [(x.symbol, x.block) for x in OBSERVABLE]
     return [f"{name} = W[{row}, lane]" for name, row in rows]
 
 

@@ -12,7 +12,7 @@ from keyword import iskeyword
 from typing import Any
 
 from symsimpson.errors import InputError
-from symsimpson.module.quantity import QUANTITIES, SCALARS, VECTORS
+from symsimpson.module.quantity import OBSERVABLE, QUANTITIES, VECTORS
 from symsimpson.program.program import Program
 from symsimpson.support.names import counted, did_you_mean, spelled
 
@@ -70,7 +70,7 @@ class Reader:
         self.energetic = self.rest = False
         coordinates, parameters = program.names.coordinates, program.names.parameters
         self._known = {"t": "t", "pi": "3.141592653589793"}
-        self._known |= {scalar.name: scalar.symbol for scalar in SCALARS}
+        self._known |= {scalar.name: scalar.symbol for scalar in OBSERVABLE}
         alone = set(self._known) - {"pi"}
         self._known |= {a: f"a_{i}" for a, i in parameters.places.items()}
         of_state = {
@@ -83,7 +83,7 @@ class Reader:
         self._moving = set(coordinates.places)
         shown = [vector.shown(program.names) for vector in VECTORS]
         self._listed = [*chain(*shown), *parameters.shown]
-        self._listed += ["t", *(scalar.name for scalar in SCALARS), "pi"]
+        self._listed += ["t", *(scalar.name for scalar in OBSERVABLE), "pi"]
         self._used: set[str] = set()
         #: What stands for names that no text can have in it, and these names.
         self._standing: dict[str, str] = {}
@@ -113,7 +113,7 @@ class Reader:
         written |= {f"{kind}_{i}": f"{kind}_{name}" for kind in "pv" for i, name in coordinates}
         written |= {f"a_{i}": name for i, name in parameters}
         known = {"t": "t", "pi": self._known["pi"]}
-        known |= {scalar.name: scalar.symbol for scalar in SCALARS}
+        known |= {scalar.name: scalar.symbol for scalar in OBSERVABLE}
         known |= {name: symbol for symbol, name in written.items()}
         if all(known.get(name) == self._known[name] for name in self._used):
             return str(expression)

@@ -21,8 +21,6 @@ from symsimpson.stepping.driving import driven
 from symsimpson.support.extras import library
 from symsimpson.support.files import read_path
 
-__all__ = ["open_trajectory"]
-
 #: What reads tables again.
 READERS = {".npz": "numpy.load", ".csv": "pandas.read_csv", ".parquet": "pandas.read_parquet"}
 #: What a file must hold: variables, and attributes beside the dataset's own.

@@ -17,12 +17,10 @@ from symsimpson.program.observed import Observed, read_expression, refuse_consta
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.interpolate import DenseOutput
-from symsimpson.results.states import States
-from symsimpson.results.stored import Stored
+from symsimpson.results.states import States, Stored
+from symsimpson.results.tables import Variable
 from symsimpson.support.array_types import Floats
 from symsimpson.support.names import did_you_mean, spelled
-
-__all__ = ["Events", "find_events", "gather", "of_run", "read_zeros", "zeros"]
 
 Zeros = tuple[Observed, int]
 #: Angles that differ by this are one.
@@ -116,16 +114,16 @@ class Events(States):
 
         return events(self)
 
-    def _further(self) -> dict[str, Any]:
-        return {"direction": (("time",), self.direction)}
-
-    def _table(self) -> dict[str, NDArray[Any]]:
-        further = {name: values for name, (_, values) in self._further().items()}
-        columns = self._columns()  # what the user named comes first
-        return {"t": self.t, **columns, **{x: further[x] for x in further if x not in columns}}
+    def _further(self) -> list[Variable]:
+        return [of_event("direction", self.direction)]
 
     def _about(self) -> dict[str, Any]:
         return super()._about() | {"zeros of": self.expression, "message": self.message}
+
+
+def of_event(name: str, values: Any) -> Variable:
+    """Return a variable that only events have."""
+    return Variable(name, values, ("time",), columns=(name,), prefix="event_")
 
 
 def read_zeros(program: Program, expression: Any, direction: int, wrap: Any) -> Zeros:

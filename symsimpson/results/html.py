@@ -13,8 +13,6 @@ from symsimpson.results.outcome import iterations_a_step
 from symsimpson.support.markup import Markup, box, curves, facts, scatter
 from symsimpson.support.names import counted
 
-__all__ = ["chaos", "ensemble", "events", "solution", "states", "stepper", "trajectory", "verdict"]
-
 #: More coordinates than this are no picture each.
 DRAWN = 6
 GOOD, BAD = "#3a9e6b", "#d1495b"

@@ -12,14 +12,12 @@ from symsimpson.errors import ConvergenceError, InputError
 from symsimpson.program.input_values import read_array
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import workspace
-from symsimpson.results.stored import Stored
+from symsimpson.results.states import Stored
 from symsimpson.stepping.arrival import states_at
 from symsimpson.stepping.driving import at_places, places, since
 from symsimpson.stepping.parts import Parts, steps_from
 from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.markup import box
-
-__all__ = ["DenseOutput"]
 
 #: A part of a step as small as this is none.
 NOTHING = 1e-14

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, NoReturn, cast
 
@@ -13,10 +14,8 @@ from symsimpson.errors import InputError, UnknownNameError
 from symsimpson.module.matrices import slopes_of
 from symsimpson.module.quantity import QUANTITIES, SCALARS, VECTORS
 from symsimpson.program.program import Program
-from symsimpson.results.tables import apart
+from symsimpson.results.tables import Variable, attribute_name, variable_of
 from symsimpson.support.names import did_you_mean, public_names, shortened, spelled
-
-__all__ = ["Quantities"]
 
 
 class Quantities:
@@ -199,19 +198,19 @@ class Quantities:
 
     __dir__ = public_names
 
-    def _columns(self) -> dict[str, NDArray[Any]]:
-        """Return numbers of stored quantities, invariants and points by name, as tables do."""
-        names, columns = self.program.names, dict[str, NDArray[Any]]()
-        for quantity in (*VECTORS, *SCALARS):
-            value = np.asarray(getattr(self, quantity.name))
-            shown = quantity.shown(names)
-            columns |= {
-                name: value[..., k] if quantity.axis else value for k, name in enumerate(shown)
-            }
-        columns |= self.invariants
-        for name, place in self.points.items():
-            if place.ndim == self.energy.ndim + 1:  # no body of several corners
-                axes = "xyz"[: place.shape[-1]]
-                of_point = {f"{name}_{axis}": place[..., k] for k, axis in enumerate(axes)}
-                columns |= apart(of_point, columns, "point_")
-        return columns
+    def _quantities(self, axes: tuple[str, ...]) -> list[Variable]:
+        """Return stored quantities, invariants and points, whose first axes have these names."""
+        program = self.program
+        variables = [
+            variable_of(x.name, getattr(self, x.name), axes, program, doc=x.doc)
+            for x in (*VECTORS, *SCALARS)
+        ]
+        variables += [
+            Variable(f"invariant_{k}", values, axes, name, (name,))
+            for k, (name, values) in enumerate(self.invariants.items())
+        ]
+        for k, (name, place) in enumerate(self.points.items()):
+            key = attribute_name(name, str(k))
+            point = variable_of(name, place, axes, program, key, f"place of {name}")
+            variables.append(replace(point, name=f"point_{key}", array=f"point_{name}"))
+        return variables

@@ -8,11 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.results.events import Events, of_run
+from symsimpson.results.events import Events, of_event, of_run
 from symsimpson.results.states import States
+from symsimpson.results.tables import Variable
 from symsimpson.support.array_types import Floats
-
-__all__ = ["Actions", "Record", "actions_of"]
 
 
 class Record(NamedTuple):
@@ -80,13 +79,13 @@ class Actions(Events):
         """The states after the actions."""
         return self.with_states(self.t, self.q_after, self.p_after)
 
-    def _further(self) -> dict[str, Any]:
-        numbers = {
+    def _further(self) -> list[Variable]:
+        further = {
             "direction": self.direction,
             "impulse": self.impulse,
             "simultaneous": self.simultaneous.astype(int),
         }
-        return {name: (("time",), x) for name, x in numbers.items()}
+        return [of_event(name, values) for name, values in further.items()]
 
 
 def actions_of(run: Any, name: str) -> Actions:

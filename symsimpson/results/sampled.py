@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,31 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, UnknownNameError
-from symsimpson.module.quantity import QUANTITIES
-from symsimpson.module.quantity import VECTORS as WITH_COORDINATES
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.outcome import Outcome
-from symsimpson.results.records import Actions, Record, actions_of
-from symsimpson.results.states import States, attribute_name, with_units
-from symsimpson.results.tables import apart, dataframe, write
+from symsimpson.results.records import Actions, actions_of
+from symsimpson.results.states import Plotted, States
+from symsimpson.results.tables import Savable, Variable, attribute_name, variable_of
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explaining
-from symsimpson.support.extras import library
 from symsimpson.support.names import counted, did_you_mean, public_names, spelled
-
-__all__ = ["Sampled", "Saved", "member_of"]
-
-#: Quantities that have a number for each coordinate.
-VECTORS = tuple(vector.name for vector in WITH_COORDINATES)
 
 
 @explaining()
-class WithEvents:
+class WithEvents(Savable, Outcome):
     """A result that knows what events did, though states between them may not be kept."""
-
-    records: tuple[Record, ...]
-    event_names: tuple[str, ...]
 
     def events(self, name: Any) -> Actions:
         """Return the states in which an event acted on the run, by its name.
@@ -67,32 +55,10 @@ class WithEvents:
             )
         return actions_of(self, str(name))
 
-    def save(self: Any, path: str | os.PathLike[str]) -> None:
-        """Keep the states or quantities in a file, of the kind that its ending says.
-
-        The kinds are those of :meth:`Trajectory.save`. No run goes on from such a file, which
-        :func:`symsimpson.open_trajectory` refuses: numpy, pandas or xarray read it.
-
-        Raises
-        ------
-        InputError
-            If the name ends otherwise, or a library is missing.
-        StorageError
-            If the file cannot be written.
-
-        Examples
-        --------
-        >>> import pathlib, tempfile, symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> run = stepper.integrate([1.0], v0=[0.0], h=0.1, t_eval=[0.0, 0.25, 3.1])
-        >>> run.save(pathlib.Path(tempfile.mkdtemp()) / "run.csv")
-        """
-        write(path, "result", self._arrays, self._table, self.to_xarray)
-
 
 @explaining()
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class Sampled(WithEvents, Outcome, States):
+class Sampled(WithEvents, States):
     """The states of a run at chosen times; ``integrate(..., t_eval=times)`` gives them.
 
     A member of an ensemble, ``ensemble[3]``, gives its stored states.
@@ -112,14 +78,6 @@ class Sampled(WithEvents, Outcome, States):
     ((3,), 31, True)
     """
 
-    h: Any
-    steps: int
-    status: Status
-    message: str
-    records: tuple[Record, ...] = field(default=(), repr=False)
-    event_names: tuple[str, ...] = ()
-    reduced_values: tuple[tuple[str, float], ...] = field(default=(), repr=False)
-    error_estimate: float | None = None
     tau: Floats | None = field(default=None, repr=False)
 
     def _about(self) -> dict[str, Any]:
@@ -154,8 +112,8 @@ def member_of(ensemble: Any, member: int) -> Sampled:
 
 
 @explaining()
-@dataclass(frozen=True, eq=False, repr=False)
-class Saved(WithEvents, Outcome):
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Saved(WithEvents, Plotted):
     """Chosen quantities of a run; ``integrate(..., save=names)`` gives them.
 
     Attributes
@@ -181,17 +139,9 @@ class Saved(WithEvents, Outcome):
 
     t: NDArray[Any]
     values: Mapping[str, NDArray[Any]]
-    h: Any
-    steps: int
-    status: Status
-    message: str
     program: Program = field(repr=False)
-    parameter_values: Any = field(default=None, repr=False)
-    driven: Any = field(default=None, repr=False)
-    records: tuple[Record, ...] = field(default=(), repr=False)
-    event_names: tuple[str, ...] = ()
-    reduced_values: tuple[tuple[str, float], ...] = field(default=(), repr=False)
-    error_estimate: float | None = None
+    parameter_values: Any = field(repr=False)
+    driven: Any = field(repr=False)
 
     __dir__ = public_names
 
@@ -219,91 +169,18 @@ class Saved(WithEvents, Outcome):
     #: Iterating over names or over times: neither is what everybody expects.
     __iter__ = None
 
-    def plot(self, names: str | Sequence[str] | None = None, *more: str, ax: Any = None) -> Any:
-        """Draw quantities over time, all that have one number unless named; returns the axes.
+    def _drawn(self) -> list[str]:
+        return [name for name, values in self.values.items() if values.ndim == 1]
 
-        Raises
-        ------
-        InputError
-            If matplotlib is not installed.
-
-        Examples
-        --------
-        >>> import symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> kept = stepper.integrate([1.0], v0=[0.0], h=0.1, steps=50, save=["theta"])
-        >>> kept.plot().get_ylabel()
-        'theta'
-        """
-        from symsimpson.plotting.run_figures import plot
-
-        single = [name for name, values in self.values.items() if values.ndim == 1]
-        return plot(self, (names, *more) if more else single if names is None else names, ax=ax)
-
-    def to_pandas(self) -> Any:
-        """Return a ``pandas.DataFrame`` of the quantities, with the times as index.
-
-        Raises
-        ------
-        InputError
-            If pandas is not installed.
-
-        Examples
-        --------
-        >>> import symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> kept = stepper.integrate([1.0], v0=[0.0], h=0.1, steps=50, save=["q", "energy"])
-        >>> list(kept.to_pandas().columns)
-        ['theta', 'energy']
-        """
-        return dataframe(self._table(), "t", self._about(), self.program.units)
-
-    def to_xarray(self) -> Any:
-        """Return an ``xarray.Dataset`` with the dimension time, and coord for q, p and v.
-
-        Raises
-        ------
-        InputError
-            If xarray is not installed.
-
-        Examples
-        --------
-        >>> import symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> kept = stepper.integrate([1.0], v0=[0.0], h=0.1, steps=50, save=["q", "energy"])
-        >>> kept.to_xarray()["q"].dims
-        ('time', 'coord')
-        """
-        xarray = library("xarray", "to_xarray", "data")
-        variables = {}
-        for k, (name, values) in enumerate(self.values.items()):
-            key = attribute_name(name, f"quantity_{k}")
-            axes = ("coord",) if name in VECTORS else (f"corner_{key}", f"axis_{key}")
-            places = axes[len(axes) + 1 - values.ndim :]
-            variables[key] = ("time", *places), values, {"long_name": name}
-        named = {"time": self.t, "coord": list(self.program.coordinates)}
-        return with_units(xarray.Dataset(variables, named, self._about()), self.program.units)
-
-    def _arrays(self) -> dict[str, NDArray[Any]]:
-        return {"t": self.t, **self.values}
-
-    def _table(self) -> dict[str, NDArray[Any]]:
-        table, names = {"t": self.t}, self.program.names
-        taken = {*self.values, *(x for vector in WITH_COORDINATES for x in vector.shown(names))}
-        for name, values in self.values.items():
-            if values.ndim == 1:
-                table[name] = values
-            elif values.ndim == 2:
-                quantity = QUANTITIES.get(name)
-                parts = [f"{name}_{x}" for x in "xyz"[: values.shape[1]]]  # of a point
-                shown = quantity.shown(names) if quantity else parts
-                columns = {x: values[:, k] for k, x in enumerate(shown)}
-                table |= columns if quantity else apart(columns, taken, "point_")
-        return table
+    def _variables(self) -> list[Variable]:
+        return [
+            variable_of(name, values, ("time",), self.program, key, doc=name)
+            for k, (name, values) in enumerate(self.values.items())
+            for key in [attribute_name(name, f"quantity_{k}")]
+        ]
 
     def _about(self) -> dict[str, Any]:
-        program = self.program
-        return {"system": program.system, "scheme": program.scheme} | self._outcome()
+        return super()._about() | self._outcome()
 
     def __repr__(self) -> str:
         return (

@@ -8,9 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.results.stored import Stored
-
-__all__ = ["EVENTS", "RECORDED", "dataset_of", "digest_of"]
+from symsimpson.results.states import Stored
 
 #: Before the names of what was recorded, in files.
 RECORDED = "recorded_"

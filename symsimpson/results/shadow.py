@@ -18,12 +18,10 @@ from symsimpson.program.evaluating import evaluate
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder, driver_layout
 from symsimpson.program.workspace import workspace
-from symsimpson.results.stored import Stored
+from symsimpson.results.states import Stored
 from symsimpson.stepping.variations import varied_program
 from symsimpson.support.array_types import Reals
 from symsimpson.support.derivation import LAGRANGIAN
-
-__all__ = ["changes", "shadow_energy"]
 
 #: What is summed of H and of its error at four steps: around a state, and at the first two states.
 AROUND = np.array([-1, 7, 7, -1]) / 12

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import operator
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, overload
@@ -12,18 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.module.quantity import SCALARS, VECTORS
 from symsimpson.program.program import Program
 from symsimpson.program.workspace import NO_INPUTS
+from symsimpson.results.outcome import Outcome
 from symsimpson.results.quantities import Quantities
-from symsimpson.results.tables import dataframe
+from symsimpson.results.tables import Tabular, Variable, attribute_name
 from symsimpson.stepping.driving import Driven, inputs_there
 from symsimpson.support.calling import explaining
-from symsimpson.support.extras import library
 from symsimpson.support.names import counted
-
-__all__ = ["States"]
-
 
 #: Names of all that runs have; runs themselves put them here.
 OF_RUNS = set[str]()
@@ -31,28 +26,6 @@ OF_RUNS = set[str]()
 
 class PartialRunError(InputError, AttributeError):
     """Some states of a run lack what the whole run has."""
-
-
-def with_units(data: Any, units: Mapping[str, str]) -> Any:
-    """Return an ``xarray.Dataset`` with the units that are known.
-
-    Units of q, p and v stand in coordinates named ``units_q`` and so on, and in an attribute where
-    all are the same.
-    """
-    if "t" in units and "time" in data.variables:  # members may have one state each, or own times
-        data["time"].attrs["units"] = units["t"]
-    for name, column in data.variables.items():
-        named = name.startswith(("invariant_", "quantity_"))
-        key = column.attrs.get("long_name", name) if named else name.removeprefix("point_")
-        if key in units and name != "coord":
-            data[name].attrs["units"] = units[key]
-    for name, prefix in ((vector.name, vector.prefix) for vector in VECTORS):
-        unit_names = [units.get(f"{prefix}{q}", "") for q in data["coord"].values.tolist()]
-        if name in data and any(unit_names):
-            data = data.assign_coords({f"units_{name}": ("coord", unit_names)})
-            if len(set(unit_names)) == 1:
-                data[name].attrs["units"] = unit_names[0]
-    return data
 
 
 def _kind_of(key: Any) -> str:
@@ -63,11 +36,6 @@ def _kind_of(key: Any) -> str:
         return "O"
 
 
-def attribute_name(name: str, identifier: str) -> str:
-    """Return a name if attributes of files may have it, else the name in the module."""
-    return name if re.fullmatch(r"[^/\x00-\x1f\x7f]*[^/\s\x00-\x1f\x7f]", name) else identifier
-
-
 def about_program(program: Program) -> dict[str, Any]:
     """Return attributes of a dataset: system, scheme, order and digest."""
     names = {x: getattr(program, x) for x in ("system", "scheme", "order")}
@@ -75,8 +43,60 @@ def about_program(program: Program) -> dict[str, Any]:
 
 
 @explaining()
+class Plotted:
+    """Quantities over time, which can be drawn."""
+
+    @property
+    def _connected(self) -> bool:
+        """Whether states follow one another, so that lines may connect them."""
+        return True
+
+    def _drawn(self) -> list[str] | None:
+        """Return the quantities to draw unless some are named; None for the coordinates."""
+        return None
+
+    def plot(self, names: str | Sequence[str] | None = None, *more: str, ax: Any = None) -> Any:
+        """Draw quantities over time.
+
+        A run takes steps again where lines between its stored states would miss the motion. Dots
+        are drawn where that takes too many steps, or where the states alone are known.
+
+        Parameters
+        ----------
+        names : str or sequence of str, optional
+            As in ``run["q1"]``; all coordinates unless given, or all saved numbers.
+        *more : str
+            Further ones.
+        ax : matplotlib axes, optional
+            Axes to draw in. Unless given, there are new ones: one for each unit, and one for
+            quantities whose ranges differ from other ranges by more than 30 times.
+
+        Returns
+        -------
+        matplotlib axes
+            The first ones.
+
+        Raises
+        ------
+        InputError
+            If matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> run.plot("theta", "energy").get_xlabel()
+        't'
+        """
+        from symsimpson.plotting.run_figures import plot
+
+        wanted = (names, *more) if more else self._drawn() if names is None else names
+        return plot(self, wanted, connected=self._connected, ax=ax)
+
+
+@explaining()
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class States(Quantities):
+class States(Quantities, Tabular, Plotted):
     """States of one system at some times: part of a run, or places between its steps.
 
     Attributes
@@ -169,51 +189,8 @@ class States(Quantities):
         program, values = self.program, self.parameter_values
         return States(t=t, q=q, p=p, program=program, parameter_values=values, driven=self.driven)
 
-    @property
-    def _connected(self) -> bool:
-        """Whether states follow one another, so that lines may connect them."""
-        return True
-
     def __getstate__(self) -> dict[str, Any]:
         return {f.name: getattr(self, f.name) for f in fields(self)}  # without what was computed
-
-    def plot(self, names: str | Sequence[str] | None = None, *more: str, ax: Any = None) -> Any:
-        """Draw quantities over time.
-
-        A run takes steps again where lines between its stored states would miss the motion. Dots
-        are drawn where that takes too many steps, or where the states alone are known.
-
-        Parameters
-        ----------
-        names : str or sequence of str, optional
-            As in ``run["q1"]``; all coordinates unless given.
-        *more : str
-            Further ones.
-        ax : matplotlib axes, optional
-            Axes to draw in. Unless given, there are new ones: one for each unit, and one for
-            quantities whose ranges differ from other ranges by more than 30 times.
-
-        Returns
-        -------
-        matplotlib axes
-            The first ones.
-
-        Raises
-        ------
-        InputError
-            If matplotlib is not installed.
-
-        Examples
-        --------
-        >>> import symsimpson as ss
-        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
-        >>> run.plot("theta", "energy").get_xlabel()
-        't'
-        """
-        wanted = (names, *more) if more else names
-        from symsimpson.plotting.run_figures import plot
-
-        return plot(self, wanted, connected=self._connected, ax=ax)
 
     def plot_phase(self, x: str | None = None, y: str | None = None, *, ax: Any = None) -> Any:
         """Draw one quantity over another, as a curve like :meth:`plot` draws.
@@ -268,65 +245,12 @@ class States(Quantities):
 
         return plot_path(self, connected=self._connected, ax=ax)
 
-    def to_pandas(self) -> Any:
-        """Return a ``pandas.DataFrame`` of all quantities by name, with the times as index.
+    def _variables(self) -> list[Variable]:
+        return [*self._quantities(("time",)), *self._further()]
 
-        Positions, momenta, velocities, the energy, invariants and the coordinates of points: those
-        of a point "bob" are ``bob_x`` and so on, or ``point_bob_x`` where that is a coordinate.
-
-        Raises
-        ------
-        InputError
-            If pandas is not installed.
-
-        Examples
-        --------
-        >>> import symsimpson as ss
-        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
-        >>> list(run.to_pandas().columns)
-        ['theta', 'p_theta', 'v_theta', 'energy', 'kinetic_energy', 'bob_x', 'bob_y']
-        """
-        return dataframe(self._table(), "t", self._about(), self.program.units)
-
-    def _arrays(self) -> dict[str, NDArray[Any]]:
-        return {x: getattr(self, x) for x in ("t", *(y.name for y in (*VECTORS, *SCALARS)))}
-
-    def _table(self) -> dict[str, NDArray[Any]]:
-        return {"t": self.t, **self._columns()}
-
-    def to_xarray(self) -> Any:
-        """Return an ``xarray.Dataset`` with dimensions time and coord.
-
-        Raises
-        ------
-        InputError
-            If xarray is not installed.
-
-        Examples
-        --------
-        >>> import symsimpson as ss
-        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
-        >>> run.to_xarray()["q"].dims
-        ('time', 'coord')
-        """
-        xarray = library("xarray", "to_xarray", "data")
-        variables = dict[str, Any]()
-        for x in (*VECTORS, *SCALARS):
-            places = ("time", "coord")[: 1 + bool(x.axis)]
-            variables[x.name] = places, getattr(self, x.name), {"long_name": x.doc}
-        for k, (name, values) in enumerate(self.invariants.items()):
-            variables[f"invariant_{k}"] = (("time",), values, {"long_name": name})
-        for k, (name, place) in enumerate(self.points.items()):
-            about, key = {"long_name": f"place of {name}"}, attribute_name(name, str(k))
-            corner = (f"corner_{key}",) * (place.ndim - 2)
-            variables[f"point_{key}"] = (("time", *corner, f"axis_{key}"), place, about)
-        variables |= self._further()
-        names = {"time": self.t, "coord": list(self.program.coordinates)}
-        return with_units(xarray.Dataset(variables, names, self._about()), self.program.units)
-
-    def _further(self) -> dict[str, Any]:
-        """Return variables of a dataset that a subclass has beside those of all states."""
-        return {}
+    def _further(self) -> list[Variable]:
+        """Return variables that a subclass has beside those of all states."""
+        return []
 
     def _about(self) -> dict[str, Any]:
         """Return attributes of a dataset: system, scheme, order, digest and parameters."""
@@ -361,3 +285,43 @@ class States(Quantities):
         if len(self):
             times += f", {float(self.t[0]):g} <= t <= {float(self.t[-1]):g}"
         return f"{type(self).__name__}({self.program.system}, {self.program.scheme}: {times})"
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class Stored(Outcome, States):
+    """Arrays and settings of a finished run, from which other quantities are computed.
+
+    Attributes
+    ----------
+    newton_iterations : ndarray of int, shape (N + 1,)
+    every : int or None
+        Steps from one stored state to the next.
+    input_values : ndarray, shape (1, steps, s, m)
+        Inputs by step, node and number, of one run; an axis of one entry stands for all.
+    variations : ndarray, shape (N + 1, 2 n, k), or None
+    tau_values : ndarray or None
+        The variable in which steps are fixed, where it is not the time.
+    begun : tuple of number and ndarray, shape (2, n), or None
+        The initial time and the initial q and p, if only the last state is stored.
+    varied_by : tuple of str or None
+        Names that ``variations`` are derivatives by; None for those of the program.
+    recorded_values : tuple of pairs
+        Names of what was recorded beside states, and arrays of shape (N + 1, k).
+    ended_by : str or None
+        The name of the event that ended the run.
+    """
+
+    newton_iterations: NDArray[np.int64]
+    every: int | None
+    input_values: NDArray[Any] = field(repr=False)
+    variations: NDArray[Any] | None = field(default=None, repr=False)
+    tau_values: NDArray[Any] | None = field(default=None, repr=False)
+    begun: tuple[Any, NDArray[Any]] | None = field(default=None, repr=False)
+    varied_by: tuple[str, ...] | None = field(default=None, repr=False)
+    recorded_values: tuple[tuple[str, NDArray[Any]], ...] = field(default=(), repr=False)
+    ended_by: str | None = None
+
+    @property
+    def recorded(self) -> dict[str, NDArray[Any]]:
+        """The sums requested by ``record``, by name, shape (N + 1, k) each."""
+        return dict(self.recorded_values)

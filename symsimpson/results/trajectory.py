@@ -1,11 +1,10 @@
-"""The result of a run."""
+"""The result of a run: all its stored states, or some of them."""
 
 from __future__ import annotations
 
 import math
-import os
-from dataclasses import dataclass, field
-from functools import cached_property, partial
+from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,29 +12,46 @@ from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_array
-from symsimpson.program.status import Status
-from symsimpson.results.differentiated import Differentiated
 from symsimpson.results.energies import Energies
-from symsimpson.results.states import OF_RUNS, States
-from symsimpson.results.tables import write
+from symsimpson.results.outcome import Differentiated
+from symsimpson.results.states import OF_RUNS, States, Stored
+from symsimpson.results.tables import Savable, Variable
+from symsimpson.support.array_types import Ints
 from symsimpson.support.calling import explaining
-from symsimpson.support.names import counted, did_you_mean
+from symsimpson.support.names import counted, did_you_mean, public_names
 
 if TYPE_CHECKING:
     from symsimpson.plotting.animate import Animation
     from symsimpson.results.events import Events
     from symsimpson.results.interpolate import DenseOutput
-    from symsimpson.results.records import Record
-
-__all__ = ["Trajectory"]
 
 #: Times of steps are rounded by less than this, in steps.
 ROUNDED = 1e-6
+#: What a run has a row of for each state, or a mapping of such rows.
+ROWS = (
+    "tau",
+    "newton_iterations",
+    "tangent",
+    "sensitivity",
+    "work",
+    "power",
+    "energy_balance",
+    "energy_error",
+    "shadow_energy",
+    "multipliers",
+    "constraint_error",
+    "constraint_forces",
+    "velocity_constraint_error",
+)
+#: What events have a row of for each time.
+ROWS_OF_EVENTS = ("t", "q", "p", "direction", "q_after", "p_after", "impulse", "simultaneous")
+#: What a part shares with its run.
+WHOLE = ("sol", "records")
 
 
 @explaining()
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class Trajectory(Energies, Differentiated):
+class Trajectory(Savable, Energies, Differentiated):
     """States of a run, and how it ended.
 
     Arrays are float64, or object arrays of mpmath numbers if the stepper was compiled with a
@@ -71,25 +87,6 @@ class Trajectory(Energies, Differentiated):
     ((51,), (51,), (2, 51), True)
     """
 
-    newton_iterations: NDArray[np.int64]
-    h: Any
-    steps: int
-    every: int | None
-    status: Status
-    message: str
-    input_values: NDArray[Any] = field(repr=False)
-    variations: NDArray[Any] | None = field(default=None, repr=False)
-    tau_values: NDArray[Any] | None = field(default=None, repr=False)
-    begun: tuple[Any, NDArray[Any]] | None = field(default=None, repr=False)
-    varied_by: tuple[str, ...] | None = field(default=None, repr=False)
-    recorded_values: tuple[tuple[str, NDArray[Any]], ...] = field(default=(), repr=False)
-    reduced_values: tuple[tuple[str, float], ...] = field(default=(), repr=False)
-    #: What events did, in the order of time, their names, and the one that ended the run.
-    records: tuple[Record, ...] = field(default=(), repr=False)
-    event_names: tuple[str, ...] = ()
-    ended_by: str | None = None
-    error_estimate: float | None = None
-
     @property
     def _names_varied(self) -> tuple[str, ...]:
         if self.varied_by is None:
@@ -104,8 +101,6 @@ class Trajectory(Energies, Differentiated):
         item = super().__getitem__(key)
         if isinstance(item, np.ndarray):
             return item
-        from symsimpson.results.part import part_of
-
         return part_of(self, np.arange(len(self)), key)
 
     @property
@@ -279,42 +274,18 @@ class Trajectory(Energies, Differentiated):
 
         return animate(self, seconds=seconds, fps=fps, figsize=figsize, dpi=dpi)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Save the run to a file, in the format of its extension.
-
-        ``.nc`` (netCDF) and ``.zarr`` (a store of Zarr) hold what :meth:`to_xarray` gives, and the
-        generated module, so that :func:`symsimpson.open_trajectory` gives back this trajectory.
-        ``.csv`` and ``.parquet`` are tables, with the columns of :meth:`to_pandas`, and ``.npz``
-        has arrays t, q, p, v, energy and points.
-
-        Raises
-        ------
-        InputError
-            If there is no such format, a library is missing, or the run has many digits.
-        StorageError
-            If the file cannot be written.
-
-        Examples
-        --------
-        >>> import pathlib, tempfile, symsimpson as ss
-        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
-        >>> path = pathlib.Path(tempfile.mkdtemp()) / "run.zarr"
-        >>> run.save(path)
-        >>> ss.open_trajectory(path).steps
-        50
-        """
+    def _contents(self) -> Any:
         from symsimpson.results.saving import dataset_of
 
-        dataset = partial(dataset_of, self)
-        write(path, "trajectory", self._arrays, self._table, dataset, trajectory=self)
+        return dataset_of(self)
 
-    def _arrays(self) -> dict[str, NDArray[Any]]:
-        return super()._arrays() | {f"point_{name}": x for name, x in self.points.items()}
+    def _kind_of_result(self) -> str:
+        return "trajectory"
 
-    def _further(self) -> dict[str, Any]:
-        further = {"newton_iterations": (("time",), self.newton_iterations)}
+    def _further(self) -> list[Variable]:
+        further = [Variable("newton_iterations", self.newton_iterations, ("time",))]
         if self.tau_values is not None:
-            further["tau"] = (("time",), self.tau_values)
+            further.append(Variable("tau", self.tau_values, ("time",)))
         return further
 
     def _about(self) -> dict[str, Any]:
@@ -334,3 +305,84 @@ class Trajectory(Energies, Differentiated):
 
 
 OF_RUNS |= {x for x in (*dir(Trajectory), *Trajectory.__dataclass_fields__) if x[0] != "_"}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Part(States):
+    """Some of the states of a run; what the run knows of each of them is there, too.
+
+    Attributes are those of :class:`States`; ``tau``, ``newton_iterations``, ``tangent``,
+    ``sensitivity``, ``work``, ``power``, ``energy_balance``, ``energy_error``,
+    ``shadow_energy``, ``multipliers``, ``constraint_error``, ``velocity_constraint_error`` and
+    ``constraint_forces`` are rows of those of the whole run.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+    >>> bool((run[3:5].energy_error == run.energy_error[3:5]).all())
+    True
+    """
+
+    _run: Any = field(repr=False)
+    _places: Ints = field(repr=False)
+
+    def __getattr__(self, name: str) -> Any:
+        if name in WHOLE:
+            return getattr(self._run, name)
+        if name not in ROWS:
+            return super().__getattr__(name)
+        values = getattr(self._run, name)
+        if isinstance(values, dict):
+            return {key: rows[self._places] for key, rows in values.items()}
+        return values[self._places]
+
+    @property
+    def _connected(self) -> bool:
+        """Whether the states are a slice of the run: others have gaps."""
+        return np.unique(np.diff(self._places)).size <= 1
+
+    def __dir__(self) -> list[str]:
+        """Return public names, with rows of the run."""
+        return [*{*public_names(self), *ROWS, "sol"}]
+
+    def __getitem__(self, key: Any) -> Any:
+        """Return a quantity by its name, shape (N,), or some of the states."""
+        item = super().__getitem__(key)
+        return item if isinstance(item, np.ndarray) else part_of(self._run, self._places, key)
+
+    def at(self, t: ArrayLike) -> States:
+        """Return the states at any times of the whole run, as :meth:`Trajectory.at`."""
+        return self._run.at(t)
+
+    def events(self, expression: Any, *, direction: int = 0, wrap: Any = ()) -> Events:
+        """Find the zeros of an expression from the first to the last of these states.
+
+        As :meth:`Trajectory.events`; the name of an event gives its record in this time.
+        """
+        events = self._run.events(expression, direction=direction, wrap=wrap)
+        here = (events.t >= min(self.t, default=0)) & (events.t <= max(self.t, default=0))
+        values = {f.name: getattr(events, f.name) for f in fields(events)}
+        rows = {x: values[x][here] for x in ROWS_OF_EVENTS if x in values}
+        return type(events)(**{**values, **rows})
+
+    def animate(self, **options: Any) -> Animation:
+        """Animate this part of the run, with the arguments of :meth:`Trajectory.animate`."""
+        from symsimpson.plotting.animate import animate
+
+        return animate(self, **options)
+
+
+def part_of(run: Stored, places: Ints, key: Any) -> Part:
+    """Return the states of a run that a key selects among those with numbers ``places``."""
+    some = np.atleast_1d(places[key])
+    return Part(
+        t=run.t[some],
+        q=run.q[some],
+        p=run.p[some],
+        program=run.program,
+        parameter_values=run.parameter_values,
+        driven=run.driven,
+        _run=run,
+        _places=some,
+    )

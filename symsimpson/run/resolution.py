@@ -21,8 +21,8 @@ from symsimpson.errors import InputError
 from symsimpson.module.interface import STANDING
 from symsimpson.program.evaluating import evaluate, evaluate_in
 from symsimpson.program.program import Program, new_program
+from symsimpson.results.energies import parts_of_work, rough_parts
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.results.work import parts_of_work, rough_parts
 from symsimpson.stepping.kept import KeptStates
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec

@@ -6,7 +6,7 @@ import pytest
 import sympy as sp
 
 import symsimpson as ss
-from symsimpson.mechanics.functions_of_potential import level
+from symsimpson.mechanics.retimed import level
 
 x, y = ss.coordinates("x y")
 m, k = sp.symbols("m k", positive=True)

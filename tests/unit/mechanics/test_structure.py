@@ -10,7 +10,7 @@ from support.random_systems import structured_system
 import symsimpson as ss
 from symsimpson.discrete.equations import discretise
 from symsimpson.discrete.reductions import Coupled, Linear, Routh, Separable
-from symsimpson.mechanics.independence import vanishes
+from symsimpson.mechanics.identities import vanishes
 
 x, y, z = ss.coordinates("x y z")
 vx, vy, vz = (c.diff() for c in (x, y, z))

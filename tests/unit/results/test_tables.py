@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import symsimpson as ss
-from symsimpson.results.tables import KINDS, apart
+from symsimpson.results.tables import KINDS
 
 pandas = pytest.importorskip("pandas")
 
@@ -115,7 +115,6 @@ def test_no_column_hides_another():
         assert np.array_equal(kept["point_bob_x"], run.points["bob"][:, 0])
     many = stepper.ensemble([[1.0, 2.0]], **start, every=1)
     assert np.array_equal(many.to_pandas()["bob_x"], many.q[0, :, 0])
-    assert list(apart({"a": 1, "b": 2}, {"a", "p_a"}, "p_")) == ["p_p_a", "b"]
 
 
 @pytest.mark.parametrize("kind", [".nc", pytest.param(".zarr", marks=pytest.mark.slow)])
