@@ -14,9 +14,9 @@ from .api.compiling import resume as resume
 from .api.stepper import Stepper as Stepper
 from .bench.record import WorkPrecision as WorkPrecision
 from .bench.work_precision import work_precision as work_precision
-from .control.control_status import ControlStatus as ControlStatus
 from .control.problem import OptimalControl as OptimalControl
 from .control.result import ControlResult as ControlResult
+from .control.result import ControlStatus as ControlStatus
 from .ensemble.ensemble import Ensemble as Ensemble
 from .errors import ConstraintWarning as ConstraintWarning
 from .errors import ConvergenceError as ConvergenceError

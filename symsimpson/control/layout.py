@@ -9,14 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from symsimpson.control.constraint_rows import held_blocks, held_values, pressed
-from symsimpson.control.ends import Following, following
-from symsimpson.control.functions_of_time import finite_values_at, read_function
-from symsimpson.control.grid import Grid
-from symsimpson.control.point_functions import PointFunctions
-from symsimpson.control.programme_rows import Rows
+from symsimpson.control.constraint_rows import (
+    Following,
+    following,
+    held_blocks,
+    held_values,
+    pressed,
+)
+from symsimpson.control.problem_parts import Grid, finite_values_at, read_function
 from symsimpson.control.reading import Limits
-from symsimpson.control.transcription import Block, Programme
+from symsimpson.control.transcription import Block, PointFunctions, Programme
 from symsimpson.graph.nodes import Value, scaled
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.support.array_types import Floats, Ints
@@ -26,7 +28,35 @@ if TYPE_CHECKING:
     from symsimpson.control.reading import Reading
     from symsimpson.schemes.scheme import Scheme
 
-__all__ = ["Layout"]
+
+class Rows:
+    """Rows as they come; the first is that of the cost."""
+
+    def __init__(self) -> None:
+        self.count = 1
+        self.low: list[Floats] = []
+        self.high: list[Floats] = []
+        self.names: list[str] = []
+        self.scales: list[Floats] = []
+        self.at, self.columns, self.data = (
+            np.zeros(0, dtype=k) for k in (np.int64, np.int64, float)
+        )
+
+    def add(self, count: int, low: float, high: float, name: str, scale: Any = 1.0) -> Ints:
+        """Return the numbers of further rows between two bounds, and by what they are scaled."""
+        self.scales.append(np.array(np.broadcast_to(scale, count)))
+        self.low.append(np.full(count, low))
+        self.high.append(np.full(count, high))
+        self.names += [name] * count
+        self.count += count
+        return np.arange(self.count - count, self.count)
+
+    def linear(self, at: Ints, columns: Ints, factor: float) -> None:
+        """Add unknowns to rows."""
+        self.at = np.concatenate([self.at, at.ravel()])
+        self.columns = np.concatenate([self.columns, columns.ravel()])
+        self.data = np.concatenate([self.data, np.full(at.size, factor)])
+
 
 #: Of the duration. Measured on four problems: iterations hardly depend on it from 0.1 to 0.2; at h,
 #: fine meshes lose the inertia of the Hessian to rounding.

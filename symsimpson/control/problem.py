@@ -8,15 +8,13 @@ from dataclasses import dataclass, field
 from numbers import Real
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from symsimpson.control.grid import read_grid
+from symsimpson.control.problem_parts import read_grid
 from symsimpson.control.reading import Reading, read_family
 from symsimpson.errors import InputError
 from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.program.input_values import whole_number
-from symsimpson.support.calling import explaining
+from symsimpson.support.calling import explaining, warn
 from symsimpson.support.extras import library
 from symsimpson.support.markup import fields_given
 from symsimpson.support.names import shortened, spelled
@@ -25,8 +23,6 @@ from symsimpson.support.progress import read_progress
 if TYPE_CHECKING:
     from symsimpson.control.result import ControlResult
     from symsimpson.schemes.scheme import Scheme
-
-__all__ = ["OptimalControl"]
 
 #: The solver counts iterations in 32 bits.
 MOST_ITERATIONS = 2**31 - 1
@@ -155,9 +151,7 @@ class OptimalControl:
             Of the optimality conditions, scaled.
         most_iterations : int
         condensed : bool
-            Whether states follow from inputs, step by step, and are no unknowns: few unknowns, for
-            motions that are not unstable, of systems without constraints. The motion of the
-            guess begins as ``start`` says.
+            Deprecated, without effect. States are always unknowns of the problem.
         progress : bool, optional
             Whether to show the cost and the iterations (needs tqdm); None shows them after a
             second. The result's ``history`` has the solver's report on each.
@@ -182,8 +176,12 @@ class OptimalControl:
             if not real and (name != "error" or value is not None):
                 raise InputError(f"{name} is {shortened(value)}.\nPass a number between 0 and 1.")
         read_progress(progress)
-        if not isinstance(condensed, (bool, np.bool_)):
-            raise InputError(f"condensed is {condensed!r}.\nPass True or False.")
+        if condensed:
+            warn(
+                "condensed=True has no effect: the full form finds the same optimum faster.\n"
+                "Leave condensed out. The next version does not accept it.",
+                DeprecationWarning,
+            )
         most = whole_number(most_iterations)
         if most is None or not 0 <= most <= MOST_ITERATIONS:
             raise InputError(
@@ -191,9 +189,7 @@ class OptimalControl:
                 f"{MOST_ITERATIONS}."
             )
         options = {"tol": float(tolerance), "max_iter": most, "print_level": 0}
-        return solve(
-            self.reading, galerkin_scheme, grid, guess, error, options, progress, bool(condensed)
-        )
+        return solve(self.reading, galerkin_scheme, grid, guess, error, options, progress)
 
     def open(
         self, path: str | os.PathLike[str], scheme: str | Scheme | None = None

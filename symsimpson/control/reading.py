@@ -26,8 +26,6 @@ from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.names import did_you_mean, spelled
 
-__all__ = ["Limits", "Reading", "read_family"]
-
 #: Functions whose slope jumps.
 KINKED = (sp.Abs, sp.Max, sp.Min, sp.sign, sp.Piecewise, sp.Heaviside, sp.floor, sp.ceiling)
 #: Relations of which numbers do not tell the strict ones from others.

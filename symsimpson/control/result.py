@@ -4,32 +4,80 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from enum import Enum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from symsimpson.control import figures
-from symsimpson.control.arcs import arcs_of
 from symsimpson.control.constraint_rows import projected, turned
-from symsimpson.control.control_status import ControlStatus
-from symsimpson.control.forward import gains, simulated
-from symsimpson.control.functions_of_time import times_within
 from symsimpson.control.layout import Layout
-from symsimpson.control.point_functions import lagrange
-from symsimpson.control.solution_files import write_solution
+from symsimpson.control.problem_parts import times_within
+from symsimpson.control.transcription import lagrange
+from symsimpson.control.uses import (
+    arcs_of,
+    draw_iterations,
+    draw_motion,
+    draw_sparsity,
+    gains,
+    simulated,
+    write_solution,
+)
 from symsimpson.errors import InputError
+from symsimpson.program.status import Status
 from symsimpson.results.html import solution
+from symsimpson.results.trajectory import Trajectory
 from symsimpson.stepping.driving import driven
 from symsimpson.support.array_types import Floats
 from symsimpson.support.names import counted
 
-if TYPE_CHECKING:
-    from symsimpson.results.trajectory import Trajectory
 
-__all__ = ["FOUND", "SAVED", "ControlResult"]
+class ControlStatus(Enum):
+    """How the search for a solution ended, with a sentence that says so."""
 
+    SOLVED = "A local optimum was found."
+    ACCEPTABLE = "An optimum was found, less exactly than was asked for."
+    INFEASIBLE = (
+        "The solver came to a point where the conditions cannot be satisfied better nearby. "
+        "Another guess, wider bounds or a longer duration may help."
+    )
+    ITERATION_LIMIT = "The solver used all its iterations. Allow more, or begin nearer."
+    RESTORATION_FAILED = (
+        "The solver could not go on from where it is. A tolerance below 1e-11 asks for more than "
+        "rounding allows; else another guess may help."
+    )
+    NOT_RESOLVED = (
+        "The equations of steps are solved, but between the points at which they see forces, "
+        "costs and constraints the motion, or its cost, is another one: inputs chatter from node "
+        "to node, steps are too long, what is dear lies between nodes, or the path jumps to "
+        "another branch of the constraints. Take more steps, a Gauss "
+        "scheme such as 'gauss6' where inputs act on velocities, or a guess that follows the "
+        "constraints from start to end."
+    )
+    NOT_OPTIMAL = (
+        "The conditions are satisfied, but the cost falls further nearby, or multipliers without "
+        "bound do not tell: some conditions follow from others, or touch them. Leave out what "
+        "follows, give in full what is known of an end, or begin at another guess."
+    )
+    NO_MASS = (
+        "The equations of steps are solved, but the mass matrix is not positive definite on the "
+        "way: what has no mass follows no force. Check the masses, and bound those that are found."
+    )
+    INTERRUPTED = "The search was interrupted; the last iterate is kept."
+    NOT_FINITE = "An energy, force or cost had no value on the way. Bound what must not be reached."
+
+
+#: What they are in the words of Ipopt.
+STATUSES = {
+    "Solve_Succeeded": ControlStatus.SOLVED,
+    "Solved_To_Acceptable_Level": ControlStatus.ACCEPTABLE,
+    "Infeasible_Problem_Detected": ControlStatus.INFEASIBLE,
+    "Not_Enough_Degrees_Of_Freedom": ControlStatus.INFEASIBLE,
+    "Maximum_Iterations_Exceeded": ControlStatus.ITERATION_LIMIT,
+    "User_Requested_Stop": ControlStatus.INTERRUPTED,
+    "Invalid_Number_Detected": ControlStatus.NOT_FINITE,
+}
 FOUND = (ControlStatus.SOLVED, ControlStatus.ACCEPTABLE)
 #: A cost that falls below that of the guess by so many times is not bounded.
 UNBOUNDED = 1e6
@@ -236,9 +284,6 @@ class ControlResult:
     @cached_property
     def trajectories(self) -> tuple[Trajectory, ...]:
         """The motion in each phase as a run of the scheme has it."""
-        from symsimpson.program.status import Status
-        from symsimpson.results.trajectory import Trajectory
-
         layout, t, q, p = self.layout, self.t, self.q, self.p
         sizes, trajectories = layout.sizes(self.x).tolist(), []
         program = layout.stepper.program
@@ -366,15 +411,15 @@ class ControlResult:
         InputError
             If matplotlib is not installed.
         """
-        return figures.motion(self)
+        return draw_motion(self)
 
     def plot_iterations(self) -> Any:
         """Draw the constraint violation and the optimality of each iteration, as a Figure."""
-        return figures.iterations(self)
+        return draw_iterations(self)
 
     def plot_sparsity(self) -> Any:
         """Draw the entries of the constraints' Jacobian and of the Hessian, as a Figure."""
-        return figures.sparsity(self)
+        return draw_sparsity(self)
 
     _repr_html_ = solution
 

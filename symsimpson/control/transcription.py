@@ -11,18 +11,158 @@ so that each derivative is a constant sparse matrix times those of f, at all poi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from scipy import sparse
+from scipy.special import erf, erfc
 
-from symsimpson.control.point_functions import PointFunctions
+from symsimpson.graph.derive import gradient
+from symsimpson.graph.exponentials import without_overflow
+from symsimpson.graph.nodes import TINY, Exact, Graph, Value
 from symsimpson.support.array_types import Floats, Ints
 
-__all__ = ["Block", "Programme"]
+Entries = list[tuple[int, int, Value]]
+
+
+#: Functions of arrays, by the names that the graph has for them.
+FUNCTIONS: dict[str, Any] = {
+    **{name: getattr(np, name) for name in ("cos", "cosh", "exp", "log", "abs")},
+    **{name: getattr(np, name) for name in ("sin", "sinh", "sqrt", "tan", "tanh")},
+    **{f"a{name}": getattr(np, f"arc{name}") for name in ("cos", "cosh", "sin", "sinh", "tan")},
+    **{"atanh": np.arctanh, "atan2": np.arctan2, "pow": np.power, "erf": erf, "erfc": erfc},
+}
+FUNCTIONS |= without_overflow(np.exp, np.log, np.arctanh)
+CONSTANTS = {"pi": math.pi, "EulerGamma": float(np.euler_gamma), "Catalan": 0.915965594177219015}
+CONSTANTS["Tiny"] = TINY
+
+
+class PointFunctions:
+    """Functions f of the variables of a point: values, slopes, and second derivatives of w.f.
+
+    Variables are nodes of the symbols by which the ``outputs`` are differentiated.
+    """
+
+    def __init__(self, graph: Graph, variables: Sequence[int], outputs: Sequence[Value]) -> None:
+        self._graph, self._outputs, self.variables = graph, list(outputs), list(variables)
+        self._compiled: dict[str, tuple[Callable[..., None], list[int]]] = {}
+        self.weights = list(graph.numbers(f"weight_{r}" for r in range(len(outputs))))
+        self._slopes: Entries = [
+            (r, c, slope)
+            for r, value in enumerate(self._outputs)
+            for c, slope in enumerate(gradient(graph, value, self.variables))
+            if slope[0]
+        ]
+        self.slopes = [(r, c) for r, c, _ in self._slopes]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_compiled": {}}  # they are made again
+
+    @cached_property
+    def _curvatures(self) -> Entries:
+        graph, entries = self._graph, []
+        total = graph.add(graph.products(self._outputs, self.weights))
+        for i, slope in enumerate(gradient(graph, total, self.variables)):
+            row = gradient(graph, slope, self.variables[: i + 1])
+            entries += [(i, j, entry) for j, entry in enumerate(row) if entry[0]]
+        return entries
+
+    @property
+    def curved(self) -> list[tuple[int, int]]:
+        """The pairs of variables by which w.f is curved."""
+        return [(i, j) for i, j, _ in self._curvatures]
+
+    def values(self, at: Mapping[int, Any], count: int) -> Floats:
+        """Return f at so many points, shape (len(f), count)."""
+        return self._evaluated("values", self._outputs, at, count)
+
+    def slopes_at(self, at: Mapping[int, Any], count: int) -> Floats:
+        """Return the slopes at points, shape (len(slopes), count)."""
+        return self._evaluated("slopes", [x for *_, x in self._slopes], at, count)
+
+    def jacobian(self, at: Mapping[int, Any], count: int) -> Floats:
+        """Return all slopes at points, shape (count, len(f), len(variables))."""
+        jacobian = np.zeros((count, len(self._outputs), len(self.variables)))
+        for (r, c), slope in zip(self.slopes, self.slopes_at(at, count), strict=True):
+            jacobian[:, r, c] = slope
+        return jacobian
+
+    def curvatures_at(self, at: Mapping[int, Any], weights: Floats, count: int) -> Floats:
+        """Return second derivatives of w.f at points, shape (len(curved), count)."""
+        known = {**at, **dict(zip(self.weights, weights, strict=True))}
+        return self._evaluated("curvatures", [x for *_, x in self._curvatures], known, count)
+
+    def _evaluated(
+        self, kind: str, wanted: Sequence[Value], at: Mapping[int, Any], count: int
+    ) -> Floats:
+        if kind not in self._compiled:
+            self._compiled[kind] = _function(self._graph, wanted)
+        function, needed = self._compiled[kind]
+        values = np.empty((len(wanted), count))
+        with np.errstate(all="ignore"):
+            function(values, *(at[n] for n in needed))
+        return values
+
+
+def _function(graph: Graph, wanted: Sequence[Value]) -> tuple[Callable[..., None], list[int]]:
+    """Return what fills rows with values of the graph, and the symbols that it takes."""
+    lines, needed = [], []
+    for n in graph.reached(n for c, n in wanted if c):
+        kind, parts, _ = graph.nodes[n]
+        match kind:
+            case "symbol":
+                needed.append(n)
+                continue
+            case "sum":
+                text = " + ".join(_times(c, f"x{m}") for c, m in parts)
+            case "product":
+                text = " * ".join(_power(f"x{m}", e) for m, e in parts)
+            case "function":
+                given = ", ".join(_times(c, f"x{m}") for c, m in parts[1:])
+                text = f"{parts[0]}({given})"
+            case _:
+                text = repr(CONSTANTS[parts[0]] if parts else 1.0)
+        lines.append(f"    x{n} = {text}")
+    for row, (c, n) in enumerate(wanted):
+        lines.append(f"    found[{row}] = {_times(c, f'x{n}') if c else '0.0'}")
+    head = ", ".join(["found", *(f"x{n}" for n in needed)])
+    space = dict(FUNCTIONS)
+    exec("\n".join([f"def fill({head}):", *lines, "    return"]), space)
+    return space["fill"], needed
+
+
+def _times(c: Exact, x: str) -> str:
+    return x if c == 1 else f"-{x}" if c == -1 else f"{float(c)!r} * {x}"
+
+
+def _power(x: str, e: Exact) -> str:
+    if e == 1 or e == 2:
+        return " * ".join([x] * int(e))
+    if e == -1 or e == -2:
+        return f"(1.0 / ({' * '.join([x] * -int(e))}))"
+    return f"sqrt({x})" if 2 * e == 1 else f"{x} ** {float(e)!r}"
+
+
+def lagrange(places: Floats, at: Floats) -> Floats:
+    """Return the polynomials that are 1 at one of some places and 0 at the others, last axis."""
+    values = [np.prod([(at - y) / (x - y) for y in places if y != x], axis=0) for x in places]
+    return np.stack([value + 0 * at for value in values], axis=-1)
+
+
+def lagrange_slopes(places: Floats, at: Floats) -> Floats:
+    """Return the slopes of these polynomials, last axis."""
+    slopes = []
+    for x in places:
+        rest = places[places != x]
+        parts = [
+            np.prod([(at - z) / (x - z) for z in rest if z != y], axis=0) / (x - y) for y in rest
+        ]
+        slopes.append(sum(parts, 0.0 * at))
+    return np.stack(slopes, axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,6 +299,7 @@ class Programme:
         ]
         self._jacobian = _Pattern(slopes, (g, x), linear)
         self._rest = self._jacobian.row > 0
+        #: Rows and columns of the entries of the Jacobian.
         self.jacobian_places: tuple[Ints, Ints] = (
             self._jacobian.row[self._rest] - 1,
             self._jacobian.column[self._rest],
@@ -170,6 +311,7 @@ class Programme:
             size = len(block.functions.curved) * block.count
             curved.append((number[upper], row[upper], column[upper], part[upper], size))
         self._hessian = _Pattern(curved, (x, x))
+        #: Those of the Hessian, on and above the diagonal.
         self.hessian_places: tuple[Ints, Ints] = (self._hessian.row, self._hessian.column)
         self.shape: tuple[int, int] = (g - 1, x)
         #: The last unknowns, their points, and what was asked for there.

@@ -7,15 +7,7 @@ import numpy as np
 from numba import njit, types
 
 from symsimpson.driver.solving import DRIVER_OPTIONS, LANES, RARE, call
-from symsimpson.driver.steps import (
-    DRIVER_LAYOUT_ROWS,
-    SET,
-    SETTING,
-    SIGNATURES,
-    WORKSPACE,
-    keep,
-    put_back,
-)
+from symsimpson.driver.steps import DRIVER_LAYOUT_ROWS, SET, SETTING, SIGNATURES, WORKSPACE, keep
 from symsimpson.module.interface import *
 
 #: Parameters, positions, and momenta or velocities.
@@ -26,7 +18,9 @@ SIGNATURES |= {
         SET, types.int64, types.float64, types.float64, WORKSPACE, DRIVER_LAYOUT_ROWS
     ),
     "begin_anew": types.void(SET, types.int64, SETTING, START_OF_RUN),
-    "switch": types.void(SET, types.float64, types.float64, WORKSPACE, DRIVER_LAYOUT_ROWS),
+    "change_to": types.void(
+        SET, types.boolean, types.float64, types.float64, WORKSPACE, DRIVER_LAYOUT_ROWS
+    ),
 }
 
 
@@ -63,18 +57,31 @@ def begin_anew(kernels, legendre, setting, start):
 
 
 @njit(**RARE)
-def switch(kernels, h, t, W, at):
-    """Go on with other kernels of the same layout, from the state and the predicted increments."""
-    first, last = at[INCREMENT], at[STATE_END]
-    increments = np.empty((last - first, LANES))
+def change_to(kernels, anew, h, t, W, at):
+    """Go on with other kernels of the same layout, from the state and the predicted increments.
+
+    Kernels that begin ``anew`` predict the increments themselves. Pivots of M are compared with
+    those at the start of the run in both cases.
+    """
+    first, last, before = at[INCREMENT], at[STATE_END], np.empty((W.shape[0], LANES))
     for lane in range(LANES):
-        keep(W, first, last, lane, increments)
+        keep(W, 0, W.shape[0], lane, before)
         W[at[STATUS], lane] = 0.0
-    call(kernels[PREPARE], h, t, W)
-    call(kernels[START], h, t, W)
+    if anew:
+        begin(kernels, 0, h, t, W, at)
+    else:
+        call(kernels[PREPARE], h, t, W)
+        call(kernels[START], h, t, W)
     for lane in range(LANES):
-        put_back(W, first, last, lane, increments)
-        put_back(W, last, 2 * last - first, lane, increments)  # they are the predicted ones too
+        if not anew:  # the increments are the predicted ones, too
+            for row in range(first, last):
+                W[row, lane] = before[row, lane]
+                W[row + last - first, lane] = before[row, lane]
+        for row in range(at[PIVOT_SCALE], at[PIVOT_TIME] + 1):
+            if before[row, lane] != 0.0:
+                W[row, lane] = before[row, lane]
+        W[at[ITERATIONS], lane] = before[at[ITERATIONS], lane]
+        W[at[LARGEST_SQUARED], lane] = before[at[LARGEST_SQUARED], lane]
 
 
 @njit(**RARE)

@@ -12,11 +12,13 @@ from symsimpson.driver.steps import (
     FAILED,
     SET,
     SIGNATURES,
+    SUSPICIOUS,
     TAKEN_BACK,
     WORKSPACE,
     keep,
     put_back,
     step_back,
+    watch,
 )
 from symsimpson.module.interface import *
 
@@ -345,3 +347,24 @@ def recover(kernels, h, t, W, at, event):
             verify(kernels, h, t, W, at, lane)
         if alive[lane] == 0.0:
             name_failure(kernels, h, t, W, at, lane)
+
+
+@njit(**RARE)
+def take_one(kernels, h, t, W, at):
+    """Take one step of a single trajectory, as ``take_steps`` does, and recover it if need be."""
+    watched = kernels[MODE] == NEWTON_AFTER_STAGES
+    if watched:
+        call(kernels[MEASURE], h, t, W)
+        W[at[COUNT], 0] = W[at[LARGEST_SQUARED], 0]
+    W[at[ACTIVE], 0] = 1.0
+    event = FAILED
+    if solve(kernels[ITERATE], h, t, W, at) == 0:
+        W[at[ACTIVE], 0] = 1.0
+        call(kernels[ADVANCE], h, t, W)
+        event = SUSPICIOUS if W[at[IN_DOUBT], 0] != 0.0 else 0
+    if event != 0:
+        recover(kernels, h, t, W, at, event)
+    if watched and W[at[STATUS], 0] == 0.0:
+        watch(kernels, h, t, W, at)
+        if W[at[STATUS], 0] != 0.0:
+            recover(kernels, h, t, W, at, TAKEN_BACK)

@@ -27,13 +27,13 @@ from symsimpson.export.single import Functions, Source
 from symsimpson.export.statements import WIDTH, WORDS, comment, written_function
 from symsimpson.module.definitions import syntax
 from symsimpson.module.header import Header
-from symsimpson.module.interface import EXPLICIT, NEWTON_AFTER_STAGES, STAGES, constants
+from symsimpson.module.interface import EXPLICIT, constants
 from symsimpson.module.workspace_layout import BLOCKS, DRIVER_LAYOUT
 from symsimpson.program.driver import driver_text
 from symsimpson.program.program import Program
 from symsimpson.program.sets import KernelSets
 from symsimpson.program.status import Status
-from symsimpson.stepping.run import FALLBACK_STRETCH
+from symsimpson.stepping.run import FALLBACK_STRETCH, HOPELESS
 from symsimpson.walk.functions import read_functions
 from symsimpson.walk.text import Text, read_text
 
@@ -53,7 +53,7 @@ MOST_STACK = 2**22
 #: What other files see, behind the prefix.
 PUBLIC = ("state", "begin", "begin_moving", "step", "energy", "get")
 #: Functions whose names <math.h> or C itself may have.
-RENAMED = {"switch": "switch_to", "finite": "all_finite"}
+RENAMED = {"finite": "all_finite"}
 
 
 class _Sets(KernelSets):
@@ -144,17 +144,12 @@ class _Writer:
         modes = {mode for mode, _ in self._sets}
         kinds.follow("finite", [POINTER, INT, INT])
         kinds.follow("begin", [SET, KERNEL, REAL, REAL, POINTER])
+        kinds.follow("change_to", [SET, INT, REAL, REAL, POINTER])
         if EXPLICIT in modes:
             for name in ("keep", "put_back"):
                 kinds.follow(name, [POINTER, INT, INT, POINTER])
         else:
-            kinds.follow("solve_for", [KERNEL, REAL, REAL, *[POINTER] * 4])
-            kinds.follow("solve_to_rounding", [KERNEL, REAL, REAL, POINTER])
-            kinds.follow("recover", [SET, REAL, REAL, POINTER, INT])
-            if len(modes - {STAGES}) < len(self._sets):
-                kinds.follow("switch", [SET, REAL, REAL, POINTER])
-        if NEWTON_AFTER_STAGES in modes:
-            kinds.follow("watch", [SET, REAL, REAL, POINTER])
+            kinds.follow("take_one", [SET, REAL, REAL, POINTER])
         return Expressions(kinds, names)
 
     @cached_property
@@ -289,10 +284,8 @@ class _Writer:
         parts = {
             "explicit": explicit,
             "solved": not explicit,
-            "watched": NEWTON_AFTER_STAGES in modes,
             "inputs": bool(header.inputs),
             "free": not header.inputs,
-            "switched": "switch" in self._expressions.kinds.signatures,
         }
         for part, kept in parts.items():
             replacement = r"\g<1>" if kept else ""
@@ -308,6 +301,9 @@ class _Writer:
             inputs=len(header.inputs),
             rows=header.rows + 1,
             stack=_stack(header),
+            hopeless="".join(
+                f"\n            || W[STATUS] == {x.name}" for x in HOPELESS if x not in OF_RUNS
+            ),
             defaults=", ".join(map(number, header.defaults)) or "0.0",
             said="\n".join(comment(self._faced())),
             places=",\n".join(self._places()),

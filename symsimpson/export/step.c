@@ -13,37 +13,7 @@ static int take(const kernels *kernels, double h, double t, double *W)
     }
     //end explicit
     //if solved
-    int event = 0;
-    //if watched
-    if (kernels->mode == NEWTON_AFTER_STAGES) {
-        kernels->call[MEASURE](h, t, W);
-        W[COUNT] = W[LARGEST_SQUARED];
-    }
-    //end watched
-    W[ACTIVE] = 1.0;
-    int found = solve_for(kernels->call[ITERATE], h, t, W, W + ACTIVE, W + RELATIVE,
-        W + CONTRACTION);
-    if (found == UNSOLVED) {
-        found = solve_to_rounding(kernels->call[ITERATE], h, t, W);
-    }
-    if (found != 0) {
-        event = FAILED;
-    } else {
-        W[ACTIVE] = 1.0;
-        kernels->call[ADVANCE](h, t, W);
-        event = W[IN_DOUBT] != 0.0 ? SUSPICIOUS : 0;
-    }
-    if (event != 0) {
-        recover(kernels, h, t, W, event);
-    }
-    //if watched
-    if (kernels->mode == NEWTON_AFTER_STAGES && W[STATUS] == 0.0) {
-        watch(kernels, h, t, W);
-        if (W[STATUS] != 0.0) {
-            recover(kernels, h, t, W, TAKEN_BACK);
-        }
-    }
-    //end watched
+    take_one(kernels, h, t, W);
     //end solved
     return (int)W[STATUS];
 }
@@ -99,18 +69,8 @@ int ${prefix}_begin_moving(double h, double t, ${prefix}_state *state, const dou
 /* Go on with another set of kernels. */
 static void go_on_with(int set, double h, double t, ${prefix}_state *state)
 {
-    double *const W = state->workspace;
-    //if switched
-    if (SETS[set].mode != STAGES && SETS[state->set].mode != STAGES) {
-        switch_to(&SETS[set], h, t, W);
-    } else {
-    //end switched
-        const double largest = W[LARGEST_SQUARED];
-        begin(&SETS[set], 0, h, t, W);
-        W[LARGEST_SQUARED] = largest;
-    //if switched
-    }
-    //end switched
+    const int anew = SETS[0].mode == STAGES && (set == 0 || state->set == 0);
+    change_to(&SETS[set], anew, h, t, state->workspace);
     state->set = set;
     state->left = set > 0 ? STRETCH : 0;
 }
@@ -140,8 +100,7 @@ int ${prefix}_step(double h, double t, ${prefix}_state *state, const double *inp
     }
     W[STATUS] = 0.0;
     while (take(&SETS[state->set], h, t, W) != 0) {
-        if (state->set + 1 == NUMBER_OF_SETS
-            || W[STATUS] == COORDINATE_SINGULARITY) {
+        if (state->set + 1 == NUMBER_OF_SETS$hopeless) {
             return (int)W[STATUS];
         }
         go_on_with(state->set + 1, h, t, state);

@@ -151,6 +151,7 @@ class Header:
             "TANGENT": self.rows,
             "TIME": self.rows,
             "GROWN": self.rows,
+            "PIVOT_SCALE": self.layout["PIVOT_LIMIT"],
             "RENEWED": 0,
             "RENEWAL": 1,
             "OF_EVENTS": 0,

@@ -242,7 +242,7 @@ TABLE = (
         "derivatives of the rows of multipliers by control points",
         lambda s: s.cyclic_multipliers * s.n * (s.degree + 1),
     ),
-    part("PIVOT_SCALE", "1 / pivot of M at the start", lambda s: s.pivots),
+    part("PIVOT_SCALE", "1 / pivot of M at the start", lambda s: s.pivots, for_driver=True),
     Block("PIVOT_LIMIT", "pivots of M below this are looked at", for_driver=True),
     Block("PIVOT_TIME", "when steps last passed one and may not resolve it", for_driver=True),
     part(

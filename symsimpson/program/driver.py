@@ -31,18 +31,16 @@ PARTS = (
     "begin",
     "recovery",
     "explicit",
-    "short_run",
     "ensemble_loop",
     "between",
-    "replay",
+    "short_run",
     "adjoint_loops",
-    "arriving",
     "impacts",
 )
 #: Functions that are compiled in one go, because they share others, and a run that has called one
 #: may call all of them: those of any run, and those of steps that are solved by iteration.
 TOGETHER = (
-    ("begin_anew", "begin", "apply", "switch", "steady"),
+    ("begin_anew", "begin", "apply", "change_to", "steady"),
     ("take_steps", "run_briefly", "recover"),
 )
 

@@ -27,7 +27,7 @@ from symsimpson.run.resolution import (
     finer_stride,
     sampling_stride,
 )
-from symsimpson.stepping.arrival import STRIDE, resolution
+from symsimpson.stepping.arrival import STRIDE, resolution, with_end
 from symsimpson.stepping.inputs import read_steps, read_times
 from symsimpson.stepping.request import Request
 from symsimpson.support.ahead import compiles_late
@@ -45,8 +45,6 @@ PLAIN, DOUBLE = frozenset({int, float}), np.dtype(np.float64)
 #: What is returned of a run with too many steps for this.
 TOO_LONG = -2
 
-#: h, t0 and the number of steps.
-Times = tuple[float, float, int]
 #: q and p at stored states, shape (2, N, n, 1); iterations, shape (N, 1).
 Stored = tuple[Floats, Ints]
 
@@ -66,69 +64,46 @@ class BriefRequest(NamedTuple):
 
 
 class BriefRunner:
-    """Reusable workspace, kernels and driver functions of short runs."""
+    """Reusable workspace, kernels and the driver function of short runs."""
 
     def __init__(self, program: Program) -> None:
-        header, kernels = program.header, program.kernels
-        numbers = program.numbers
-        recorders = with_clock(header, ())
+        header, kernels, numbers = program.header, program.kernels, program.numbers
+        recorders, retimed = with_clock(header, ()), header.retimed
+        name, called = "run_briefly", ["energy"]
+        if retimed:
+            name, called = "run_to_end", ["energy", "retime"]
         self.W = workspace(header, numbers, program.defaults)
         self.driver_layout = driver_layout(header, recorders)
         self.kernels = kernels.set(kernels.fallbacks[0], recorders)
-        self.legendre, self.energy = kernels.address("legendre"), kernels.address("energy")
-        iterated = header.newton_unknowns > 0
+        self.legendre = kernels.address("legendre")
+        self.addresses = tuple(map(kernels.address, called))
+        self.function = numbers.driver(name, iterated=header.newton_unknowns > 0)
         self.most = MOST_TO_END // header.rows
-        if header.retimed:
-            self.retime = kernels.address("retime")
-            self.run_to_end = numbers.driver("run_to_end", iterated=iterated)
-            self.sampled = room(self.most // STRIDE, program.n)
-            self.times = np.empty((self.most + 1, 1, 1))
-            return
-        self.run_briefly = numbers.driver("run_briefly", iterated=iterated)
         #: Buffer for sampled states that only the check of the energy reads.
-        self.sampled = room(SAMPLES, program.n)
+        self.sampled = room(self.most // STRIDE if retimed else SAMPLES, program.n)
+        self.times = np.empty((self.most + 1 if retimed else 0, 1, 1))
 
     def run(
-        self, asked: BriefRequest, times: Times, every: int, few: int, stored: Stored, end: Floats
+        self,
+        asked: BriefRequest,
+        times: tuple[Any, ...],
+        wanted: tuple[int, int, int, float],
+        results: tuple[Floats | Ints, ...],
     ) -> int:
-        """Take steps, and return how many iterations they took; -1 if not all is well."""
-        h, t0, steps = times
-        count: int = self.run_briefly(
+        """Call the function of the driver: ``run_briefly``, or ``run_to_end`` of retimed systems.
+
+        ``times`` are what its setting begins with. Returns a number below 0 on failure.
+        """
+        count: int = self.function(
             self.kernels,
-            (self.legendre if asked.velocity else 0, self.energy),
-            (h, t0, self.W, self.driver_layout),
+            (self.legendre if asked.velocity else 0, *self.addresses),
+            (*times, self.W, self.driver_layout),
             (asked.values, asked.q, asked.other),
-            (steps, every, few, LIMIT),
-            (*stored, end),
+            wanted,
+            results,
             NO_INPUTS,
         )
         return count
-
-    def run_to_time(
-        self,
-        asked: BriefRequest,
-        times: tuple[float, float, float],
-        every: int,
-        few: int,
-        stored: Stored,
-        end: Floats,
-        tail: Floats,
-    ) -> int:
-        """Take steps to t_end; return how many whole ones, or less than 0 on failure.
-
-        ``end`` takes the state there, ``tail`` the part of a step that was taken last, and the
-        iterations; ``asked.values`` those of E0 and the first rate.
-        """
-        steps: int = self.run_to_end(
-            self.kernels,
-            (self.legendre if asked.velocity else 0, self.energy, self.retime),
-            (np.array([*times, resolution(FLOAT64)]), self.W, self.driver_layout),
-            (asked.values, asked.q, asked.other),
-            (self.most, every, few, LIMIT),
-            (stored[0], self.times, stored[1], end, tail),
-            NO_INPUTS,
-        )
-        return steps
 
 
 def make_ready(program: Program) -> None:
@@ -180,7 +155,7 @@ def read_brief_request(program: Program, request: Request) -> BriefRequest | Non
     return BriefRequest(values, q, other, v0 is not None, every or 0)
 
 
-def read_plain_steps(request: Request) -> Times:
+def read_plain_steps(request: Request) -> tuple[float, float, int]:
     """Read h, which was looked at before, t0 and the number of steps; quickly if t0 is 0."""
     h, steps, t0 = request.h, request.steps, request.t0
     if request.t_end is None and type(h) is type(t0) is float and t0 == 0 and type(steps) is int:
@@ -209,7 +184,7 @@ def _of_steps(
     program: Program, runner: BriefRunner, asked: BriefRequest, request: Request
 ) -> Trajectory | None:
     """Take a given number of steps."""
-    h, t0, steps = times = read_plain_steps(request)
+    h, t0, steps = read_plain_steps(request)
     if h != request.h or not 0 < steps * program.header.rows <= MOST_ROWS:
         return None
     every, n = asked.every, program.n
@@ -224,7 +199,7 @@ def _of_steps(
         return None
     stored = room(last, n) if every else runner.sampled
     end = np.empty((4, n))
-    count = runner.run(asked, times, stride, few, stored, end)
+    count = runner.run(asked, (h, t0), (steps, stride, few, LIMIT), (*stored, end))
     if count < 0 or (watched and not findings.regular_between(values, end[2], end[3])):
         return None
     begun = None
@@ -251,7 +226,9 @@ def _to_end(
     stored = room(runner.most // every, n) if every else runner.sampled
     end, tail = np.empty((2, n)), np.empty(2)
     few = SAMPLES - 1 if program.header.conservative else 0
-    steps = runner.run_to_time(asked, (h, t0, t_end), every or STRIDE, few, stored, end, tail)
+    times = (np.array([h, t0, t_end, resolution(FLOAT64)]),)
+    results = stored[0], runner.times, stored[1], end, tail
+    steps = runner.run(asked, times, (runner.most, every or STRIDE, few, LIMIT), results)
     if steps < 0:
         if steps == TOO_LONG:
             program.findings.long.add(key)
@@ -260,14 +237,10 @@ def _to_end(
     tau, iterations = np.array([h * steps + tail[0]]), np.array([int(tail[1])])
     if every:
         last = steps // every + 1
-        (Q, P), counts = stored
-        before = runner.times[:last, 0, 0].copy()
-        far = int(t_end != before[-1])  # 0: the last stored state is that of the end
-        tau = np.append(h * np.arange(0.0, steps + 1.0, every), tau[:far])
-        t = np.append(before, t[:far])
-        q, p = (np.concatenate([x[:last, :, 0], y[:far]]) for x, y in ((Q, q), (P, p)))
-        kept = counts[:last, 0]
-        iterations = np.append(kept, (iterations - kept.sum())[:far])
+        (Q, P), kept = stored[0][:, :last, :, 0], stored[1][:last, 0]
+        before = runner.times[:last, 0, 0].copy(), h * np.arange(0.0, steps + 1.0, every)
+        behind = t_end, tau, q, p, iterations - kept.sum()
+        t, tau, q, p, iterations = with_end((*before, Q, P, kept), behind, every=True)
     begun = None if every else (t0, stored[0][:, 0, :, 0].copy())
     return _trajectory(program, asked, (t, q, p, iterations), h, steps, tau, begun)
 

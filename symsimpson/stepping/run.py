@@ -338,15 +338,9 @@ class Run:
         where = self.header.system, self.step
         if before != after:
             LOG.info("%s: from step %d on with kernels %r, before with %r", *where, after, before)
-        anew = "stages" in (self._fallbacks[number], self._fallbacks[self._set])
-        self._set, at = number, self.header.layout
-        last = at["PIVOT_TIME"]  # pivots are compared with those at the start
-        places = [*range(at.get("PIVOT_SCALE", last - 1), last + 1)]
-        places += [at["ITERATIONS"], at["LARGEST_SQUARED"]]
-        values = self._column[places]
-        here = self._kernels(), *((0,) if anew else ()), self.h, self._time()
-        self._driver("begin" if anew else "switch")(*here, self.W, self.driver_layout)
-        self._column[places] = np.where(values != 0, values, self._column[places])
+        self._set, anew = number, "stages" in (before, after)
+        here = self.h, self._time(), self.W, self.driver_layout
+        self._driver("change_to")(self._kernels(), anew, *here)
 
     def _time(self) -> Any:
         return self.t0 + self.h * self.step

@@ -7,9 +7,9 @@ def check_derivatives(problem, scheme, steps=3):
     """Compare those of all rows by all unknowns; patterns miss nothing."""
     from scipy import sparse
 
-    from symsimpson.control.grid import read_grid
-    from symsimpson.control.guess import initial_point
     from symsimpson.control.layout import Layout
+    from symsimpson.control.problem_parts import read_grid
+    from symsimpson.control.solution import initial_point
     from symsimpson.schemes.named import read_scheme
 
     grid = read_grid(steps, len(problem.reading.phases))

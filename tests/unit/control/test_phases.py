@@ -10,8 +10,8 @@ from support.cases import sweep
 from support.control import check_derivatives
 
 import symsimpson as ss
-from symsimpson.control import arcs
-from symsimpson.control.grid import Grid
+from symsimpson.control.problem_parts import Grid
+from symsimpson.control.uses import labels_of
 
 pytest.importorskip("casadi")
 
@@ -139,7 +139,7 @@ def test_an_arc_that_is_not_there_is_as_short_as_it_may_be(scheme):
     ],
 )
 def test_inputs_at_bounds(part, labels):
-    assert arcs.labels_of(np.array(part)).tolist() == labels
+    assert labels_of(np.array(part)).tolist() == labels
 
 
 def test_derivatives_are_exact():

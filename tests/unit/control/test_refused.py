@@ -78,6 +78,12 @@ def test_numbers_of_the_search_that_are_none(name, given):
         cart().solve(**{"steps": 2} | {name: given})
 
 
+def test_the_condensed_form_is_deprecated():
+    with pytest.warns(DeprecationWarning, match=r"no effect.*\nLeave condensed out"):
+        found = cart().solve(steps=4, condensed=True)
+    assert found.cost == cart().solve(steps=4).cost
+
+
 def test_guesses_that_are_given_twice():
     with pytest.raises(ss.InputError, match="guess gives x twice"):
         cart().solve(steps=2, guess={x: 0.0, "x": 1.0})
@@ -290,7 +296,7 @@ def test_results_of_other_systems_are_no_guesses():
 
 
 def test_times_of_a_motion():
-    from symsimpson.control.functions_of_time import times_within
+    from symsimpson.control.problem_parts import times_within
 
     assert times_within([0, 1, 2 + 1e-13], 2.0).shape == (3,)
     for given, told in (

@@ -6,7 +6,7 @@ import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.control.point_functions import lagrange, lagrange_slopes
+from symsimpson.control.transcription import lagrange, lagrange_slopes
 
 pytest.importorskip("casadi")
 

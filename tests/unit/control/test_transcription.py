@@ -8,7 +8,7 @@ import symsimpson as ss
 
 pytest.importorskip("scipy")
 
-from symsimpson.control.point_functions import PointFunctions
+from symsimpson.control.transcription import PointFunctions
 from symsimpson.graph.read import FUNCTIONS
 from symsimpson.mechanics.expression_checks import read_expression
 from symsimpson.mechanics.plain import Symbols
