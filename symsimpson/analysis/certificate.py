@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from symsimpson.errors import UnknownNameError
+from symsimpson.results.html import verdict as coloured
 from symsimpson.support.files import write_text
+from symsimpson.support.markup import box, table
 from symsimpson.support.names import did_you_mean
-
-__all__ = ["Certificate", "Check"]
 
 
 @dataclass(frozen=True)
@@ -154,9 +154,24 @@ class Certificate:
         return write_text(path, self.to_json(), "certificate")
 
     def _repr_html_(self) -> str:
-        from symsimpson.analysis.html import certificate
-
-        return certificate(self)
+        rows: list[tuple[object, ...]] = [("", "check", "measured", "wanted", "what", "why")]
+        for check in self.checks:
+            nothing = check.measured != check.measured
+            rows.append(
+                (
+                    coloured("passed" if check.passed else "FAILED", check.passed),
+                    check.name,
+                    "-" if nothing else f"{check.measured:.3g}",
+                    check.limit,
+                    check.failure or check.what,
+                    check.reason,
+                )
+            )
+        numbers = (", ".join(f"{x:.6g}" for x in state) for state in (self.q0, self.p0))
+        verdict = "passed" if self.passed else "NOT passed"
+        where = "at q0 = ({}), p0 = ({}), h = {:g}; {:.1f} s".format(*numbers, self.h, self.seconds)
+        title = f"Certificate of {self.system}, {self.scheme} (order {self.order}): {verdict}"
+        return box(title, f"<div>{where}</div>", table(rows))
 
     def __repr__(self) -> str:
         numbers = ("(" + ", ".join(f"{x:.6g}" for x in state) + ")" for state in (self.q0, self.p0))

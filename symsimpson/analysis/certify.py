@@ -18,21 +18,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.analysis.certificate import Certificate, Check
-from symsimpson.analysis.convergence import order_of_errors, order_of_time
-from symsimpson.analysis.energy_checks import LONG, drift, shadow
-from symsimpson.analysis.momentum_balance import momentum_balance
-from symsimpson.analysis.order import observed_orders
-from symsimpson.analysis.pilot import choose_state, choose_step, follows
-from symsimpson.analysis.precise import Precise
-from symsimpson.analysis.solver_checks import (
+from symsimpson.analysis.checks import (
     EXACT,
+    LONG,
+    drift,
     equations,
     fallbacks,
     iterations,
     jacobian,
+    momentum_balance,
     newton,
+    shadow,
     starts,
 )
+from symsimpson.analysis.order import observed_orders, order_of_errors, order_of_time
+from symsimpson.analysis.pilot import choose_state, choose_step, follows
+from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.subject import DIGITS, MOST, SHORT, STEPS, Subject, with_inputs
 from symsimpson.analysis.symmetries import block_size
 from symsimpson.analysis.variants import in_tau
@@ -51,8 +52,6 @@ from symsimpson.schemes.named import read_scheme
 from symsimpson.stepping.inputs import read_step
 from symsimpson.support.array_types import Floats
 from symsimpson.support.progress import waiting
-
-__all__ = ["certify"]
 
 #: How far from a state, in units of its sizes, another one tells how errors grow: far above what
 #: DIGITS leave, and so near that they still grow in proportion.

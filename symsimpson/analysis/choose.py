@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from numpy.typing import ArrayLike
 
-from symsimpson.analysis.candidates import REFINEMENTS, ROUNDS, SAFETY, Candidate, Motion, verify
-from symsimpson.analysis.path_error import PathError
+from symsimpson.analysis.candidates import (
+    REFINEMENTS,
+    ROUNDS,
+    SAFETY,
+    Candidate,
+    Motion,
+    PathError,
+    verify,
+)
 from symsimpson.analysis.pilot import choose_step
 from symsimpson.analysis.variants import in_tau
 from symsimpson.api.compiling import check_system
@@ -32,8 +39,6 @@ from symsimpson.support.progress import waiting
 
 if TYPE_CHECKING:
     from symsimpson.stepping.event import Event
-
-__all__ = ["Choice", "arguments", "choose", "select"]
 
 #: Schemes that are tried, from low to high order; and where explicit steps are possible.
 CANDIDATES = ("simpson", "gauss8", "gauss12", "gauss16")

@@ -12,8 +12,6 @@ from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.support import markup
 from symsimpson.support.names import in_a_row
 
-__all__ = ["StepCosts", "step_costs"]
-
 HEAD = ("a step, general > here", "unknowns", "operations an iteration", "at its end")
 
 

@@ -17,8 +17,6 @@ from symsimpson.support.array_types import Floats, State
 from symsimpson.support.calling import without_step_warnings
 from symsimpson.support.names import shortened
 
-__all__ = ["choose_state", "choose_step", "follows"]
-
 #: The first step that is tried, unless the time scale of the motion is so many times as long, or as
 #: short: units of time in which 4 means nothing.
 FIRST, FAR = 4.0, 1e3

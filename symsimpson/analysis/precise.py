@@ -12,6 +12,7 @@ import numpy as np
 from symsimpson.api.stepper import Stepper
 from symsimpson.module.matrices import slopes_of
 from symsimpson.program.digits import Digits, read_precision
+from symsimpson.program.evaluating import evaluate
 from symsimpson.program.program import new_program
 from symsimpson.program.workspace import workspace
 from symsimpson.results.trajectory import Trajectory
@@ -19,8 +20,6 @@ from symsimpson.stepping.constrained_start import project_start
 from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.run import Run
 from symsimpson.support.array_types import Reals
-
-__all__ = ["Precise"]
 
 #: States that are placed on constraints may miss them by so much.
 NEARBY = 1e-3
@@ -95,26 +94,8 @@ class Precise:
 
     def _at(self, kernel: str, block: str, count: int, q: Reals, p: Reals, t: Any = 0) -> Reals:
         """Evaluate a kernel at a state."""
-        numbers, at = self._numbers, self.program.header.layout
-        with numbers.working():
-            W = self._prepared
-            W[at["POSITION"] : at["POSITION"] + self.n, 0] = numbers.read(list(q))
-            W[at["MOMENTUM"] : at["MOMENTUM"] + self.n, 0] = numbers.read(list(p))
-            self._call(kernel, W, t)
-            # a copy: the next kernel writes into the same rows
-            return numbers.result(W[at[block] : at[block] + count, 0].copy())
-
-    def _call(self, kernel: str, W: Reals, t: Any = 0) -> None:
-        """Call a kernel of a state."""
-        unit, zero = self._one_and_zero
-        time = self._numbers.read([t])[0] if t else zero
-        self.program.kernels.address(kernel)(unit, time, W)
-
-    @cached_property
-    def _one_and_zero(self) -> tuple[Any, Any]:
-        """A step and a time for kernels of a state, which do without."""
-        unit, zero = self._numbers.read([1.0, 0.0])
-        return unit, zero
+        values = self.program.values(self.parameters)
+        return evaluate(self.program, kernel, block, count, (t, q, p), values)
 
     def tangent(self, z: Reals, h: Any, steps: int = 1) -> tuple[Reals, Reals]:
         """Differentiate the map of some steps by differences, Newton's method included.
@@ -137,6 +118,7 @@ class Precise:
         In a time of its own a system has no kernel of v; there both are differences.
         """
         numbers, at, n = self._numbers, self.program.header.layout, self.n
+        energy, (unit, zero) = self.program.kernels.address("energy"), numbers.read([1.0, 0.0])
         point = [self.context.convert(x) for x in z]
         rows = [at[block] + a for block in ("POSITION", "MOMENTUM") for a in range(n)]
         with numbers.working():
@@ -149,14 +131,14 @@ class Precise:
             slopes = numbers.zeros(2 * n)
             moved = rows
             if "PASSED" not in at:  # not retimed
-                self._call("energy", W)
+                energy(unit, zero, W)
                 slopes[n:] = W[at["VELOCITY"] : at["VELOCITY"] + n, 0]
                 moved = rows[:n]
             halves = numbers.read([1 / (2 * self.small * size) for size in self.sizes])
             for k, row in enumerate(moved):
                 for sign, there in ((halves[k], up), (-halves[k], down)):
                     W[row, 0] = there[k]
-                    self._call("energy", W)
+                    energy(unit, zero, W)
                     slopes[k] += sign * W[at["ENERGY"], 0]
                 W[row, 0] = here[k]
             return numbers.result(slopes)
@@ -166,7 +148,8 @@ class Precise:
         """A workspace in which kernels of a state may be called."""
         numbers, program = self._numbers, self.program
         W = workspace(program.header, numbers, numbers.read(program.values(self.parameters)))
-        self._call("prepare", W)
+        unit, zero = numbers.read([1.0, 0.0])
+        program.kernels.address("prepare")(unit, zero, W)
         return W
 
     def rates(self, z: Iterable[Any]) -> list[Any]:

@@ -24,8 +24,6 @@ from symsimpson.stepping.driving import read_driving
 from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.names import read_mapping
 
-__all__ = ["DIGITS", "MOST", "SHORT", "STEPS", "Subject", "with_inputs"]
-
 #: Steps that are taken in many digits, and those after which errors are measured.
 SHORT, STEPS = 50, 8
 DIGITS = 50

@@ -17,8 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.analysis.precise import Precise
 from symsimpson.support.array_types import Floats, Reals
 
-__all__ = ["Symmetry", "block_size", "linear_symmetries"]
-
 #: Relative singular values below this are zeros; the matrix has 16 digits.
 RANK = 1e-12
 #: Points on constraints are looked for so near, relative to q.

@@ -31,8 +31,6 @@ from symsimpson.support.names import by_name, read_mapping
 if TYPE_CHECKING:
     from symsimpson.stepping.event import Event
 
-__all__ = ["integrate"]
-
 
 @explained()
 def integrate(

@@ -9,8 +9,6 @@ from symsimpson.module.definitions import definitions, redefined
 from symsimpson.module.header import signed_anew, with_facts
 from symsimpson.program.program import new_program
 
-__all__ = ["in_tau", "oversolved", "rewritten"]
-
 
 def rewritten(stepper: Stepper, constants: Mapping[str, str]) -> Stepper:
     """Return a stepper with other constants in its module, which is signed anew.

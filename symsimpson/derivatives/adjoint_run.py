@@ -21,7 +21,7 @@ from symsimpson.program.status import Status
 from symsimpson.program.workspace import workspace
 from symsimpson.run.ended import raise_failure, trajectory_of
 from symsimpson.run.integrate import integrate
-from symsimpson.run.resolution import has_energy
+from symsimpson.run.resolution import real_energies
 from symsimpson.run.start import started
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec
@@ -123,7 +123,7 @@ def _leaves_domain(program: Program, run: Run) -> bool:
         return False
     q, p, *_ = run.stored()
     t = run.t0 + run.h * program.numbers.counted(run.step + 1 - len(q), run.step + 1, 1)
-    return not has_energy(program, t, q, p, run.parameters)
+    return not real_energies(program, (t, q, p), run.parameters).all()
 
 
 class _Back:

@@ -164,6 +164,6 @@ class _Step:
                 (numbers.read([self.t]), self.q[None, :], p[None, :]),
                 header.layout["RESIDUAL"],
                 numbers.zeros((1, 0)),
-                self.inputs,
+                (self.inputs, run.parameters[None]),
             )
             unknowns[:] = given

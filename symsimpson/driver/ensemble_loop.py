@@ -140,15 +140,12 @@ def look_at_end(W, at, first, rows):
 def tell(W, at, h, row, kinds, seen, block):
     """Store the observed values of a block, which begin at a row, and its variations.
 
-    The last three entries are the energy, its kinetic part, and the smallest pivot of M, if steps
-    may not have resolved it.
+    The last entry is the smallest pivot of M, if steps may not have resolved it.
     """
     last = seen.shape[1]
     for lane in range(LANES):
         member = block * LANES + lane
         if member < seen.shape[0]:
-            seen[member, last - 3] = W[at[ENERGY], lane]
-            seen[member, last - 2] = W[at[ENERGY] + 1, lane]
             passed = W[at[PIVOT_TIME], lane] < np.inf
             seen[member, last - 1] = W[at[PIVOT_LIMIT], lane] if passed else SMALL_PIVOT
     for k in range(kinds.shape[0]):
@@ -205,8 +202,7 @@ def advance_blocks(kernels, more, setting, cursor, asked, starts, buffers, outs)
     ``more`` holds addresses: legendre (0 if momenta are given), what parameters change of momenta
     (0 if nothing), and what sets the energy and the rate of a member that keeps a time of its own
     (0 if none does); then where it stands what was observed, the first row and their number, and
-    likewise what is known of signs that are waited for; then the energy, if it is asked for at the
-    end of members that take no step.
+    likewise what is known of signs that are waited for.
 
     Parameters
     ----------
@@ -278,8 +274,6 @@ def advance_blocks(kernels, more, setting, cursor, asked, starts, buffers, outs)
         cursor[STEP] = progress[0]
         if progress[0] >= steps or not alive:
             look_at_end(W, at, more[5], more[6])
-            if more[7] != 0:
-                call(more[7], h, t0, W)
             tell(W, at, h, more[3], kinds, seen, block)
             outcome = q_out, p_out, codes_out, recorded_out
             finish_block(W, at, block, progress[0], every, stores, outcome, lost)

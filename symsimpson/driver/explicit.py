@@ -11,9 +11,7 @@ from symsimpson.driver.steps import (
     DRIVER_LAYOUT_ROWS,
     INPUTS,
     RENEWING,
-    SETTING,
     SIGNATURES,
-    STATES,
     WORKSPACE,
     give,
     keep,
@@ -34,14 +32,7 @@ SIGNATURES |= {
         types.Tuple((types.float64[::1], types.float64[:, :], types.float64[:, :])),
         types.int64,
         WORKSPACE,
-        INPUTS,
-    ),
-    "steady": types.boolean(
-        types.int64,
-        SETTING,
-        types.UniTuple(STATES, 2),
-        types.Tuple((types.int64, types.int64, types.float64)),
-        types.int64,
+        types.Tuple((INPUTS, types.float64[:, :])),
     ),
 }
 #: Steps that a kernel takes in one call.
@@ -119,18 +110,24 @@ def take_explicit_steps(kernels, setting, progress, stop, every, stores, inputs)
 
 
 @njit(**DRIVER_OPTIONS)
-def evaluate(addresses, h, W, at, states, block, out, inputs):
-    """Evaluate a kernel that maps (t, q, p) to the rows of a block, for each of many states.
+def evaluate(addresses, h, W, at, states, block, out, given):
+    """Evaluate a kernel that maps (t, q, p) or (t, q, v) to the rows of a block, at many states.
 
     ``addresses`` are those of prepare, of a kernel that comes before it, or 0, and its own.
-    ``inputs`` has steps in the places of states.
+    ``given`` are inputs, with steps in the places of states, and a row of parameters for each of
+    some members, which have equally many states one after another.
     """
-    (prepare, before, kernel), (t, q, p), n = addresses, states, at[DIMENSION]
-    call(prepare, h, 0.0, W)
+    (prepare, before, kernel), (t, q, p), (inputs, values) = addresses, states, given
+    n, together = at[DIMENSION], q.shape[0] // max(values.shape[0], 1)
     for i in range(q.shape[0]):
+        if i % together == 0:
+            for k in range(values.shape[1]):
+                W[at[PARAMETER] + k, 0] = values[i // together, k]
+            call(prepare, h, 0.0, W)
         for a in range(n):
             W[at[POSITION] + a, 0] = q[i, a]
             W[at[MOMENTUM] + a, 0] = p[i, a]
+            W[at[VELOCITY] + a, 0] = p[i, a]
         give(W, at, inputs, i)
         if before != 0:
             call(before, h, t[i], W)

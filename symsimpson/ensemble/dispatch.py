@@ -9,9 +9,9 @@ from typing import Any
 from symsimpson.ensemble.arrivals import with_ends
 from symsimpson.ensemble.cluster import check_client, run_on_cluster
 from symsimpson.ensemble.ensemble import Ensemble
-from symsimpson.ensemble.judgement import look_at_ends, look_at_steps
 from symsimpson.ensemble.lanes import run_blocks
 from symsimpson.ensemble.members import read_task
+from symsimpson.ensemble.singles import look_at_ends, look_at_steps
 from symsimpson.ensemble.store import open_store, run_missing
 from symsimpson.ensemble.task import Task
 from symsimpson.ensemble.trial import with_fastest_lanes
@@ -23,8 +23,6 @@ from symsimpson.stepping.inputs import read_failure
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.variations import refuse_retimed, varied_program
 from symsimpson.support.progress import Progress, read_progress
-
-__all__ = ["run_ensemble"]
 
 
 def run_ensemble(

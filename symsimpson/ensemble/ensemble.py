@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.program.evaluating import evaluate, evaluate_members
+from symsimpson.program.evaluating import evaluate
 from symsimpson.program.input_values import read_count
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
@@ -159,7 +159,7 @@ class Ensemble(Quantities, Differentiated, Savable):
                 inputs = inputs_there(program, member.driven, member.t)
                 rows.append(evaluate(program, kernel, block, count, states, values[k], inputs))
             return np.reshape(rows, (*q.shape[:-1], count))
-        return evaluate_members(program, kernel, block, count, t, q, p, values)
+        return evaluate(program, kernel, block, count, (t, q, p), values)
 
     def _where(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         values = self.parameter_values

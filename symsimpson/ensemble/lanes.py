@@ -23,8 +23,6 @@ from symsimpson.stepping.recording import recorders_of
 from symsimpson.support.array_types import Floats
 from symsimpson.support.signals import listening
 
-__all__ = ["energies_at_start", "run_blocks"]
-
 #: A thread comes back from compiled code after about so many seconds, so that Ctrl-C is heard.
 PATIENCE = 0.02
 #: Numbers in a line of the cache.
@@ -43,24 +41,11 @@ def run_blocks(program: Program, task: Task, count: Callable[[int], None]) -> tu
     return ensemble_of(program, task, **results.columns()), stopped
 
 
-def energies_at_start(program: Program, task: Task) -> Floats:
-    """Return the energy of members where they begin, and its kinetic part, shape (K, 2)."""
-    task = replace(task, steps=0, every=0, reductions=(), record=(), tangents=None, run_events=None)
-    results = Results(task, program.header)
-    _work_off(program, replace(task, t_end=None), results, lambda done: None, measured=True)
-    return results.seen[:, :2]
-
-
 def _work_off(
-    program: Program,
-    task: Task,
-    results: Results,
-    count: Callable[[int], None],
-    *,
-    measured: bool = False,
+    program: Program, task: Task, results: Results, count: Callable[[int], None]
 ) -> _Queue:
-    """Run members in blocks, on threads of our own; their energy is ``measured`` at the end."""
-    work_off = _prepared(program, task, results, measured)
+    """Run members in blocks, on threads of our own."""
+    work_off = _prepared(program, task, results)
     lanes = task.lanes
     blocks = -(-task.members // lanes)
     queue = _Queue(blocks, task.threads)
@@ -104,9 +89,7 @@ def _share(work: Callable[[], None], threads: int, queue: _Queue) -> None:
         other.result()
 
 
-def _prepared(
-    program: Program, task: Task, results: Results, measured: bool
-) -> Callable[..., None]:
+def _prepared(program: Program, task: Task, results: Results) -> Callable[..., None]:
     """Compile what is needed, and give a function that works off a chunk of blocks."""
     header, lanes = program.header, task.lanes
     kernels = program.kernels_for(lanes)
@@ -145,8 +128,7 @@ def _prepared(
     observed, watched = (rows.get(kernel, (0, 0)) for kernel in ("observe", "watch"))
     legendre = kernels.address("legendre") if task.velocities else 0
     retime = kernels.address("retime") if header.retimed else 0
-    energy = kernels.address("energy") if measured else 0
-    more = np.array([legendre, slopes, retime, *observed, *watched, energy], dtype=np.int64)
+    more = np.array([legendre, slopes, retime, *observed, *watched], dtype=np.int64)
     kinds = np.array([KINDS.index(r.kind) for r in task.reductions], dtype=np.float64)
     step, at = kernels.set(kernels.fallbacks[0], called), driver_layout(header, called)
     advance_blocks = program.numbers.driver("advance_blocks", lanes, renewing=task.of_variations)

@@ -1,8 +1,9 @@
-"""Members of an ensemble that are run by themselves, where robust kernels may help them."""
+"""Members of an ensemble that are run once more, each by itself: they failed, or are in doubt."""
 
 from __future__ import annotations
 
 import logging
+import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -10,17 +11,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.derivatives.lyapunov import run_lyapunov
+from symsimpson.ensemble.ensemble import Ensemble, spread
 from symsimpson.ensemble.task import Results, Task
-from symsimpson.errors import ConstraintWarning, InputError
-from symsimpson.program.evaluating import evaluate_members
+from symsimpson.errors import (
+    ConstraintWarning,
+    InputError,
+    ResolutionWarning,
+    StabilityWarning,
+    SymsimpsonError,
+)
+from symsimpson.module.interface import SMALL_PIVOT
+from symsimpson.module.quantity import velocities_by
+from symsimpson.program.evaluating import evaluate
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.run.folds import SINGULAR, close, independence_of
 from symsimpson.run.requested import run
+from symsimpson.run.resolution import FEWEST, LAST_LIMIT, real_energies
+from symsimpson.run.verdict import SINGULAR, independence_at, may_fold
+from symsimpson.support.array_types import Floats, Ints
 from symsimpson.support.calling import warn, without_step_warnings
-
-__all__ = ["PAIR", "RENEWAL", "run_singly"]
 
 LOG = logging.getLogger(__name__)
 #: Fast sines and cosines have a value for angles up to here.
@@ -30,6 +40,16 @@ FAR = 1e50
 #: So many variations of a motion tell its largest exponent and how two align; they are made
 #: orthonormal after so many steps.
 PAIR, RENEWAL = 2, 20
+#: Of so many members, spread over all, the step is looked at.
+LOOKED_AT = 8
+#: So many of those whose energy changed most are run once more, each by itself.
+AGAIN = 2
+#: So many other members whose energy moved are named.
+SHOWN = 8
+#: A run of more steps than this keeps some of its states alone.
+WHOLE = 100_000
+#: Those at whose states M was small are run again if that is short, or a small part of all.
+SHORT, MANY = 2000, 128
 
 
 def run_singly(program: Program, task: Task, results: Results) -> bool:
@@ -129,28 +149,17 @@ def _real(program: Program, task: Task, results: Results) -> NDArray[np.bool_]:
     t = np.zeros(1)  # where it is retimed, no time matters
     if not task.retimed:
         t = np.concatenate([[task.t0], task.times])
-    energies = evaluate_members(program, "energy", "ENERGY", 1, t, q, p, task.parameters)
     nothing = np.isnan(q).all(axis=2)  # behind the end of a member
-    return np.asarray((np.isfinite(energies[..., 0]) | nothing).all(axis=1))
+    real = real_energies(program, (t, q, p), task.parameters) | nothing
+    return np.asarray(real.all(axis=1))
 
 
 def _unfolded(program: Program, task: Task, results: Results) -> NDArray[np.bool_]:
     """Return at whose stored states all constraints are independent; warn of those nearly not."""
-    count = len(program.header.constraints)
-    pivots = evaluate_members(
-        program,
-        "multipliers",
-        "HELD_PIVOT",
-        count,
-        task.times,
-        results.q,
-        results.p,
-        task.parameters,
-    )
-    with np.errstate(invalid="ignore"):  # of members that failed
-        independence = independence_of(pivots)
+    states = task.times, results.q, results.p
+    independence = independence_at(program, states, task.parameters)
     folded = (independence < SINGULAR).any(axis=1)
-    near = np.flatnonzero(close(independence).any(axis=1) & ~folded)
+    near = np.flatnonzero(may_fold(independence).any(axis=1) & ~folded)
     if near.size and task.every == 1:
         warn(
             f"{program.system}, {program.scheme}: in {near.size} of {task.members} members, the "
@@ -161,3 +170,101 @@ def _unfolded(program: Program, task: Task, results: Results) -> NDArray[np.bool
             ConstraintWarning,
         )
     return np.asarray(~folded)
+
+
+def look_at_steps(program: Program, task: Task) -> None:
+    """Warn of steps that do not resolve what is fast at the start of some members."""
+    tools, system = program.tools, program.declared
+    if tools is None or system is None:
+        return
+    for member in spread(task.members, LOOKED_AT):
+        q, v, values = task.q0[member], task.other0[member], task.parameters[member]
+        if (task.h, values.tobytes()) in program.findings.checked_steps:
+            continue
+        if not task.velocities:
+            kernel, state = velocities_by(program.header), (np.asarray(task.t0), q, v)
+            v = evaluate(program, kernel, "VELOCITY", program.n, state, values)
+        inputs = task.inputs[min(member, len(task.inputs) - 1), 0, 0]
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            constants = np.concatenate([values, inputs])
+            tools.check_step(program, system, q, v, constants, task.h, task.t0)
+        for warning in warned:
+            if issubclass(warning.category, StabilityWarning):
+                warn(f"member {member}: {warning.message}", warning.category)
+                return
+
+
+def look_at_ends(program: Program, task: Task, ensemble: Ensemble) -> None:
+    """Say why, where no member could begin; warn of members whose motion was not resolved.
+
+    Raises InputError if no member could begin.
+    """
+    status = np.asarray(ensemble.status[:])
+    if (status == Status.BAD_INPUT).all():
+        _refuse(program, task)
+    if task.steps < FEWEST or task.of_variations:
+        return
+    some = np.flatnonzero(status == Status.SUCCESS)
+    left = _energies_left(program, task, ensemble, some)
+    worst = some[np.argsort(-left)[:AGAIN]][: int((left > LAST_LIMIT).sum())].tolist()
+    by_energy = len(worst)
+    cheap = task.steps <= SHORT or task.members >= MANY
+    if ensemble.small_pivots is not None and cheap:  # M was small
+        pivots = ensemble.small_pivots[some]
+        worst += some[np.argsort(pivots)[:AGAIN]][: int((pivots < SMALL_PIVOT).sum())].tolist()
+    off = some[left > LAST_LIMIT].tolist()
+    for member in dict.fromkeys(worst):
+        who = _named(member, [k for k in off if k != member])
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            every = 1 if task.steps <= (WHOLE if member in worst[:by_energy] else SHORT) else None
+            asked = task.of_member(member, program, every=every)
+            single = run(program, asked, None, False, "return")
+        if not single.success:
+            message = f"{who}, does not come to its end by itself: {single.message}"
+            warn(message, ResolutionWarning)
+            return
+        for warning in warned:
+            if issubclass(warning.category, ResolutionWarning):
+                warn(f"{who}: {warning.message}", ResolutionWarning)
+                return
+
+
+def _named(member: int, others: list[int]) -> str:
+    """Name a member that was run again, and others whose energy moved."""
+    if not others:
+        return f"member {member}, as others may"
+    more = ", ..." if len(others) > SHOWN else ""
+    return f"member {member}, and probably {', '.join(map(str, others[:SHOWN]))}{more}"
+
+
+def _refuse(program: Program, task: Task) -> None:
+    """Raise what a run of the first member raises."""
+    try:
+        run(program, task.of_member(0, program), progress=False)
+    except InputError as error:
+        raise InputError(f"no member could begin. Of the first: {error}") from None
+    except SymsimpsonError:
+        return
+
+
+def _energies_left(program: Program, task: Task, ensemble: Ensemble, some: Ints) -> Floats:
+    """Return how far energies are from those at the start, in units of the kinetic energy."""
+    if not some.size:
+        return np.zeros(0)
+    q, p = (np.asarray(x[:])[some] for x in (ensemble.q, ensemble.p))
+    if task.every:  # members of retimed systems end after steps of their own
+        last = np.arange(len(q)), np.isfinite(q[..., 0]).sum(axis=1) - 1
+        q, p = q[last], p[last]
+    t = np.array([task.t0, task.t0 if task.retimed else task.times[-1]])
+    q0, p0, values = task.q0[some], task.other0[some], task.parameters[some]
+    if task.velocities:
+        p0 = evaluate(program, "legendre", "MOMENTUM", program.n, (t[:1], q0, p0), values)
+    states = t, np.stack([q0, q], axis=1), np.stack([p0, p], axis=1)
+    energies = evaluate(program, "energy", "ENERGY", 2, states, values)
+    (start, kinetic), (end, later) = energies.transpose(1, 2, 0)
+    scale = np.maximum(kinetic, later)
+    with np.errstate(all="ignore"):
+        left = np.where(scale > 0, abs(end - start) / scale, 0.0)
+    return np.where(np.isfinite(start + kinetic), np.nan_to_num(left, nan=np.inf), 0.0)

@@ -20,8 +20,6 @@ from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Floats, Ints
 
-__all__ = ["Results", "Task", "ensemble_of"]
-
 
 @dataclass(frozen=True)
 class Task(RunSpec):
@@ -103,8 +101,8 @@ class Results:
         self.part = np.zeros(task.members)
         #: When members came to their ends, where they are known to be run by themselves.
         self.ended_at = np.full(task.members, np.nan)
-        #: Pairs of numbers of reductions; the energy, its kinetic part, how small pivots of M were.
-        self.seen = np.full((task.members, 2 * len(task.reductions) + 3), np.nan)
+        #: Pairs of numbers of reductions; how small pivots of M were.
+        self.seen = np.full((task.members, 2 * len(task.reductions) + 1), np.nan)
         #: What events did, by member.
         self.records = dict[int, tuple[Record, ...]]()
         self._task = task

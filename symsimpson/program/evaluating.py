@@ -15,8 +15,6 @@ from symsimpson.program.program import Program
 from symsimpson.program.workspace import NO_INPUTS, workspace
 from symsimpson.support.array_types import Reals
 
-__all__ = ["evaluate", "evaluate_energy", "evaluate_in", "evaluate_members", "observer", "watching"]
-
 
 def evaluate(
     program: Program,
@@ -26,81 +24,40 @@ def evaluate(
     states: tuple[Reals, Reals, Reals],
     values: Reals,
     inputs: Reals = NO_INPUTS,
-    before: str = "",
 ) -> Reals:
-    """Evaluate a kernel of the state at many states (t, q, p); shape (len(q), count).
+    """Evaluate a kernel of the state at many states (t, q, p); shape (..., count).
 
-    ``inputs`` has states in the places of steps; they stand in powers alone. Another kernel may
-    come ``before`` it.
+    ``q`` and ``p`` have shape (..., n); the kernel "legendre" takes velocities in place of p.
+    Parameters have ``values`` of shape (m,), or (K, m) if the first axis of ``q`` counts members.
+    ``inputs`` have states in the places of steps; they stand in powers alone. Fast sines have no
+    value for huge angles: there the library's are taken.
     """
-    header, numbers = program.header, program.numbers
+    header, numbers, kernels = program.header, program.numbers, program.kernels
+    driver, shape = numbers.driver("evaluate"), states[1].shape[:-1]
     with numbers.working():
-        W = workspace(header, numbers, numbers.read(values))
-        return evaluate_in(W, program, kernel, block, count, states, inputs, before=before)
+        rows_of_values = np.atleast_2d(numbers.read(values))
+        W, unit = workspace(header, numbers, rows_of_values[0]), numbers.read(1.0).item()
+        t, q, p = map(numbers.read, states)
+        t = t if t.shape == shape else np.broadcast_to(t, shape).copy()
+        t, q, p = t.reshape(-1), q.reshape(-1, header.n), p.reshape(-1, header.n)
 
+        def at(some: Any, values: Reals, inputs: Reals, *, any_angle: bool) -> Reals:
+            address = kernels.address(kernel, any_angle=any_angle)
+            addresses, here = (kernels.address("prepare"), 0, address), (t[some], q[some], p[some])
+            out, given = numbers.zeros((len(here[0]), count)), (inputs, values)
+            setting = unit, W, header.driver_layout, here, header.layout[block]
+            driver(addresses, *setting, out, given)
+            return numbers.result(out)
 
-def evaluate_members(
-    program: Program,
-    kernel: str,
-    block: str,
-    count: int,
-    t: Reals,
-    q: Reals,
-    p: Reals,
-    values: Reals,
-) -> Reals:
-    """Evaluate a kernel of the state at states of many members, each with its own parameters.
-
-    ``q`` and ``p`` have shape (K, ..., n), ``values`` (K, m), ``t`` the shape of the axes between,
-    or that of all but the last; gives shape (K, ..., count).
-    """
-    t = np.broadcast_to(t, q.shape[:-1])
-    results = np.empty((*q.shape[:-1], count))
-    distinct, group = np.unique(values, axis=0, return_inverse=True)
-    for k, parameters in enumerate(distinct):
-        here = np.flatnonzero(group.ravel() == k)
-        some_q, some_p = (x[here].reshape(-1, program.n) for x in (q, p))
-        states = t[here].ravel(), some_q, some_p
-        rows = evaluate(program, kernel, block, count, states, parameters)
-        results[here] = rows.reshape(results[here].shape)
-    return results
-
-
-def evaluate_in(
-    W: Reals,
-    program: Program,
-    kernel: str,
-    block: str,
-    count: int,
-    states: tuple[Reals, Reals, Reals],
-    inputs: Reals = NO_INPUTS,
-    *,
-    before: str = "",
-) -> Reals:
-    """Evaluate a kernel at states (t, q, p), in a workspace that holds parameters.
-
-    Fast sines have no value for huge angles: there the library's are taken.
-    """
-    numbers, kernels, (t, q, p) = program.numbers, program.kernels, states
-    header, unit = program.header, numbers.read(1.0).item()
-
-    def values(t: Reals, q: Reals, p: Reals, inputs: Reals, *, any_angle: bool) -> Reals:
-        address = kernels.address(kernel, any_angle=any_angle)
-        first = kernels.address(before, any_angle=any_angle) if before else 0
-        addresses = kernels.address("prepare"), first, address
-        out, given = numbers.zeros((len(q), count)), tuple(map(numbers.read, (t, q, p)))
-        setting = unit, W, header.driver_layout, given, header.layout[block]
-        numbers.driver("evaluate")(addresses, *setting, out, inputs)
-        return numbers.result(out)
-
-    rows = values(t, q, p, inputs, any_angle=False)
-    if header.fast_sines and not numbers.all_finite(rows):
-        again = ~numbers.finite(rows).all(axis=1)
-        again &= numbers.finite(q).all(axis=1) & numbers.finite(p).all(axis=1)
-        if again.any():
-            some_inputs = inputs if inputs.shape[1] == 1 else inputs[:, again]
-            rows[again] = values(t[again], q[again], p[again], some_inputs, any_angle=True)
-    return rows
+        rows = at(slice(None), rows_of_values, inputs, any_angle=False)
+        if header.fast_sines and not numbers.all_finite(rows):
+            known = numbers.finite(q).all(axis=1) & numbers.finite(p).all(axis=1)
+            again = np.flatnonzero(known & ~numbers.finite(rows).all(axis=1))
+            if again.size:
+                some_values = rows_of_values[again * len(rows_of_values) // len(rows)]
+                some_inputs = inputs if inputs.shape[1] == 1 else inputs[:, again]
+                rows[again] = at(again, some_values, some_inputs, any_angle=True)
+    return rows.reshape(*shape, count)
 
 
 def observer(
@@ -112,7 +69,7 @@ def observer(
     """
     header, numbers, kernels = program.header, program.numbers, program.kernels
     kernel = kernels.compile_observer(observing_kernel(header, observed), len(observed))
-    W = workspace(header, numbers, numbers.read(values), more=len(observed))
+    W = workspace(header, numbers, np.atleast_2d(numbers.read(values))[0], more=len(observed))
     return (kernels.address("prepare"), kernels.address("energy"), kernel), W
 
 
@@ -121,7 +78,8 @@ def watching(
 ) -> Callable[[Reals, Reals, Reals], Reals]:
     """Return what evaluates expressions at many states (t, q, p); shape (len(q), len(observed)).
 
-    Raises InputError if the stepper has many digits.
+    Parameters have ``values`` of shape (m,), or (K, m) if equally many states of K members follow
+    one another. Raises InputError if the stepper has many digits.
     """
     header, numbers = program.header, program.numbers
     (prepare, energy, kernel), W = observer(program, observed, values)
@@ -129,12 +87,13 @@ def watching(
     addresses = prepare, energy if any(quantity.energetic for quantity in observed) else 0, kernel
     driver = numbers.driver("evaluate")
     first, about, count = header.rows, header.driver_layout, len(observed)
+    given = NO_INPUTS, np.atleast_2d(numbers.read(values))
 
     def watch(t: Reals, q: Reals, p: Reals) -> Reals:
         out = np.zeros((len(q), count))
         # copies: what came from a file, or from another process, may be read-only
         states = tuple(np.array(x, dtype=np.float64, order="C") for x in (t, q, p))
-        driver(addresses, 1.0, W, about, states, first, out, NO_INPUTS)
+        driver(addresses, 1.0, W, about, states, first, out, given)
         return out
 
     return watch

@@ -4,10 +4,10 @@ The exact motion of the Lagrange top, systems in first-order form, the classical
 method, compiled, and an accurate solution of any system with an estimate of its error.
 """
 
+from symsimpson.reference.extrapolation import Truth, truth
 from symsimpson.reference.first_order import FirstOrder, canonical, reduced_top, second_order
 from symsimpson.reference.runge_kutta import rk4
 from symsimpson.reference.top import ExactTop
-from symsimpson.reference.truth import Truth, truth
 
 __all__ = [
     "ExactTop",

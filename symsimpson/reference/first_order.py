@@ -17,8 +17,6 @@ from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.support.literals import float_literals
 
-__all__ = ["FirstOrder", "Lines", "canonical", "reduced_top", "second_order"]
-
 Definition = tuple[sp.Symbol, sp.Expr]
 Key = tuple[Hashable, ...]
 

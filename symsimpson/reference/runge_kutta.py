@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike
 from symsimpson.reference.first_order import FirstOrder
 from symsimpson.support.array_types import Floats
 
-__all__ = ["compiled_rates", "compiled_rk4", "rk4"]
-
 
 def rk4(
     equations: FirstOrder,

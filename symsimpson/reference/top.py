@@ -23,8 +23,6 @@ from numpy.typing import ArrayLike
 from symsimpson.support.array_types import Floats
 from symsimpson.support.extras import library
 
-__all__ = ["ExactTop"]
-
 #: Digits computed with beyond those asked for.
 GUARD = 15
 

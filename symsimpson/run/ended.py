@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
 
 Result = TypeVar("Result", bound=Outcome)
 
-__all__ = ["out_of_domain", "raise_failure", "trajectory_of", "uninterrupted"]
+#: What a run may have a row of for each state.
+BY_STATE = ("t", "q", "p", "newton_iterations", "tau_values", "variations")
 
 
 def trajectory_of(
@@ -117,6 +119,24 @@ def _with_end(
     given = program, spec.reductions, run.parameters[None]
     (row,) = reduced_at_ends(*given, before, after, known).tolist()
     return tuple(zip(names, row, strict=True))
+
+
+def shortened(trajectory: Trajectory, steps: int) -> dict[str, Any]:
+    """Return what changes of a run that ended after fewer steps, and of its stored states.
+
+    What observed values were then is not known.
+    """
+    inputs, every = trajectory.driven, trajectory.every
+    unknown = tuple((name, np.nan) for name, _ in trajectory.reduced_values)
+    about: dict[str, Any] = {"steps": steps, "reduced_values": unknown}
+    about["driven"] = None if inputs is None else replace(inputs, steps=steps)
+    if every is not None:
+        some = slice(steps // every + 1)
+        columns = {name: getattr(trajectory, name) for name in BY_STATE}
+        about |= {name: rows[some] for name, rows in columns.items() if rows is not None}
+        recorded = trajectory.recorded_values
+        about["recorded_values"] = tuple((name, rows[some]) for name, rows in recorded)
+    return about
 
 
 def out_of_domain(program: Program, run: Run, t: Any, step: int) -> dict[str, Any]:

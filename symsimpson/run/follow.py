@@ -11,13 +11,12 @@ from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.ended import trajectory_of
 from symsimpson.run.keeping import Keeper, Sink
-from symsimpson.run.resolution import check_forces, each
+from symsimpson.run.resolution import each
+from symsimpson.run.start import check_forces
 from symsimpson.run.verdict import verdict
 from symsimpson.stepping.kept import KeptStates
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec
-
-__all__ = ["follow"]
 
 #: Runs of fewer steps end before a bar would be drawn, and need not look for a terminal.
 BRIEF = 10_000

@@ -27,8 +27,6 @@ from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.files import check_folder, read_path
 from symsimpson.support.progress import silence
 
-__all__ = ["integrate"]
-
 #: Where the number of steps is not known before, so many states behind the first are put away at
 #: a time: few enough to cost no memory, many enough to cost no time.
 ROOM = 4096

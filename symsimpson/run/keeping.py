@@ -12,8 +12,6 @@ from symsimpson.stepping.kept import KeptStates
 from symsimpson.stepping.run import Run
 from symsimpson.support.array_types import Reals
 
-__all__ = ["Collected", "Keeper", "Samples", "Sink"]
-
 #: After so many times that states were put away, memory is asked for so many times their size: they
 #: are copied when they are joined, and a lack of memory is better met before.
 LOOKS, JOINING = 16, 3

@@ -16,7 +16,7 @@ from symsimpson.program.input_values import MOST_STEPS
 from symsimpson.program.numbers import NOTHING
 from symsimpson.results.states import States
 from symsimpson.run.ended import out_of_domain, raise_failure, trajectory_of
-from symsimpson.run.resolution import has_energy
+from symsimpson.run.resolution import real_energies
 from symsimpson.run.start import started
 from symsimpson.run.verdict import passage_in_words
 from symsimpson.stepping.driving import driven, read_driving
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from symsimpson.program.program import Program
     from symsimpson.results.events import Events
     from symsimpson.results.trajectory import Trajectory
-
-__all__ = ["ControlLoop"]
 
 
 @explaining()
@@ -235,9 +233,8 @@ class ControlLoop:
     def _has_no_energy(self) -> bool:
         """Return whether T or V has no value here; an event may end the loop at their bound."""
         run = self._run
-        return run.end_within is None and not has_energy(
-            self.program, *self._here(), run.parameters
-        )
+        real = real_energies(self.program, self._here(), run.parameters)
+        return run.end_within is None and not real.all()
 
     def _here(self) -> tuple[Reals, Reals, Reals]:
         """Return the time and the state, as arrays of one row."""

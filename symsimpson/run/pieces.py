@@ -10,17 +10,19 @@ import numpy as np
 
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
+from symsimpson.results.events import Events, Zeros, gather, zeros
 from symsimpson.results.trajectory import Trajectory
+from symsimpson.run.ended import raise_failure
 from symsimpson.run.follow import follow
 from symsimpson.run.keeping import Samples, Sink
 from symsimpson.run.resolution import sampling_stride
 from symsimpson.run.start import started
 from symsimpson.stepping.arrival import STRIDE
 from symsimpson.stepping.driving import driven, since
+from symsimpson.stepping.inputs import read_failure
+from symsimpson.stepping.request import Request
 from symsimpson.stepping.run import Run
-from symsimpson.stepping.spec import RunSpec
-
-__all__ = ["Taken", "by_pieces"]
+from symsimpson.stepping.spec import RunSpec, read_run
 
 #: So many states are held at a time, but no more numbers than that.
 PIECE, MOST_NUMBERS = 8192, 2**23
@@ -117,3 +119,21 @@ class Pieces(Sink):
             records=tuple(acted),
             ended_by=None if end is None else end.ended_by,
         )
+
+
+def poincare(
+    program: Program, request: Request, wanted: Zeros, progress: bool | None, on_failure: str
+) -> Events:
+    """Run, and keep the zeros of an expression.
+
+    Raises InputError, ConvergenceError or Interrupted.
+    """
+    read_failure(on_failure)
+    spec = read_run(program, request)
+    run, last, crossings = by_pieces(
+        program, spec, lambda piece, before: zeros(piece, wanted), progress
+    )
+    events = gather(last, wanted, crossings)
+    if not last.success and on_failure == "raise":
+        raise_failure(run, last, events)
+    return events

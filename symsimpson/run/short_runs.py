@@ -34,8 +34,6 @@ from symsimpson.support.ahead import compiles_late
 from symsimpson.support.array_types import Floats, Ints
 from symsimpson.support.names import Named
 
-__all__ = ["MOST_ROWS", "brief_run"]
-
 #: Steps times rows of the workspace: so much is over before anybody presses Ctrl-C; and so much
 #: where the number of steps is not known before.
 MOST_ROWS, MOST_TO_END = 2**21, 2**22

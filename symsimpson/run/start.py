@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from symsimpson.errors import InputError
+from symsimpson.program.evaluating import evaluate
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder
-from symsimpson.run.resolution import check_start
+from symsimpson.run.resolution import real_energies
 from symsimpson.stepping.inputs import refused_start
 from symsimpson.stepping.recording import recorders_of
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.stepping.variations import begin_variations
 from symsimpson.support.array_types import Reals
-
-__all__ = ["recorders_for", "started"]
 
 
 def started(
@@ -118,3 +118,47 @@ def _warn_of_step(program: Program, run: Run, spec: RunSpec) -> None:
         q, v = (run.rows(name, program.n) for name in ("POSITION", "VELOCITY"))
         values = np.concatenate([run.parameters, spec.inputs[0, 0, 0]])
         tools.check_step(program, system, q, v, values, run.h, run.t0)
+
+
+def check_start(program: Program, t: Any, q: Reals, p: Reals, values: Reals) -> None:
+    """Refuse a state at which the energy is not a finite real number; raises InputError."""
+    if not real_energies(program, (t, q, p), values):
+        raise InputError(
+            f"{program.system}: the energy is not a finite real number at q0 = "
+            f"({', '.join(f'{float(x):g}' for x in q)}): T or V has no value there "
+            "(the logarithm or the root of a negative number, a root of zero, or a division by "
+            "zero, for example).\n"
+            "Start from a state at which both are defined, or check the formulas."
+        )
+
+
+def check_forces(program: Program, spec: RunSpec) -> None:
+    """Refuse a start at which a force has no value, behind a first step that has none.
+
+    Raises InputError.
+    """
+    tools, system, t0 = program.tools, program.declared, float(spec.t0)
+    if tools is None or system is None:
+        return
+    values = [*map(float, spec.parameters), *map(float, spec.inputs[0, 0, 0])]
+    q = list(map(float, spec.q0))
+    bad = np.flatnonzero(~np.isfinite(tools.force_terms(system, q, values, t0)))
+    if bad.size:
+        raise InputError(
+            f"{program.system}: the force on {program.coordinates[bad[0]]} has no finite value at "
+            f"q0 = ({', '.join(f'{x:g}' for x in q)}), though T and V have.\n"
+            "A derivative of a root at zero or a quotient 0/0 makes it so. Start beside it, or "
+            "write V and forces in a form that is smooth there."
+        )
+    v = spec.other0
+    if not spec.velocities:
+        start = spec.t0, spec.q0, spec.other0
+        v = evaluate(program, "energy", "VELOCITY", program.n, start, spec.parameters)
+    bad = np.flatnonzero(~np.isfinite(tools.force_terms(system, q, values, t0, v)))
+    if bad.size:
+        raise InputError(
+            f"{program.system}: the force on {program.coordinates[bad[0]]} has a value at the "
+            f"velocities of the start, ({', '.join(f'{x:g}' for x in v.tolist())}), but no slope.\n"
+            "A root that is 0 makes it so, as sqrt(v) at v = 0. Begin with another velocity, or "
+            "write a force that is smooth there, as sqrt(v**2 + eps**2) with a small eps."
+        )

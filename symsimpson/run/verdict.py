@@ -1,88 +1,74 @@
-"""Verdicts on a run by its states: whether they are real, and whether steps resolved them."""
+"""Verdicts on a run by its states: whether they are real, regular, independent, resolved."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from symsimpson.errors import ResolutionWarning
+from symsimpson.errors import ConstraintWarning, ResolutionWarning
+from symsimpson.module.matrices import slopes_of
+from symsimpson.program.evaluating import evaluate
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.run.ended import out_of_domain
-from symsimpson.run.folds import ended_after, first_states, look_at_folds, unknown_values
-from symsimpson.run.resolution import Sampled, energies_at, look_at_energy
+from symsimpson.run.ended import out_of_domain, shortened
+from symsimpson.run.resolution import EnergySamples, kept_states, level_left, sample_energies
+from symsimpson.stepping.constrained_start import DEPENDENT, name_dependent
 from symsimpson.stepping.kept import KeptStates
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run import Run
 from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.calling import warn
 
-__all__ = ["inputs_again", "passage_in_words", "verdict"]
-
-#: Failures that a singular point of the coordinates explains, where the run has come to one.
-AT_POLES = (
-    Status.NOT_CONVERGED,
-    Status.DIVERGED,
-    Status.STEP_TOO_LARGE,
-    Status.SINGULAR_JACOBIAN,
-    Status.NOT_FINITE,
-    Status.SINGULAR_LEGENDRE,
+#: Failures of a step that a singular point of the coordinates may explain, or constraints.
+UNSOLVED = (
+    *(Status.NOT_CONVERGED, Status.DIVERGED, Status.STEP_TOO_LARGE),
+    *(Status.SINGULAR_JACOBIAN, Status.NOT_FINITE),
 )
-
 #: Around the smallest M, so many steps are taken again; so many at most with those before.
 AROUND, MOST_AGAIN = 64, 200_000
-
 #: So many runs may show that a motion goes where there are singular points.
 TRIES = 3
+#: Where they are less independent than this, constraints follow from one another.
+SINGULAR = DEPENDENT**0.5
+#: Constraints do that are no more independent than so much, and not at all so many steps later.
+NEAR, AHEAD = 0.1, 4
 
 
 def verdict(program: Program, run: Run, trajectory: Trajectory, kept: KeptStates) -> Trajectory:
     """Judge a run by its states: all that it stored, or some that were kept for this.
 
-    Where the energy is no number, or constraints follow from one another, the run ended before;
-    where the motion was not resolved, it is warned of.
+    Where the energy is no number, or constraints follow from one another, the run ended before.
+    The function warns where steps did not resolve the motion. On runs on which events acted, the
+    energy must be a number, whatever that is.
     """
     if trajectory.records or trajectory.ended_by:  # energies change with what events do
-        return _within_domain(program, run, trajectory, kept)
-    judged = _by_energy(program, run, trajectory, kept)
-    return look_at_folds(program, run, judged, kept)
+        return _by_energy(program, run, trajectory, kept, acted=True)
+    judged = _by_energy(program, run, _at_pole(program, trajectory), kept, acted=False)
+    return _by_constraints(program, run, judged, kept)
 
 
-def _by_energy(program: Program, run: Run, trajectory: Trajectory, kept: KeptStates) -> Trajectory:
+def _by_energy(
+    program: Program, run: Run, trajectory: Trajectory, kept: KeptStates, *, acted: bool
+) -> Trajectory:
     """Judge a run by the energy at its states, and by singular points and kinks that it passed."""
-    trajectory = _at_pole(program, trajectory)
-    if not trajectory.success and program.header.real_everywhere:
+    unjudged = acted or not trajectory.success
+    if unjudged and program.header.real_everywhere:
         return trajectory
     kept = _with_last(program, trajectory, kept)
-    energies = look_at_energy(program, run, trajectory, kept)
-    if energies is not None and energies.first_not_real is not None:
-        ended = _ended_before(program, run, trajectory, kept, energies)
-        return _at_pole(program, ended)
-    if not trajectory.success:
-        return trajectory
-    message = _unresolved(program, run, trajectory, kept, energies)
+    seen = sample_energies(program, run, trajectory.steps, kept)
+    bad = None if seen is None else seen.first_not_real
+    if bad is not None:
+        ended = _ended_before(program, run, trajectory, kept, bad)
+        return ended if acted else _at_pole(program, ended)
+    message = "" if unjudged else _unresolved(program, run, trajectory, kept, seen)
     if not message:
         return trajectory
     message = f"{program.system}, {program.scheme}: {message}"
     warn(message, ResolutionWarning)
     return replace(trajectory, message=f"{trajectory.message} {message}")
-
-
-def _within_domain(
-    program: Program, run: Run, trajectory: Trajectory, kept: KeptStates
-) -> Trajectory:
-    """Judge a run on which events acted by whether its energy is a number, whatever that is."""
-    if program.header.real_everywhere:
-        return trajectory
-    kept = _with_last(program, trajectory, kept)
-    energies = energies_at(program, run, trajectory.steps, kept, np.arange(len(kept.q)))
-    if energies.first_not_real is None:
-        return trajectory
-    ended = _ended_before(program, run, trajectory, kept, energies)
-    records = tuple(record for record in ended.records if record.step < ended.steps)
-    return replace(ended, records=records, ended_by=None)
 
 
 def _with_last(program: Program, trajectory: Trajectory, kept: KeptStates) -> KeptStates:
@@ -97,41 +83,24 @@ def _with_last(program: Program, trajectory: Trajectory, kept: KeptStates) -> Ke
 
 
 def _unresolved(
-    program: Program, run: Run, trajectory: Trajectory, kept: KeptStates, energies: Sampled | None
+    program: Program, run: Run, trajectory: Trajectory, kept: KeptStates, seen: EnergySamples | None
 ) -> str:
     """Return what was not resolved, in words, or nothing."""
-    tools, system, h = program.tools, program.declared, float(run.h)
-    plain = run.W.dtype == np.float64 and tools is not None and system is not None
-    asked = _around_smallest(program, run, trajectory, kept) if plain else None
-    unknown = trajectory.every == 1 and not _stays_regular(program, trajectory)
-    if tools is not None and plain and (unknown or asked is not None):
-        passed = tools.unresolved_pole(program, system, trajectory, asked)
-        if passed is not None:
-            return passage_in_words(passed, h)
-    if tools is not None and plain and unknown and not run.header.retimed:
-        inputs = np.asarray(trajectory.input_values)[0, 0, 0]
-        values = [*map(float, trajectory.parameter_values), *map(float, inputs)]
-        jumped = tools.kink_passed(system, trajectory.t, trajectory.q, values)
-        if jumped is not None:
-            return (
-                f"about t={jumped[0]:g} the motion passes {jumped[1]}, where the force or V jumps: "
-                f"no scheme keeps its order there, and energies need not tell.\n{jumped[2]}."
-            )
-        _remember_box(program, trajectory)
-    if energies is not None and energies.standing.any():
-        place = int(energies.places[int(np.argmax(energies.standing))])
+    irregular = _irregular(program, run, trajectory, kept)
+    if irregular or seen is None:
+        return irregular
+    if seen.standing.any():
+        place = int(seen.places[int(np.argmax(seen.standing))])
         return (
             f"about t={float(kept.recorded[place, 0]):g} the rate dt/dtau nearly vanishes, and the "
             "energy is off there: the motion may have been thrown back, and the states after it "
             "are unreliable.\nTake a rate that is positive wherever the motion comes."
         )
-    left = None if energies is None else energies.left_at
+    left = level_left(program, run, trajectory, kept, seen)
     if left is None:
         return ""
-    place, off = left
-    since = run.t0 + h * (place * kept.every)
-    if run.header.retimed:
-        since = kept.recorded[place, 0]
+    (place, off), h = left, float(run.h)
+    since = kept.recorded[place, 0] if run.header.retimed else run.t0 + h * (place * kept.every)
     energy, scale, but = "energy", "", ""
     if not run.header.conservative:
         energy, scale = "energy less the work of forces", " and this work"
@@ -143,6 +112,31 @@ def _unresolved(
         f"unreliable{but}.\n"
         "Take a smaller h, or a scheme of higher order."
     )
+
+
+def _irregular(program: Program, run: Run, trajectory: Trajectory, kept: KeptStates) -> str:
+    """Return which singular point or kink steps did not resolve, in words, or nothing."""
+    tools, system = program.tools, program.declared
+    if tools is None or system is None or run.W.dtype != np.float64:
+        return ""
+    asked = _around_smallest(program, run, trajectory, kept)
+    unknown = trajectory.every == 1 and not _stays_regular(program, trajectory)
+    if unknown or asked is not None:
+        passed = tools.unresolved_pole(program, system, trajectory, asked)
+        if passed is not None:
+            return passage_in_words(passed, float(run.h))
+    if not unknown or run.header.retimed:
+        return ""
+    inputs = np.asarray(trajectory.input_values)[0, 0, 0]
+    values = [*map(float, trajectory.parameter_values), *map(float, inputs)]
+    jumped = tools.kink_passed(system, trajectory.t, trajectory.q, values)
+    if jumped is not None:
+        return (
+            f"about t={jumped[0]:g} the motion passes {jumped[1]}, where the force or V jumps: "
+            f"no scheme keeps its order there, and energies need not tell.\n{jumped[2]}."
+        )
+    _remember_box(program, trajectory)
+    return ""
 
 
 def passage_in_words(passed: tuple[float, str, bool], h: float) -> str:
@@ -218,11 +212,10 @@ def _bounds(trajectory: Trajectory) -> tuple[Reals, Reals]:
 
 def _remember_box(program: Program, trajectory: Trajectory) -> None:
     """Remember where short runs may go without being looked at one by one."""
-    key = trajectory.parameter_values.tobytes()
-    if program.findings.prepared is None or program.findings.irregular.get(key, 0) >= TRIES:
+    key, findings = trajectory.parameter_values.tobytes(), program.findings
+    if findings.prepared is None or findings.irregular.get(key, 0) >= TRIES:
         return
-    tools, system = program.tools, program.declared
-    known = program.findings.regular.get(key)
+    tools, system, known = program.tools, program.declared, findings.regular.get(key)
     if known is not None and not np.isfinite(known[0]).any():  # all of space is regular
         return
     low, high = _bounds(trajectory)
@@ -232,15 +225,16 @@ def _remember_box(program: Program, trajectory: Trajectory) -> None:
     values = list(map(float, trajectory.parameter_values))
     box = tools.regular_box(system, values, low, high, float(trajectory.t[0]))
     if box is None:
-        program.findings.irregular[key] = program.findings.irregular.get(key, 0) + 1
+        findings.irregular[key] = findings.irregular.get(key, 0) + 1
     else:
-        program.findings.regular[key] = box
+        findings.regular[key] = box
 
 
 def _at_pole(program: Program, trajectory: Trajectory) -> Trajectory:
     """Say so where a run failed at a singular point of the coordinates."""
     tools, system = program.tools, program.declared
-    if trajectory.status not in AT_POLES or tools is None or system is None:
+    failed = trajectory.status in (*UNSOLVED, Status.SINGULAR_LEGENDRE)
+    if not failed or tools is None or system is None:
         return trajectory
     where, lost = tools.at_pole(system, trajectory)
     status = Status.SINGULAR_LEGENDRE if lost else Status.COORDINATE_SINGULARITY
@@ -255,29 +249,98 @@ def _at_pole(program: Program, trajectory: Trajectory) -> Trajectory:
 
 
 def _ended_before(
-    program: Program, run: Run, trajectory: Trajectory, kept: KeptStates, energies: Sampled
+    program: Program, run: Run, trajectory: Trajectory, kept: KeptStates, bad: int
 ) -> Trajectory:
-    """Return a run that ended before the first state at which the energy is no number."""
+    """Return a run that ended before the kept state at which the energy is no number."""
     q, p, _, recorded, every = kept
-    bad = energies.first_not_real
-    assert bad is not None
-    about = trajectory.__getstate__() | {"reduced_values": unknown_values(trajectory)}
-    result, good = program.numbers.result, max(bad - 1, 0)
+    result, good, retimed = program.numbers.result, max(bad - 1, 0), run.header.retimed
     done, at = good * every, min(bad * every, trajectory.steps)
-    retimed, where = run.header.retimed, run.t0 + run.h * at
-    if retimed:
-        where = recorded[min(bad, len(recorded) - 1), 0]
+    where = recorded[min(bad, len(recorded) - 1), 0] if retimed else run.t0 + run.h * at
+    about = shortened(trajectory, done) | out_of_domain(program, run, where, at)
     if trajectory.every is None:
-        last = slice(good, good + 1)
+        last, tau = slice(good, good + 1), np.array([run.h * done])
         about |= {"q": result(q[last]), "p": result(p[last])}
         about |= run.beside(recorded[last], result)
-        about["t"] = result(np.array([run.t0 + run.h * done]))
-        if retimed:
-            about |= {
-                "t": result(recorded[last, 0]),
-                "tau_values": result(np.array([run.h * done])),
-            }
-    else:
-        about |= first_states(trajectory, done // trajectory.every + 1)
-    about |= ended_after(trajectory, done) | out_of_domain(program, run, where, at)
-    return Trajectory(**about)
+        about["t"] = result(recorded[last, 0] if retimed else run.t0 + tau)
+        about["tau_values"] = result(tau) if retimed else None
+    about["records"] = tuple(record for record in trajectory.records if record.step < done)
+    return replace(trajectory, **about | {"ended_by": None})
+
+
+@np.errstate(invalid="ignore")  # members of ensembles that failed have no states
+def independence_at(program: Program, states: tuple[Reals, Reals, Reals], values: Reals) -> Floats:
+    """Return how far constraints are from following from one another at states (t, q, p).
+
+    It is 1 where each is as independent as at any of the N states, 0 where one follows from others.
+    ``q`` and ``p`` have shape (..., N, n).
+    """
+    count = len(program.header.constraints)
+    pivots = evaluate(program, "multipliers", "HELD_PIVOT", count, states, values)
+    # roots, as sizes of slopes are; each relative to its largest, since units may differ
+    sizes = np.sqrt(np.maximum(pivots.astype(np.float64), 0.0))
+    independence: Floats = (sizes / sizes.max(axis=-2, keepdims=True)).min(axis=-1)
+    return independence
+
+
+def may_fold(independence: Floats) -> NDArray[np.bool_]:
+    """Return between which states one constraint may have followed from others."""
+    return np.asarray(independence[..., 1:] < np.abs(np.diff(independence, axis=-1)))
+
+
+def _by_constraints(
+    program: Program, run: Run, trajectory: Trajectory, kept: KeptStates
+) -> Trajectory:
+    """Look at how independent the constraints were at states of a run.
+
+    Where one follows from others the run ended before; where that may have been so between two
+    states, it is warned of; where a step failed shortly before, its message says so.
+    """
+    names = program.names.constraints.shown
+    if len(names) < 2 or len(kept.q) < 2:
+        return trajectory
+    every, failed = kept.every, trajectory.status in UNSOLVED
+    t, q, p = kept_states(run, kept, trajectory.steps, np.arange(len(kept.q)))
+    if failed:  # where it came to, and as far before as a step leads
+        end = np.array([run.now]), *run.end()
+        v = evaluate(program, "energy", "VELOCITY", program.n, end, run.parameters)
+        before = end[0] - run.h, end[1] - run.h * v, end[2]
+        t, q, p = map(np.concatenate, zip((t, q, p), before, end, strict=True))
+    known = independence_at(program, (t, q, p), run.parameters)
+    independence = known[: len(kept.q)]
+    singular = np.flatnonzero(independence < SINGULAR)
+    who = f"{program.system}, {program.scheme}"
+
+    def dependent(at: int) -> str:
+        size, state = program.header.layout["HELD_SIZE"], (t[at], q[at], p[at])
+        rows = evaluate(program, "multipliers", "CONSTRAINT_QQ", size, state, run.parameters)
+        return name_dependent(names, slopes_of(program.header, rows).astype(np.float64))
+
+    if singular.size:
+        bad = int(singular[0])
+        which = dependent(bad)
+        message = (
+            f"{who}: the constraints {which} depend on each other at t={float(t[bad]):g}, at "
+            f"step {bad * every} of {trajectory.steps}. {Status.SINGULAR_CONSTRAINTS.message}"
+        )
+        steps = trajectory.steps if trajectory.every is None else (bad - 1) * every
+        about = shortened(trajectory, steps) | {"message": message}
+        return replace(trajectory, status=Status.SINGULAR_CONSTRAINTS, **about)
+    if failed and known[-1] < min(NEAR, AHEAD * (known[-2] - known[-1])):
+        told = (
+            f"{trajectory.message} The constraints {dependent(-1)} come to depend on each other "
+            "there, as where bars of a linkage fold into a line: end the run before, or choose "
+            "lengths and motions at which they do not."
+        )
+        return replace(trajectory, message=told)
+    near = np.flatnonzero(may_fold(independence))
+    if every > 1 or not near.size:  # of states that are far apart nothing can be said
+        return trajectory
+    since = float(t[near[0] + 1])
+    message = (
+        f"{who}: about t={since:g} constraints come close to following from one another, and may "
+        "do so between two steps, as where bars of a linkage fold into a line or wheels stand in "
+        f"one. The motion may go on along either branch, and h={float(run.h):g} does not resolve "
+        "which.\nTake a smaller h, or lengths and motions at which they do not."
+    )
+    warn(message, ConstraintWarning)
+    return replace(trajectory, message=f"{trajectory.message} {message}")

@@ -18,8 +18,6 @@ from symsimpson.program.workspace import NO_INPUTS, workspace
 from symsimpson.stepping.run import Run
 from symsimpson.support.array_types import Ints, Reals
 
-__all__ = ["STRIDE", "last_part", "reduced_at_ends", "resolution", "states_at", "with_end"]
-
 #: Where no states are asked for, each so-many-th step is stored to be looked at.
 STRIDE = 16
 
@@ -87,18 +85,20 @@ def reduced_at_ends(
     ``before`` and ``ends`` are t, q and p of K runs, the last ones that were looked at and those
     behind them; ``values`` are their parameters, shape (K, m).
     """
-    kinds = np.array([reduction.kind for reduction in reductions])
-    watched = [k for k, reduction in enumerate(reductions) if reduction.of_states]
-    known = reduced.copy()
-    for member, row in enumerate(known if watched else ()):
-        watch = watching(program, [reductions[k] for k in watched], values[member])
-        states = (np.stack([x[member], y[member]]) for x, y in zip(before, ends, strict=True))
-        (earlier, late), (begin, end) = watch(*states), (before[0][member], ends[0][member])
-        kind, kept, rise = kinds[watched], row[watched], late - earlier
-        met = (kind == "first") & np.isnan(kept) & (late > 0)
-        kept[met] = (end - (end - begin) * late / np.where(rise == 0, 1.0, rise))[met]
-        kept = np.where(kind == "max", np.fmax(kept, late), kept)
-        row[watched] = np.where(kind == "min", np.fmin(kept, late), kept)
+    watched, known = [k for k, x in enumerate(reductions) if x.of_states], reduced.copy()
+    if not (watched and len(known)):
+        return known
+    watch = watching(program, [reductions[k] for k in watched], values)
+    pairs = (np.stack(pair, axis=1) for pair in zip(before, ends, strict=True))
+    seen = watch(*(x.reshape(2 * len(values), *x.shape[2:]) for x in pairs))
+    earlier, late = seen.reshape(len(values), 2, -1).swapaxes(0, 1)
+    begin, end = before[0][:, None], ends[0][:, None]
+    kind = np.array([reductions[k].kind for k in watched])
+    kept, rise = known[:, watched], late - earlier
+    met = (kind == "first") & np.isnan(kept) & (late > 0)
+    kept = np.where(met, end - (end - begin) * late / np.where(rise == 0, 1.0, rise), kept)
+    kept = np.where(kind == "max", np.fmax(kept, late), kept)
+    known[:, watched] = np.where(kind == "min", np.fmin(kept, late), kept)
     return known
 
 

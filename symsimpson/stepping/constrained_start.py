@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, ModelError
 from symsimpson.module.matrices import slopes_of
-from symsimpson.program.evaluating import evaluate, evaluate_members
+from symsimpson.program.evaluating import evaluate
 from symsimpson.program.program import Program
 from symsimpson.support.array_types import Reals
 from symsimpson.support.lengths import bending_length
@@ -67,10 +67,7 @@ def project_start(
         block: str, count: int, p: Reals, kernel: str = "multipliers", places: Reals | None = None
     ) -> Reals:
         here = q if places is None else places
-        if len(values) == 1:
-            return evaluate(program, kernel, block, count, (times, here, p), values[0])
-        states = here[:, None, :], p[:, None, :]
-        return evaluate_members(program, kernel, block, count, times, *states, values)[:, 0]
+        return evaluate(program, kernel, block, count, (times, here, p), values)
 
     def slopes_at(places: Reals) -> Reals:
         rows = at("CONSTRAINT_QQ", header.layout["HELD_SIZE"], rest, places=places)

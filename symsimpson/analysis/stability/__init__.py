@@ -1,11 +1,24 @@
 """Stability: long runs, large steps, poles, chaos and large angles."""
 
-from symsimpson.analysis.stability.chaotic_motion import Mixing, Reversal, mixing, reversal
-from symsimpson.analysis.stability.drift import Drift, energy_drift
-from symsimpson.analysis.stability.large_angles import Turned, turned
-from symsimpson.analysis.stability.limits import energy_map, linear_limits, theory_limits
-from symsimpson.analysis.stability.poles import PolePass, pole_sweep
-from symsimpson.analysis.stability.report import stress, stress_standard
+from symsimpson.analysis.stability.standard_problems import (
+    PolePass,
+    energy_map,
+    linear_limits,
+    pole_sweep,
+    theory_limits,
+)
+from symsimpson.analysis.stability.stress_tests import (
+    Drift,
+    Mixing,
+    Reversal,
+    Turned,
+    energy_drift,
+    mixing,
+    reversal,
+    stress,
+    stress_standard,
+    turned,
+)
 
 __all__ = [
     "Drift",

@@ -12,8 +12,6 @@ from symsimpson.graph.evaluate import evaluated, moduli
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.support.array_types import Floats
 
-__all__ = ["changes_of_potential", "force_terms"]
-
 #: The forces of larger systems have too many terms to be looked at when a step fails.
 MOST_COORDINATES = 12
 #: V is evaluated in so many digits, unless it has more nodes than this at all states together.

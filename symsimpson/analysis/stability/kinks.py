@@ -27,8 +27,6 @@ from symsimpson.mechanics.plain import Plain, Symbols
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.support.array_types import Floats
 
-__all__ = ["has_kinks", "kink_passed"]
-
 #: A zero is passed if the line between two states misses it by less than this part of the line.
 NEAR = 0.1
 #: Passages of one root whose forces are looked at.

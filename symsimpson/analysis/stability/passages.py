@@ -31,8 +31,6 @@ from symsimpson.run.verdict import inputs_again
 from symsimpson.stepping.request import Request
 from symsimpson.support.array_types import Floats
 
-__all__ = ["at_pole", "regular_box", "unresolved_pole", "unresolved_step"]
-
 #: In larger systems det M is not looked at.
 MOST_COORDINATES = 12
 #: First so many states are looked at: where det M is nowhere small, no others are.

@@ -12,8 +12,8 @@ from support.cases import sweep
 import symsimpson as ss
 from symsimpson.analysis.certificate import Check
 from symsimpson.analysis.certify import _constraints
+from symsimpson.analysis.checks import starts
 from symsimpson.analysis.precise import Precise
-from symsimpson.analysis.solver_checks import starts
 from symsimpson.analysis.subject import Subject
 from symsimpson.analysis.variants import rewritten
 from symsimpson.api.compiling import TOOLS

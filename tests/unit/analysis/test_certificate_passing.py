@@ -10,7 +10,7 @@ from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.analysis.certificate import Check
-from symsimpson.analysis.convergence import order_of_errors
+from symsimpson.analysis.order import order_of_errors
 
 PENDULUM = ss.systems.double_pendulum()
 

@@ -8,8 +8,8 @@ import pytest
 
 import symsimpson as ss
 from symsimpson.analysis import certify as certification
-from symsimpson.analysis.stability import report as stress_report
 from symsimpson.analysis.stability import stress
+from symsimpson.analysis.stability import stress_tests as stress_report
 from symsimpson.api.stepper import Stepper
 from symsimpson.run import follow
 from symsimpson.support.signals import listening

@@ -8,7 +8,7 @@ import sympy.physics.mechanics
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.run import pieces, section
+from symsimpson.run import pieces
 
 
 @pytest.fixture(scope="module")
@@ -195,8 +195,8 @@ def test_interrupted_and_failed_sections_keep_what_they_found(monkeypatch):
             raise KeyboardInterrupt
         return original(*arguments, **options)
 
-    original = section.zeros
-    monkeypatch.setattr(section, "zeros", stop)
+    original = pieces.zeros
+    monkeypatch.setattr(pieces, "zeros", stop)
     monkeypatch.setattr(pieces, "PIECE", 500)
     with pytest.raises(ss.Interrupted, match="interrupted at t=") as caught:
         stepper.poincare("x", [0.0, 0.1], v0=[0.4, 0.0], h=0.1, steps=5000)

@@ -1,20 +1,22 @@
-"""Runs past the pole of spherical angles, compared with the motion in space.
+"""Stress tests of a scheme on standard problems: the linear oscillator, a pass of a pole.
 
-The angles turn by half a turn within the time eps/v, at a distance eps and a speed v; a step that
-is longer cannot follow. The unit vector n along the body's axis is regular there; its equations are
-those of a symmetric top with I n'' = -I |n'|^2 n + p n x n' - c (e - n (n e)), where p is the
-momentum of the spin (0 for the spherical pendulum), c the torque of gravity and e points against
-gravity.
+The angles of a body turn by half a turn within the time eps/v where its axis passes the pole of
+spherical angles at a distance eps and a speed v; a step that is longer cannot follow. The unit
+vector n along the axis is regular there; its equations are those of a symmetric top with
+I n'' = -I |n'|^2 n + p n x n' - c (e - n (n e)), where p is the momentum of the spin (0 for the
+spherical pendulum), c the torque of gravity and e points against gravity.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import sympy as sp
+from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.api.compiling import compile as compile_system
 from symsimpson.api.stepper import Stepper
@@ -22,11 +24,11 @@ from symsimpson.errors import ResolutionWarning
 from symsimpson.program.status import Status
 from symsimpson.reference import FirstOrder, rk4
 from symsimpson.run.ended import uninterrupted
+from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.array_types import Floats
-from symsimpson.systems import lagrange_top, spherical_pendulum
-
-__all__ = ["PolePass", "pole_sweep"]
+from symsimpson.support.calling import without_step_warnings
+from symsimpson.systems import harmonic_oscillator, lagrange_top, spherical_pendulum
 
 #: Steps of the solution in space for each step of the scheme.
 FINER = 200
@@ -188,3 +190,132 @@ def _axis(q: Floats, case: _Case) -> Floats:
         phi, theta, _ = q.T
         axis = [np.sin(theta) * np.sin(phi), -np.sin(theta) * np.cos(phi), np.cos(theta)]
     return np.array(axis).T
+
+
+STEPS = 4000
+#: A trajectory from (1, 0) that comes further than this is unstable.
+FAR = 1e6
+
+
+@without_step_warnings()
+def linear_limits(scheme: str | Scheme, largest: float = 6.0, width: float = 1e-4) -> list[float]:
+    """Find where the linear oscillator turns unstable or stable again, as h omega grows.
+
+    Runs of the compiled stepper decide, those of an ensemble with h = 1; each edge is bisected to
+    ``width``.
+
+    Parameters
+    ----------
+    scheme : str or Scheme
+    largest : float
+        Largest h omega looked at.
+    width : float
+
+    Returns
+    -------
+    list of float
+        Edges, the first from stable to unstable.
+    """
+    q = harmonic_oscillator().coordinates[0]
+    stepper = compile_system(harmonic_oscillator(), scheme)
+
+    def stable(x: Floats) -> NDArray[np.bool_]:
+        ensemble = stepper.ensemble(
+            np.ones((x.size, 1)),
+            p0=np.zeros((x.size, 1)),
+            h=1.0,
+            steps=STEPS,
+            every=None,
+            parameters={"m": 1.0, "k": x**2},
+            reduce={"least": ("min", q), "largest": ("max", q)},
+        )
+        near = [np.abs(ensemble.reduced[name]) < FAR for name in ("least", "largest")]
+        return (ensemble.status == 0) & near[0] & near[1]
+
+    return _edges(stable, largest, width)
+
+
+def _edges(
+    stable: Callable[[Floats], NDArray[np.bool_]], largest: float, width: float
+) -> list[float]:
+    """Find where a property changes, by a scan and bisection."""
+    grid = np.linspace(0.01, largest, round(largest / 0.01))
+    seen = stable(grid)
+    edges = np.flatnonzero(seen[:-1] != seen[1:])
+    low, high, before = grid[edges], grid[edges + 1], seen[edges]
+    while edges.size and (high - low).max() > width:
+        middle = (low + high) / 2
+        here = stable(middle) == before
+        low, high = np.where(here, middle, low), np.where(here, high, middle)
+    return [float(x) for x in (low + high) / 2]
+
+
+def theory_limits(scheme: str | Scheme, largest: float = 6.0) -> list[float]:
+    """Return the same edges from the scheme's tables: where |trace R| passes 2.
+
+    The step (q0, p0) -> (q1, p1) of L = v^2/2 - q^2/2 is linear; for Simpson's scheme the edges are
+    2 sqrt(2), 2 sqrt(3) and 2 sqrt(6).
+    """
+    method = read_scheme(scheme)
+
+    def stable_at(x: float) -> bool:
+        try:
+            return bool(abs(np.trace(method.oscillator(x))) - 2 <= 1e-12)
+        except np.linalg.LinAlgError:  # a pole of the map
+            return False
+
+    def stable(x: Floats) -> NDArray[np.bool_]:
+        return np.array([stable_at(value) for value in x.tolist()])
+
+    return _edges(stable, largest, 1e-12)
+
+
+def energy_map(
+    stepper: Stepper,
+    steps: ArrayLike,
+    parameter: str,
+    values: ArrayLike,
+    *,
+    state: Mapping[str, Any],
+    t_end: float,
+) -> Floats:
+    """Map the largest relative energy error over step sizes and a parameter.
+
+    Parameters
+    ----------
+    stepper : Stepper
+    steps : array_like, shape (a,)
+        Step sizes; each is fitted to divide ``t_end``.
+    parameter : str
+    values : array_like, shape (b,)
+    state : mapping
+        q0, and v0 or p0.
+    t_end : float
+
+    Returns
+    -------
+    ndarray, shape (a, b)
+        The range of the energy in units of its mean; infinite where a run failed.
+    """
+    column = np.asarray(values, dtype=np.float64)
+    q0 = np.tile(np.asarray(state["q0"], dtype=np.float64), (column.size, 1))
+    other = {key: value for key, value in state.items() if key != "q0"}
+    rows = []
+    for h in np.asarray(steps, dtype=np.float64):
+        count = max(1, round(t_end / h))
+        with without_step_warnings():
+            ensemble = stepper.ensemble(
+                q0,
+                **other,
+                h=t_end / count,
+                steps=count,
+                parameters={parameter: column},
+                reduce={kind: (kind, "energy") for kind in ("min", "max", "mean")},
+            )
+        seen = ensemble.reduced
+        good = (ensemble.status == 0) & np.isfinite(seen["mean"])
+        row = np.full(column.size, np.inf)
+        size = np.maximum(np.abs(seen["mean"][good]), 1e-300)
+        row[good] = (seen["max"][good] - seen["min"][good]) / size
+        rows.append(row)
+    return np.array(rows)

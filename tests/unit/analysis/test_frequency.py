@@ -6,8 +6,7 @@ import pytest
 import sympy as sp
 
 import symsimpson as ss
-from symsimpson.analysis.stability.frequency import largest_frequency
-from symsimpson.analysis.stability.spinning_bodies import fastest_turn
+from symsimpson.analysis.stability.frequency import fastest_turn, largest_frequency
 
 BODY = ss.RigidBody("b", inertia=(1, 2, 3))
 SYSTEM = ss.MechanicalSystem(

@@ -5,7 +5,7 @@ import pytest
 import sympy as sp
 
 import symsimpson as ss
-from symsimpson.analysis.path_error import PathError, path_error
+from symsimpson.analysis.candidates import PathError, path_error
 
 x, y = ss.coordinates("x y")
 
