@@ -320,8 +320,7 @@ def _nodes(s: Subject, scheme: Scheme, j: int) -> tuple[Reals, Reals, Reals]:
     for _ in range(ITERATIONS):
         at = At(q, points, s.h, s.precise.parameters, t, multipliers=pulls)
         left, slope = evaluate_equations(s.precise.program, at, p)
-        solved = context.lu_solve(context.matrix(slope.tolist()), context.matrix(left.tolist()))
-        change = np.array(list(solved), dtype=object)
+        change = s.precise.program.numbers.solve(slope, left)
         points = points - change[: d * n].reshape(d, n)
         pulls = None if pulls is None else pulls - change[d * n :].reshape(d, m)
     moved = points - q

@@ -1,9 +1,9 @@
-"""The compiled loop over steps between which bodies bounce, one impact at a time.
+"""Events within steps: where they are, and the loop over steps with impacts, one at a time.
 
-Compiled behind the text of the driver, whose names it uses. Python has a say for all events
-(:class:`symsimpson.run.event_run.EventRun`); what is plain is done here by the same rules. Where it
-is not (several impacts at one time, a gap that may close and open within a step, a part of a step
-that fails), the loop is left behind the step as it was taken, and nothing else has changed.
+Compiled behind the text of the driver, whose names it uses. All events are located here. Python
+(:class:`symsimpson.run.event_run.EventRun`) acts on those that are no plain impacts; what is plain
+is done here by the same rules. Where it is not (several impacts at one time, a part of a step that
+fails), the loop is left after the step as it was taken, and nothing else has changed.
 """
 
 import numpy as np
@@ -14,11 +14,13 @@ from symsimpson.driver.between import take
 from symsimpson.driver.short_run import take_all
 from symsimpson.driver.solving import DRIVER_OPTIONS, RARE, call
 from symsimpson.driver.steps import (
+    COUNTS,
     DRIVER_LAYOUT_ROWS,
     INPUTS,
     SET,
     SETTING,
     SIGNATURES,
+    STATES,
     STORES,
     WORKSPACE,
     store_lane,
@@ -27,16 +29,23 @@ from symsimpson.module.interface import *
 
 #: A rest of a step below this part of it is none; events that are so near act together.
 NOTHING, TOGETHER = 4 * 2.0**-52, 16 * 2.0**-52
+#: What is left of the size of an expression in each step, unless its terms are as large.
+FADED = 2.0**-10
 #: Rates of gaps below this part of the fastest velocity are none.
 STILL = 1e-12
 #: Newton's method for the time of an event ends with corrections below this part of the span.
 EXACT, MOST_NEWTON = 4 * 2.0**-52, 100
-#: A gap is looked at in between where it may come below this part of what it is at the ends.
-NEAR = 0.1
+#: Where a gap is lowest is known to this part of the span.
+LOWEST = 1e-9
+#: So near to a start at zero, relative to the span, an expression is looked at to begin there; one
+#: that stays above a part of the values around its change of sign is not zero, but jumps.
+NEARBY, JUMP = 1e-6, 1e-6
+#: The least number that is not rounded to zero.
+TINY = 2.0**-1022
 #: More impacts within one step may be those that accumulate.
 MOST_PLAIN = 3
-#: Of each event, where its rate stands among what is asked for, the first of its slopes, its
-#: condition (or -1), the size of its terms, and the sign that is waited for.
+#: Of each event, where its rate stands among what is asked for, the first of its slopes (-1 where
+#: it has neither), its condition (or -1), the size of its terms, and the sign that is waited for.
 RATE_AT, SLOPES_AT, WHEN_AT, SIZE_AT, SIGN = range(5)
 #: Of each impact that acted: its number, the time, the step, the impulse; then q and p before it
 #: and behind it.
@@ -44,9 +53,12 @@ EVENT, TIME_OF, STEP_OF, IMPULSE, STATES_OF = range(5)
 
 #: Kernels that take parts of steps, their workspace, and the layout for the driver.
 PARTING = types.Tuple((SET, WORKSPACE, DRIVER_LAYOUT_ROWS))
-#: What evaluates all that is asked for: prepare, the energy and the kernel; its workspace,
-#: the layout for the driver, and how much is asked for.
+#: What evaluates all that is asked for: prepare, the energy and the kernel; its workspace, in
+#: which prepare was called, the layout for the driver, and how much is asked for.
 LOOKING = types.Tuple((types.UniTuple(types.int64, 3), WORKSPACE, DRIVER_LAYOUT_ROWS, types.int64))
+#: Progress of parts of steps, where nothing is stored, how many were lost, and inputs.
+ROOM = types.Tuple((types.int64[::1], STATES, COUNTS, INPUTS))
+ROW = types.float64[::1]
 #: Numbers of the events, restitutions, the first row of what is watched, records, and how
 #: many there are of these.
 IMPACTS = types.Tuple(
@@ -61,7 +73,18 @@ SIGNATURES |= {
         STORES,
         INPUTS,
         IMPACTS,
-    )
+    ),
+    "locate": types.int64(
+        types.Tuple((PARTING, LOOKING, ROOM)),
+        types.UniTuple(ROW, 2),
+        types.float64,
+        types.float64,
+        types.UniTuple(ROW, 3),
+        ROW,
+        types.UniTuple(ROW, 2),
+        types.int64[:, ::1],
+        types.Tuple((ROW, types.UniTuple(ROW, 2))),
+    ),
 }
 
 
@@ -78,22 +101,6 @@ def zero_of_cubic(first, last, a, b, side):
         else:
             high = x
     return (low + high) / 2.0
-
-
-@njit(**RARE)
-def lowest_of_cubic(first, last, a, b):
-    """Return about how low a cubic goes that falls, then rises, by ends and slopes."""
-    rest = last - first
-    c, d = 3.0 * rest - 2.0 * a - b, a + b - 2.0 * rest
-    low, high = 0.0, 1.0
-    for _ in range(30):
-        x = (low + high) / 2.0
-        if a + x * (2.0 * c + x * 3.0 * d) < 0.0:
-            low = x
-        else:
-            high = x
-    x = (low + high) / 2.0
-    return first + x * (a + x * (c + x * d))
 
 
 @njit(**RARE)
@@ -118,9 +125,8 @@ def through_part(parting, start, t, size, state, room):
     for a in range(at[DIMENSION]):
         q[a], p[a] = from_q[a], from_p[a]
     progress, nothing, counted, inputs = room
-    return take(
-        kernels, (size, t, W, at), 1, (q, p), (inputs, 0), (progress, nothing, counted), False
-    )
+    here, aside = (size, t, W, at), (progress, nothing, counted)
+    return size == 0.0 or take(kernels, here, 1, (q, p), (inputs, 0), aside, False)
 
 
 @njit(**RARE)
@@ -131,51 +137,117 @@ def side_of(value, small, before):
 
 @njit(**RARE)
 def size_of(events, k, row, q, before):
-    """Return the size of a gap: that of its terms, or the one before if that is larger."""
-    size, terms = row[events[k, SIZE_AT]], 0.0
-    for a in range(q.size):
+    """Return the size of an expression: that of its terms, or what is left of the one before."""
+    size, terms, gap = row[events[k, SIZE_AT]], 0.0, events[k, SLOPES_AT] >= 0
+    for a in range(q.size if gap else 0):
         terms += abs(row[events[k, SLOPES_AT] + a] * q[a])
-    return max(before, size, terms)
+    return max(before if gap else FADED * before, size, terms)
 
 
 @njit(**RARE)
-def zero_in(means, start, t, span, ends, at_zero, side):
-    """Find where from 0 to a span a gap is zero, by Newton's method; tells if it was found.
+def value_at(means, start, t, x, place, work):
+    """Return a value after a part of a step; NaN, and it is counted, if that cannot be taken."""
+    (parting, looking, room), (row, state) = means, work
+    if not through_part(parting, start, t, x, state, room):
+        room[2][0, 0] += 1
+        return np.nan
+    look(looking, t + x, state[0], state[1], row)
+    return row[place]
 
-    Its number among events, and where its rate stands, are in ``at_zero``, with what is asked for
-    there, and the state; ``ends`` is what is asked for at both ends.
+
+@njit(**RARE)
+def ridders(means, start, t, span, ends, place, size, work):
+    """Find where in a span a value changes its sign, within a size; NaN where it is no number.
+
+    C. Ridders, IEEE Transactions on Circuits and Systems 26 (1979) 979.
     """
-    (parting, looking, room), (first_row, last_row), (k, place, row, state) = means, ends, at_zero
-    first, last = first_row[k], last_row[k]
-    low, high, before, met = 0.0, span, 0.0, False
-    x = span * zero_of_cubic(first, last, span * first_row[place], span * last_row[place], side)
-    tries, well = 0, True
-    while well and not met and tries < MOST_NEWTON:
-        well = through_part(parting, start, t, x, state, room)
-        well = well and look(looking, t + x, state[0], state[1], row)
-        value, rate = row[k], row[place]
-        if well:
-            if value * side > 0.0:
-                low = x
-            else:
-                high = x
-            change = -value / rate if rate != 0.0 else np.inf
-            left = abs(change) * abs(change) / before if before != 0.0 else np.inf
-            falls = rate * span * side <= 0.0
-            inside = (x + change - low) * (high - x - change) >= 0.0
-            met = falls and abs(change) <= EXACT * abs(span)
-            met = met or abs(high - low) <= EXACT * abs(span)
-            if not met and falls and inside and left <= EXACT * abs(span):
-                # the next correction is rounding: the state there is all that is left to find
-                x, met = x + change, True
-                well = through_part(parting, start, t, x, state, room)
-                well = well and look(looking, t + x, state[0], state[1], row)
-            elif not met and inside:
-                before, x = abs(change), x + change
-            elif not met:
-                before, x = 0.0, (low + high) / 2.0
+    (low, high), (first, last) = span, ends
+    while abs(high - low) > size:
+        middle = (low + high) / 2.0
+        value = value_at(means, start, t, middle, place, work)
+        root = np.sqrt(value * value - first * last)
+        if not root < np.inf:
+            return np.nan
+        if value == 0.0 or not (middle - low) * (high - middle) > 0.0:
+            return middle
+        share = abs(value) / root if root > 0.0 else 0.0
+        x = middle + (middle - low) * (share if (first > 0.0) == (value > 0.0) else -share)
+        there = value_at(means, start, t, x, place, work)
+        if not abs(there) < np.inf:
+            return np.nan
+        if (x - middle) * (high - low) < 0.0:
+            x, there, middle, value = middle, value, x, there
+        # the smallest bracket of what is known: low, middle, x and high stand in this order
+        if (first > 0.0) != (value > 0.0) or value == 0.0:
+            high, last = middle, value
+        elif (value > 0.0) != (there > 0.0) or there == 0.0:
+            low, first, high, last = middle, value, x, there
+        else:
+            low, first = x, there
+        if last == 0.0:
+            return high
+    return (low + high) / 2.0
+
+
+@njit(**RARE)
+def zero_by_rate(means, start, t, span, ends, places, side, work):
+    """Find where from 0 to a span a gap is zero, NaN where it is no number.
+
+    ``ends`` are the gap and its rate at both ends, ``places`` where they stand. Newton's method
+    begins at the zero of a cubic, and bisects where it leaves the bracket.
+    """
+    ((first, down), (last, up)), (k, rate_at) = ends, places
+    low, high, before, met, tries = 0.0, span, 0.0, False, 0
+    x = span * zero_of_cubic(first, last, span * down, span * up, side)
+    while not met and tries < MOST_NEWTON:
+        value = value_at(means, start, t, x, k, work)
+        rate = work[0][rate_at]
+        if not abs(value) < np.inf:
+            return np.nan
+        if value * side > 0.0:
+            low = x
+        else:
+            high = x
+        change = -value / rate if rate != 0.0 else np.inf
+        # slopes of the scheme differ from the rate: convergence is linear
+        left = abs(change) * abs(change) / before if before != 0.0 else np.inf
+        falls = rate * span * side <= 0.0
+        inside = (x + change - low) * (high - x - change) >= 0.0
+        met = falls and abs(change) <= EXACT * abs(span)
+        met = met or abs(high - low) <= EXACT * abs(span)
+        if not met and falls and inside and left <= EXACT * abs(span):
+            # the next correction is rounding: the state there is all that is left to find
+            x, met = x + change, True
+            value_at(means, start, t, x, k, work)
+        elif not met and inside:
+            before, x = abs(change), x + change
+        elif not met:
+            before, x = 0.0, (low + high) / 2.0
         tries += 1
-    return x, well and met and abs(x) > 4.0 * EXACT * abs(span)
+    return 0.0 if abs(x) <= 4.0 * EXACT * abs(span) else x
+
+
+@njit(**RARE)
+def zero_without_rate(means, start, t, span, ends, k, side, work):
+    """Find where from 0 to a span an expression without a rate is zero, NaN where it jumps."""
+    (first, last), low, size = ends, 0.0, EXACT * abs(span)
+    if abs(first) < NEARBY * abs(last):  # rounding: it begins a little later
+        there = value_at(means, start, t, NEARBY * span, k, work)
+        if there * side > first:
+            low, first = NEARBY * span, there
+    x = ridders(means, start, t, (low, span), (first, last), k, size, work)
+    most = JUMP * (abs(first) + abs(last))
+    return x if x == x and abs(value_at(means, start, t, x, k, work)) <= most else np.nan
+
+
+@njit(**RARE)
+def dip(means, start, t, span, ends, k, rate, small, work):
+    """Find where a gap passes through zero and comes back within a span, NaN if it does not."""
+    (first, last), x = ends, np.nan
+    if min(first[k], last[k]) > small and span * first[rate] < 0.0 and span * last[rate] > 0.0:
+        rates, size = (first[rate], last[rate]), LOWEST * abs(span)
+        x = ridders(means, start, t, (0.0, span), rates, rate, size, work)
+    return x if x == x and value_at(means, start, t, x, k, work) < -small else np.nan
 
 
 @njit(**RARE)
@@ -206,41 +278,43 @@ def weight_of(looking, events, k, t, row, q):
 
 
 @njit(**RARE)
-def first_zero(means, start, t, span, rows, sides, events, work):
-    """Find the first zero of a gap from 0 to a span: its event, or -1 if there is none, and where.
+def locate(means, start, t, span, ends, zeros, sides, events, work):
+    """Find the first event within a span of a step; return its number, -1 where there is none.
 
-    It is -2 if the zero is not plain. In ``work`` is left what is asked for there, and the state.
+    ``ends`` is all that is asked for at both ends, and q at the last one. Zeros of expressions that
+    change their side, and of gaps that pass through zero and come back, are put into ``zeros``. An
+    entry that is not NaN at first is the end of the span for its event. The state at the first zero
+    is left in ``work``, with all that is asked for. Returns -2 if a part cannot be taken.
     """
-    (side, size, near), (row, state), count = sides, work, events.shape[0]
-    (first, last, q), (parting, looking, room) = rows, means
-    event, place, zeros = -1, span, 0
-    for k in range(count):
-        rate = events[k, RATE_AT]
-        behind = side_of(last[k], ZERO * size_of(events, k, last, q, size[k]), side[k])
-        sign = events[k, SIGN]
-        met = side[k] * behind < 0.0 and (sign == 0 or behind == sign)
-        falls, rises = span * first[rate], span * last[rate]
-        least = min(first[k], last[k])
-        if met:
-            at_zero = k, rate, row, state
-            x, well = zero_in(means, start, t, span, (first, last), at_zero, side[k])
-            if not well or (event >= 0 and abs(x - place) <= near):
-                return -2, 0.0
-            zeros += 1
-            if event == -1 or abs(x) < abs(place):
-                event, place = k, x
-        elif (
-            least > ZERO * size[k]
-            and falls < 0.0
-            and rises > 0.0
-            and lowest_of_cubic(first[k], last[k], falls, rises) < NEAR * least
-        ):
-            return -2, 0.0
-    if zeros > 1:  # the last one that was looked for need not be the first
-        well = through_part(parting, start, t, place, state, room)
-        if not well or not look(looking, t + place, state[0], state[1], row):
-            return -2, 0.0
-    return event, place
+    (first, last, q), (side, size), lost, earliest, tried = ends, sides, means[2][2], -1, 0
+    lost[0, 0] = 0
+    for k in range(events.shape[0]):
+        after = side_of(last[k], ZERO * size_of(events, k, last, q, size[k]), side[k])
+        sign, rate = events[k, SIGN], events[k, RATE_AT]
+        if side[k] * after < 0.0 and (sign == 0 or after == sign):
+            zeros[k] = span
+        elif events[k, SLOPES_AT] >= 0:
+            rows, small = (first, last), ZERO * size[k]
+            zeros[k] = dip(means, start, t, span, rows, k, rate, small, work)
+    for k in range(events.shape[0]):
+        if zeros[k] == zeros[k]:
+            tried, until, rate = tried + 1, zeros[k], events[k, RATE_AT]
+            then, up = last[k], last[rate]
+            if until != span:
+                then = value_at(means, start, t, until, k, work)
+                up = work[0][rate]
+            # rounding may have left the start behind zero
+            now = first[k] if first[k] * side[k] > 0.0 else side[k] * TINY
+            if events[k, SLOPES_AT] < 0:
+                zeros[k] = zero_without_rate(means, start, t, until, (now, then), k, side[k], work)
+            else:
+                both = (now, first[rate]), (then, up)
+                zeros[k] = zero_by_rate(means, start, t, until, both, (k, rate), side[k], work)
+            if zeros[k] == zeros[k] and (earliest < 0 or abs(zeros[k]) < abs(zeros[earliest])):
+                earliest = k
+    if earliest >= 0 and (tried > 1 or zeros[earliest] == 0.0):  # others were looked at behind it
+        value_at(means, start, t, zeros[earliest], earliest, work)
+    return earliest if lost[0, 0] == 0 else -2
 
 
 @njit(**RARE)
@@ -251,7 +325,7 @@ def bounce(means, setting, step, impacts, sides):
     made for it, and sides and sizes are those behind it.
     """
     (h, t0, W, at), (events, restitution, _, records, counts) = setting, impacts
-    (side, size, state, there, behind, first, last, row), n = sides, at[DIMENSION]
+    (side, size, zeros, state, there, behind, first, last, row), n = sides, at[DIMENSION]
     shift = at[PREVIOUS] - at[POSITION]
     (q, p), (parting, looking, room) = state, means
     for a in range(n):
@@ -264,10 +338,12 @@ def bounce(means, setting, step, impacts, sides):
         if acted > 0:  # else it is the step as it was taken
             well = acted <= MOST_PLAIN and through_part(parting, state, t, rest, behind, room)
         well = well and look(looking, t0 + h, behind[0], behind[1], last)
-        k, x = -2, 0.0
+        k = -2
         if well:
-            now, work, ends = (side, size, near), (row, there), (first, last, behind[0])
-            k, x = first_zero(means, state, t, rest, ends, now, events, work)
+            for j in range(events.shape[0]):
+                zeros[j] = np.nan
+            ends, work = (first, last, behind[0]), (row, there)
+            k = locate(means, state, t, rest, ends, zeros, (side, size), events, work)
         well = k != -2
         if well and k == -1:
             over = True
@@ -276,11 +352,14 @@ def bounce(means, setting, step, impacts, sides):
                 side[k] = side_of(last[k], ZERO * size[k], before)
                 well = well and (acted > 0 or side[k] == before)
         elif well:
+            x = zeros[k]
             t += x
             well = counts[0] + acted < records.shape[0] and abs(rest - x) > NOTHING * abs(h)
+            well = well and x != 0.0
             well = well and (events[k, WHEN_AT] < 0 or row[events[k, WHEN_AT]] > 0.0)
             for other in range(events.shape[0]):
-                well = well and (other == k or abs(row[other]) > ZERO * size[other])
+                apart = not abs(zeros[other] - x) <= near and abs(row[other]) > ZERO * size[other]
+                well = well and (other == k or apart)
             sign, speed, weight = 1.0 if h > 0.0 else -1.0, 0.0, 0.0
             if well:
                 speed = closing(looking, events, k, row, sign)
@@ -310,9 +389,8 @@ def take_bouncing(sets, setting, progress, asked, stores, inputs, impacts):
     """
     (kernels, parting, looking), (h, t0, W, at), (stop, every) = sets, setting, asked
     (events, _, watched, records, counts), n = impacts, at[DIMENSION]
-    (prepare, _, _), W_look, _, width = looking
-    number = events.shape[0]
-    side, size = np.empty(number), np.empty(number)
+    number, width = events.shape[0], looking[3]
+    side, size, zeros = np.empty(number), np.empty(number), np.empty(number)
     state, there = (np.empty(n), np.empty(n)), (np.empty(n), np.empty(n))
     behind, first, last, row = (
         (np.empty(n), np.empty(n)),
@@ -326,7 +404,6 @@ def take_bouncing(sets, setting, progress, asked, stores, inputs, impacts):
         np.empty((1, 1), dtype=np.int64),
         inputs,
     )
-    call(prepare, 1.0, 0.0, W_look)
     more = True
     while more:
         take_all(kernels, setting, progress, stop, every, stores, inputs)
@@ -336,7 +413,7 @@ def take_bouncing(sets, setting, progress, asked, stores, inputs, impacts):
             for k in range(number):
                 side[k] = W[watched + WATCHED * k, 0]
                 size[k] = W[watched + WATCHED * k + SIZE_WATCHED, 0]
-            rows = side, size, state, there, behind, first, last, row
+            rows = side, size, zeros, state, there, behind, first, last, row
             here = h, t0 + h * step, W, at
             more = bounce((parting, looking, room), here, step, impacts, rows)
         t = t0 + h * (step + 1)

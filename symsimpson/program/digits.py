@@ -178,6 +178,12 @@ class Digits(Numbers):
         """Return whole numbers to multiply with."""
         return np.array(range(first, stop, stride), dtype=object)
 
+    def solve(self, matrix: Reals, right: Reals) -> Reals:
+        """Solve a system of linear equations."""
+        context = self.context
+        solved = context.lu_solve(context.matrix(matrix.tolist()), context.matrix(right.tolist()))
+        return np.array(list(solved), dtype=object)
+
     def lambdified(self, symbols: Sequence[Any], expressions: Sequence[Any]) -> Any:
         """Return a function that takes numbers of arrays one by one."""
         import sympy as sp

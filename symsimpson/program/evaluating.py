@@ -61,28 +61,30 @@ def evaluate(
 
 
 def observer(
-    program: Program, observed: Sequence[Observed], values: Reals
+    program: Program, observed: Sequence[Observed], values: Reals, kernel: Any = None
 ) -> tuple[tuple[int, int, int], Reals]:
     """Return what evaluates expressions: prepare, the energy and a kernel; and their workspace.
 
-    Raises InputError if the stepper has many digits.
+    The ``kernel`` is compiled unless it is given. Raises InputError if the stepper has many digits.
     """
     header, numbers, kernels = program.header, program.numbers, program.kernels
-    kernel = kernels.compile_observer(observing_kernel(header, observed), len(observed))
+    if kernel is None:
+        kernel = kernels.compile_observer(observing_kernel(header, observed), len(observed))
     W = workspace(header, numbers, np.atleast_2d(numbers.read(values))[0], more=len(observed))
     return (kernels.address("prepare"), kernels.address("energy"), kernel), W
 
 
 def watching(
-    program: Program, observed: Sequence[Observed], values: Reals
+    program: Program, observed: Sequence[Observed], values: Reals, kernel: Any = None
 ) -> Callable[[Reals, Reals, Reals], Reals]:
     """Return what evaluates expressions at many states (t, q, p); shape (len(q), len(observed)).
 
     Parameters have ``values`` of shape (m,), or (K, m) if equally many states of K members follow
-    one another. Raises InputError if the stepper has many digits.
+    one another. The ``kernel`` is compiled unless it is given. Raises InputError if the stepper has
+    many digits.
     """
     header, numbers = program.header, program.numbers
-    (prepare, energy, kernel), W = observer(program, observed, values)
+    (prepare, energy, kernel), W = observer(program, observed, values, kernel)
     # asked for one state often: all but the states is found once
     addresses = prepare, energy if any(quantity.energetic for quantity in observed) else 0, kernel
     driver = numbers.driver("evaluate")
@@ -90,9 +92,9 @@ def watching(
     given = NO_INPUTS, np.atleast_2d(numbers.read(values))
 
     def watch(t: Reals, q: Reals, p: Reals) -> Reals:
-        out = np.zeros((len(q), count))
+        out = numbers.zeros((len(q), count))
         # copies: what came from a file, or from another process, may be read-only
-        states = tuple(np.array(x, dtype=np.float64, order="C") for x in (t, q, p))
+        states = tuple(np.array(x, dtype=out.dtype, order="C") for x in (t, q, p))
         driver(addresses, 1.0, W, about, states, first, out, given)
         return out
 

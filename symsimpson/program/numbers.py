@@ -78,6 +78,10 @@ class Numbers:
         """Return an array as a user gets it."""
         return array
 
+    def solve(self, matrix: Reals, right: Reals) -> Reals:
+        """Solve a system of linear equations."""
+        return np.linalg.solve(matrix, right)
+
     def lambdified(self, symbols: Sequence[Any], expressions: Sequence[Any]) -> Any:
         """Return a function of arrays that evaluates expressions of SymPy, a list of arrays."""
         import sympy as sp

@@ -70,6 +70,8 @@ class Findings:
     long: set[tuple[float, float]] = field(default_factory=set)
     #: By numbers of lanes: kernels for so many trajectories at a time.
     wide: dict[int, KernelSets] = field(default_factory=dict)
+    #: By texts of modules with expressions of events: kernels in many digits.
+    many_digits: dict[str, KernelSets] = field(default_factory=dict)
     events: dict[Any, Any] = field(default_factory=dict)  #: Events of runs, as they were read.
     #: By lanes that stand side by side: how many members of an ensemble are faster.
     lanes: dict[int, int] = field(default_factory=dict)

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from symsimpson.driver.impacts import NOTHING, TOGETHER
 from symsimpson.errors import InputError
-from symsimpson.module.interface import ARRIVED, MET, RECORDERS, WATCHED, ZERO
+from symsimpson.module.interface import ARRIVED, MET, RECORDERS, WATCHED
 from symsimpson.module.workspace_layout import DRIVER_LAYOUT
 from symsimpson.program.observed import OF_EVENTS, Reduction
 from symsimpson.program.recorders import Recorder
 from symsimpson.program.status import Status
 from symsimpson.results.records import Record
-from symsimpson.run.accumulation import Times, accumulation
 from symsimpson.run.event_actions import EventActions
+from symsimpson.run.event_locator import LOST, EventLocator, plain_restitution
 from symsimpson.run.event_sides import Sides
-from symsimpson.run.plain_impacts import PlainImpacts, plain_restitution
 from symsimpson.stepping.event import Impact
 from symsimpson.stepping.parts import LEAST, Parts
 from symsimpson.stepping.run import Run
@@ -37,6 +37,11 @@ __all__ = ["EventRun"]
 MOST_ACTIONS, BEHIND = 500, 1e-9
 #: So many steps are taken at first before Ctrl-C is heard.
 FEW_STEPS = 16
+#: When impacts that lose energy have acted within a step, by their numbers.
+Times = dict[int, list[float]]
+#: Impacts whose times add up to less than this part of a step from the last one on accumulate; from
+#: one to the next they have one ratio then, but for that part of it.
+ACCUMULATED, STEADY = 1e-6, 0.1
 
 
 class EventRun(Run):
@@ -69,10 +74,11 @@ class EventRun(Run):
             from symsimpson.run.saltation import Saltation  # few runs need it
 
             self._saltation = Saltation(program, run_events, spec.parameters, float(spec.h), inputs)
-        restitution = plain_restitution(program, run_events, spec)
+        watch = self._actions.rows
+        self._locator = EventLocator(program, run_events, self._parts, watch, first, self.records)
+        restitution = plain_restitution(program, run_events, spec, self._actions)
         if restitution is not None and not (inputs.size or works):
-            plain = PlainImpacts(program, run_events, self._parts, restitution, first, self.records)
-            self._take_steps = plain.take_steps
+            self._take_steps = partial(self._locator.take_steps, restitution)
 
     def beside(self, recorded: Reals, result: Any) -> dict[str, Any]:
         """Return what is known beside states, with what events did."""
@@ -273,41 +279,26 @@ class EventRun(Run):
         self, step: int, t0: float, done: float, rest: float, start: Any, end: Any
     ) -> tuple[float, Any, list[int]] | None:
         """Find the first events of the rest of a step: when, where, and which."""
-        h, lost = float(self.h), list[float]()
-
-        def after(part: float) -> Any:
-            state, status = self._parts.beside(start, t0 + done, part, step, done / h)
-            if status is Status.SUCCESS:
-                return state
-            if part == part:  # else nothing was asked for
-                lost.append(part)
-            return np.nan * start[0], np.nan * start[1]
+        h, t, place = float(self.h), t0 + done, (step, done / float(self.h))
 
         def row(part: float) -> Floats:
-            return self._actions.row(t0 + done + part, after(part))
+            state, status = self._parts.beside(start, t, part, *place)
+            state = state if status is Status.SUCCESS else (np.nan * start[0], np.nan * start[1])
+            return self._actions.row(t + part, state)
 
         if not done and (due := self.sides.due(t0, start, step, self.sides.small_at(t0, start))):
             return 0.0, start, due
-        first, last = self._actions.row(t0 + done, start), self._actions.row(t0 + h, end)
-        small = ZERO * self.sides.faded(last, end[0])
-        behind = self.sides.of(last[: len(small)], small)
-        met = np.flatnonzero(self.sides.acts(behind)).tolist()
-        ends = self._actions.dips(row, rest, first, last, self.sides.small)
-        ends |= dict.fromkeys(met, (rest, last)) | self.sides.between(row, rest, first, last)
-        sides = self.sides.side.tolist()
-        roots = {
-            k: self._actions.root(row, k, until, (first, there), sides[k])
-            for k, (until, there) in ends.items()
-        }
-        if lost and np.isnan([*roots.values()]).any():
+        first, last = self._actions.row(t, start), self._actions.row(t0 + h, end)
+        zeros = self.sides.between(row, rest, first, last)
+        sides, ends = (self.sides.side.copy(), self.sides.size.copy()), (first, last, end[0])
+        event, state = self._locator.locate(start, t, place, rest, ends, zeros, sides)
+        if event == LOST:
             self._fail(Status.NOT_FINITE, "A part of a step to an event has no value. ")
+        if event < 0:
             return None
-        roots = {k: x for k, x in roots.items() if x == x}  # else it jumps there
-        if not roots:
-            return None
-        part = min(roots.values(), key=lambda x: abs(x))
-        near = TOGETHER * max(abs(t0 + done + part), abs(h))
-        return part, after(part), [k for k, x in roots.items() if abs(x - part) <= near]
+        part = zeros.item(event)
+        near = TOGETHER * max(abs(t + part), abs(h))
+        return part, state, np.flatnonzero(np.abs(zeros - part) <= near).tolist()
 
     def _act(self, t: float, step: int, state: Any, events: Sequence[int], times: Times) -> Any:
         """Let events act on a state, and keep records; None where the run ends with them."""
@@ -393,3 +384,18 @@ class EventRun(Run):
     def _fail(self, status: Status, why: str = "") -> None:
         general = status.message if status is Status.EVENTS_ACCUMULATE or not why else ""
         self._code, self.reason = int(status), f"{why}{general}".strip()
+
+
+def accumulation(times: Mapping[int, Sequence[float]], h: float) -> tuple[int, float] | None:
+    """Return the impact that accumulates within a step of length h, and up to when; or None.
+
+    The times between its hits form an infinite geometric series.
+    """
+    for k, hits in times.items():
+        if len(hits) >= 4:
+            first, late, later = np.diff(hits[-4:]).tolist()
+            before, ratio = (late / first, later / late) if first and late else (1.0, 1.0)
+            left = ratio / (1 - ratio) * later if 0 <= ratio < 1 else np.inf
+            if abs(ratio - before) <= STEADY * abs(before) and abs(left) < ACCUMULATED * h:
+                return k, float(hits[-1] + left)
+    return None

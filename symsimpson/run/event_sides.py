@@ -132,25 +132,24 @@ class Sides:
 
     def between(
         self, row: Callable[[float], Floats], rest: float, first: Floats, last: Floats
-    ) -> dict[int, tuple[float, Floats]]:
-        """Return where events act whose expressions are zero at the end of a rest of a step.
+    ) -> Floats:
+        """Return places up to which events act whose expressions end at zero, NaN for others.
 
-        The row of values there comes with each place. ``row`` computes it; ``first`` and ``last``
-        are the rows at both ends.
+        ``row`` computes all that is asked for after a part of a rest of a step; ``first`` and
+        ``last`` are the rows at both ends.
         """
         count, sizes = len(self.size), np.fmax(self.size, self._seen_of_late)
         small = ZERO * np.fmax(sizes, np.abs(last[: len(sizes)]))
-        zeros = ~self._actions.impacts & (np.abs(last[:count]) <= small)
-        self._arriving, met = np.zeros(count), dict[int, tuple[float, Floats]]()
-        if zeros.any():
+        ended = ~self._actions.impacts & (np.abs(last[:count]) <= small)
+        self._arriving, zeros = np.zeros(count), np.full(count, np.nan)
+        if ended.any():
             self._arriving = signs_beside(lambda x: self._seen(row(rest - x * rest)), small)
-            both = zeros & (np.abs(first[:count]) <= small)
-            for x in (1 - BESIDE[1], *(PLACES if both.any() else ())):  # the first one counts
-                there = row(x * rest)
-                behind = self._arriving if x == 1 - BESIDE[1] else self.of(there[:count], small)
-                here = self.acts(behind) & (zeros if x == 1 - BESIDE[1] else both)
-                met |= dict.fromkeys(np.flatnonzero(here).tolist(), (x * rest, there))
-        return met
+            zeros[self.acts(self._arriving) & ended] = (1 - BESIDE[1]) * rest
+            both = ended & (np.abs(first[:count]) <= small)
+            for x in PLACES if both.any() else ():  # the first one counts
+                there = self.of(row(x * rest)[:count], small)
+                zeros[self.acts(there) & both] = x * rest
+        return zeros
 
     @property
     def small(self) -> Floats:

@@ -7,21 +7,26 @@ the step, not by the vector field, which differs from that by the error of the s
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
-from mpmath import workdps
 
 from symsimpson.errors import ResolutionWarning
+from symsimpson.program.digits import read_precision
+from symsimpson.program.evaluating import watching
+from symsimpson.program.observed import observing_kernel
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import tangents
-from symsimpson.run.jumps import DIGITS, Jumps, slope
+from symsimpson.run.event_maps import EventMaps, read_restitution
 from symsimpson.stepping.driving import since
+from symsimpson.stepping.event import Impact
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.run_events import RunEvents, check_variations
 from symsimpson.stepping.variations import STEP_ITSELF, varied_program
-from symsimpson.support.array_types import Floats, State
+from symsimpson.support.array_types import Floats, Reals, State
 from symsimpson.support.calling import warn
 
 __all__ = ["Saltation"]
@@ -34,6 +39,8 @@ SHORT = 1e-4
 AWAY = 1e-6
 #: Parts of a step that are shorter than this part of it have no length.
 NOTHING = 1e-12
+#: So many digits, and differences that leave as many of a derivative as doubles have, and more.
+DIGITS, DIFFERENCE = 60, "1e-20"
 
 
 class Saltation:
@@ -78,9 +85,8 @@ class Saltation:
         if event is None:
             longer = -self.moved
         else:
-            with workdps(DIGITS):
-                begun = self._jumps.value(event, self._jumps.point(t, *state))
-                longer = self._later(event, t + size, end, columns, by_length, begun / size)
+            begun = self._jumps.value(event, self._jumps.point(t, *state))
+            longer = self._later(event, t + size, end, columns, by_length, begun / size)
         self.columns = columns + np.outer(by_length, longer)
         self.moved, self._timed = self.moved + longer, event
 
@@ -96,26 +102,20 @@ class Saltation:
         An impact on a wall behind which a change has led has no zero there, and no time of its own.
         """
         field, self._timed = self._field(t, state, step), event
-        if self._is_behind(event, t, state, field):
+        value, at, rate = self._watched(event, t, state, field)
+        if abs(value(at)) > AWAY * abs(rate * self._h):
             return
         self.settle(t, state, step)
-        with workdps(DIGITS):
-            later = self._later(event, t, state, self.columns, field, 0.0)
+        later = self._later(event, t, state, self.columns, field, 0.0)
         self.columns = self.columns + np.outer(field, later)
         self.moved = later
-
-    def _is_behind(self, event: int, t: float, state: State, field: Floats) -> bool:
-        """Return whether the expression of an event is further from zero than roundings make it."""
-        with workdps(DIGITS):
-            value, at, rate = self._watched(event, t, state, field)
-            return bool(abs(value(at)[0]) > AWAY * abs(rate * self._h))
 
     def _watched(self, event: int, t: float, state: State, field: Floats) -> tuple[Any, Any, Any]:
         """Return the expression of an event, the point of a state, and its rate there."""
         at = self._jumps.point(t, *state)
-        value: Callable[[Any], Any] = lambda z: [self._jumps.value(event, z)]  # noqa: E731
+        value: Callable[[Any], Any] = partial(self._jumps.value, event)
         (motion,) = self._jumps.ways(np.ones(1), field[:, None], ())
-        return value, at, slope(value, at, motion)[0]
+        return value, at, self._jumps.slope(value, at, motion)
 
     def _field(self, t: float, state: State, step: int) -> Floats:
         """Return the derivative by the length of parts of no length: the vector field."""
@@ -127,10 +127,9 @@ class Saltation:
         """Let an event act on them, at a time of its own."""
         if event != self._timed:
             self._retime(t, state, event, step)
-        with workdps(DIGITS):
-            at = self._jumps.point(t, *state)
-            ways = self._jumps.ways(self.moved, self.columns, self._own)
-            slopes = [slope(lambda z: self._jumps.act(event, z), at, way) for way in ways]
+        at, act = self._jumps.point(t, *state), partial(self._jumps.act, event)
+        ways = self._jumps.ways(self.moved, self.columns, self._own)
+        slopes = [self._jumps.slope(act, at, way) for way in ways]
         self.columns = np.array(slopes, dtype=np.float64).T.reshape(self.columns.shape)
 
     def _later(
@@ -151,7 +150,7 @@ class Saltation:
             )
         if rate == 0:
             return np.full(self.moved.shape, np.nan)
-        return np.array([float(-slope(value, at, way)[0] / rate) for way in ways])
+        return np.array([float(-self._jumps.slope(value, at, way) / rate) for way in ways])
 
     def _carried(
         self, state: State, t: float, size: float, step: int
@@ -173,3 +172,67 @@ class Saltation:
         by_time = columns[:, count + 1] if more > 1 else np.zeros(2 * n)
         q, p = (x[0] for x in run.end())
         return columns[:, :count], columns[:, count], by_time, (q, p)
+
+
+class Jumps:
+    """Values of expressions of events, and states after them, in many digits.
+
+    A point is an array of t, q, p and the parameters.
+    """
+
+    def __init__(self, program: Program, run_events: RunEvents, parameters: Floats) -> None:
+        numbers, header = read_precision(DIGITS, "mpmath"), program.header
+        text = f"{program.source}\n\n{observing_kernel(header, run_events.watched)}"
+        known = program.findings.many_digits
+        if text not in known:  # reading a text takes 50 ms
+            known[text] = numbers.kernels(text, header)
+        self._program = replace(program, numbers=numbers, kernels=known[text])
+        self._events, self._parameters = run_events, parameters
+        self._difference = numbers.read(DIFFERENCE).item()
+
+    def point(self, t: float, q: Floats, p: Floats) -> Reals:
+        """Return the point of a state."""
+        return self._program.numbers.read([t, *q, *p, *self._parameters])
+
+    def ways(self, moved: Floats, columns: Floats, varied: Sequence[str]) -> Floats:
+        """Return variations of points: of the time, the state, and of parameters by the last."""
+        names = self._program.header.parameters
+        ways = np.zeros((columns.shape[1], 1 + len(columns) + len(names)))
+        ways[:, 0], ways[:, 1 : 1 + len(columns)] = moved, columns.T
+        for way, name in zip(ways[len(ways) - len(varied) :], varied, strict=True):
+            if name in names:
+                way[1 + len(columns) + names.index(name)] = 1.0
+        return ways
+
+    def value(self, event: int, z: Reals) -> Any:
+        """Return the expression of an event at a point."""
+        maps, t, state = self._at(z)
+        return maps.row(t, state)[event]
+
+    def act(self, event: int, z: Reals) -> Reals:
+        """Return q and p after an event."""
+        maps, t, state = self._at(z)
+        action, row = self._events.events[event].action, maps.row(t, state)
+        if isinstance(action, Impact):
+            values = z[1 + 2 * self._program.n :]
+            law = read_restitution(self._program, action.restitution, values)
+            state, _ = maps.hit(t, state, row, event, law)
+        elif self._events.changes[event]:
+            state, _ = maps.change(t, state, row, event)
+        return np.concatenate(state)
+
+    def slope(self, function: Callable[[Reals], Any], at: Reals, way: Floats) -> Any:
+        """Return the derivative of a function along a way, by a central difference."""
+        size = np.abs(way).max()
+        if size == 0:
+            return 0 * function(at)
+        d = self._difference / size
+        return (function(at + way * d) - function(at - way * d)) / (2 * d)
+
+    def _at(self, z: Reals) -> tuple[EventMaps, Any, tuple[Reals, Reals]]:
+        """Return the maps for the parameters of a point, its time and its state."""
+        program, n = self._program, self._program.n
+        q, p, values = np.split(z[1:], [n, 2 * n])
+        kernel = program.kernels.address("observe")
+        rows = watching(program, self._events.watched, values, kernel)
+        return EventMaps(program, self._events, values, rows), z[0], (q, p)

@@ -52,7 +52,7 @@ class Parts:
         if size == 0.0:
             return (q, p), Status.SUCCESS
         (kernels, W, driver_layout), n = self.parting, len(q)
-        rests = self._rests(size, step, share)
+        rests = self.inputs(size, step, share)
         ends, fine = np.zeros((2, 2, n)), np.zeros(1, dtype=np.bool_)
         zero = np.zeros(1, dtype=np.int64)
         self._between(
@@ -94,13 +94,13 @@ class Parts:
         program, recorder = self._program, work(self._program.header) if self.works else None
         if recorder is None or size == 0.0:
             return np.zeros(self.works * program.header.powers)
-        inputs = self._rests(size, step, share)
+        inputs = self.inputs(size, step, share)
         run = Run(program, self.parameters, size, t, 0, 1, inputs=inputs, recorders=[recorder])
         run.begin(*state, velocity=False)
         run.advance(1)
         return run.rows("WORK", program.header.powers).copy()
 
-    def _rests(self, size: float, step: int, share: float) -> Floats:
+    def inputs(self, size: float, step: int, share: float) -> Floats:
         """Return the inputs of a part of a step, at its own nodes."""
         if not self._inputs.size:
             return self._inputs

@@ -86,7 +86,7 @@ def test_others_are_left_to_python(events, split):
 
 
 def test_a_bounce_within_a_step_is_seen():
-    """The gap is positive at both ends: dips are Python's."""
+    """The gap is positive at both ends: its rate tells where to look."""
     runs = [drop(floor(1), h=h, t_end=3.6) for h in (0.9, 0.01)]
     assert [len(run.records) for run in runs] == [4, 4]
     assert abs(runs[0].q[-1] - runs[1].q[-1]).max() < 1e-10
@@ -118,7 +118,7 @@ def test_two_impacts_in_a_step(lift, start, names, times):
 
 
 def test_records_of_more_impacts_than_there_is_room_for(monkeypatch):
-    monkeypatch.setattr("symsimpson.run.plain_impacts.ROOM", 3)
+    monkeypatch.setattr("symsimpson.run.event_locator.ROOM", 3)
     run = drop(floor(1), h=0.05, t_end=20.0, every=7)
     monkeypatch.undo()
     whole = drop(floor(1), h=0.05, t_end=20.0)
