@@ -47,7 +47,7 @@ from .mechanics.rotations import quaternion as quaternion
 from .mechanics.rotations import rotation_matrix as rotation_matrix
 from .mechanics.structure import Structure as Structure
 from .mechanics.system import MechanicalSystem as MechanicalSystem
-from .plotting.animate import Animation as Animation
+from .plotting.films import Animation as Animation
 from .program.cache_contents import clear_cache as clear_cache
 from .program.configuration import show_config as show_config
 from .program.status import Status as Status

@@ -31,8 +31,8 @@ from symsimpson.program.input_values import read_number
 from symsimpson.program.numbers import FLOAT64
 from symsimpson.run.ended import uninterrupted
 from symsimpson.schemes.scheme import Scheme
-from symsimpson.support.ahead import late
 from symsimpson.support.calling import explained, without_step_warnings
+from symsimpson.support.interpreter import late
 from symsimpson.support.markup import box, facts
 from symsimpson.support.names import in_a_row
 from symsimpson.support.progress import waiting

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from symsimpson.api.stepper import Stepper
-from symsimpson.module.matrices import slopes_of
+from symsimpson.module.quantity import slopes_of
 from symsimpson.program.digits import Digits, read_precision
 from symsimpson.program.evaluating import evaluate
 from symsimpson.program.program import new_program

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from symsimpson.api.stepper import Stepper
-from symsimpson.module.definitions import definitions, redefined
 from symsimpson.module.header import signed_anew, with_facts
+from symsimpson.module.syntax import definitions, redefined
 from symsimpson.program.program import new_program
 
 

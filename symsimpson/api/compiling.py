@@ -38,8 +38,6 @@ from symsimpson.support.progress import waiting
 if TYPE_CHECKING:
     from symsimpson.stepping.event import Event
 
-__all__ = ["check_system", "compile", "generate", "load", "resume"]
-
 
 def _call(module: str, name: str, *given: Any, **named: Any) -> Any:
     """Call a function of the analysis, whose module is loaded by the first call."""

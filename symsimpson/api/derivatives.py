@@ -19,8 +19,6 @@ from symsimpson.stepping.variations import read_varied
 from symsimpson.support.array_types import Reals
 from symsimpson.support.calling import explaining
 
-__all__ = ["Differentiating"]
-
 
 @explaining()
 class Differentiating(Stepping):

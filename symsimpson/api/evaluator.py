@@ -14,8 +14,6 @@ from symsimpson.program.program import Program
 from symsimpson.support.array_types import Reals
 from symsimpson.support.calling import explaining
 
-__all__ = ["Evaluator"]
-
 Parameters = Mapping[Any, Any]
 
 

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from symsimpson.results.events import Events
     from symsimpson.stepping.event import Event
 
-__all__ = ["Examining"]
-
 
 @explaining()
 class Examining(Differentiating):

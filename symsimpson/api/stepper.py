@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from symsimpson.results.sampled import Sampled, Saved
     from symsimpson.stepping.event import Event
 
-__all__ = ["Stepper"]
-
 
 @explaining()
 class Stepper(Examining):

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from symsimpson.run.loop import ControlLoop
     from symsimpson.stepping.event import Event
 
-__all__ = ["Stepping"]
-
 
 @explaining()
 class Stepping(Evaluator):

@@ -18,8 +18,6 @@ from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.reference import FirstOrder, canonical, second_order, truth
 from symsimpson.support.array_types import Floats
 
-__all__ = ["Problem", "make_problem"]
-
 #: Decimal digits of the reference solution.
 DIGITS = 20
 

@@ -8,9 +8,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["PIECE", "make_dop853"]
-
-
 #: Compiled loops take so many steps before Ctrl-C is heard.
 PIECE = 8192
 

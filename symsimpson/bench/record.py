@@ -12,8 +12,6 @@ from typing import Any
 from symsimpson.errors import InputError, StorageError
 from symsimpson.support.files import write_text
 
-__all__ = ["Point", "WorkPrecision"]
-
 #: Written into files; those of another version are not compared with.
 FORMAT = 1
 
@@ -88,7 +86,7 @@ class WorkPrecision:
 
     def plot(self, *, ax: Any = None) -> Any:
         """Draw median run time against error; returns the axes. Needs matplotlib."""
-        from symsimpson.plotting.work_precision import plot_work_precision
+        from symsimpson.plotting.errors import plot_work_precision
 
         return plot_work_precision(self, ax=ax)
 

@@ -27,8 +27,6 @@ from symsimpson.support.calling import explained
 from symsimpson.support.names import in_a_row
 from symsimpson.support.progress import waiting
 
-__all__ = ["work_precision"]
-
 #: A timing takes at least so long, by repetition.
 LEAST_SECONDS = 1e-3
 #: A choice that takes longer than this once is not made finer.

@@ -13,7 +13,7 @@ from typing import Any
 
 from symsimpson.cli.parser import parser
 from symsimpson.errors import ModelWarning, ResolutionWarning, StabilityWarning, SymsimpsonError
-from symsimpson.support.ahead import LATE
+from symsimpson.support.interpreter import LATE
 from symsimpson.support.names import did_you_mean
 
 __all__ = ["main"]

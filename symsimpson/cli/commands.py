@@ -10,18 +10,6 @@ from symsimpson.cli.find import check_figure, find, state_of
 from symsimpson.errors import InputError
 from symsimpson.support.files import check_folder
 
-__all__ = [
-    "SCHEMES",
-    "bench",
-    "certify",
-    "check",
-    "choose",
-    "export",
-    "generate",
-    "list_systems",
-    "stress",
-]
-
 #: The schemes of which generated modules are kept.
 SCHEMES = ("midpoint", "simpson")
 

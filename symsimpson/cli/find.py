@@ -17,7 +17,6 @@ from symsimpson.support.names import did_you_mean
 if TYPE_CHECKING:
     from symsimpson.mechanics.system import MechanicalSystem
 
-__all__ = ["check_figure", "find", "state_of"]
 
 #: Kinds of files that figures go to.
 FIGURES = (".png", ".pdf", ".svg")
@@ -60,6 +59,7 @@ def find(name: str, rate: str | None = None) -> MechanicalSystem:
 
 
 def named(name: str) -> MechanicalSystem:
+    """Return a system of the catalogue or of file:attribute."""
     from symsimpson.mechanics.system import MechanicalSystem
     from symsimpson.systems import CATALOGUE, EVERY
 

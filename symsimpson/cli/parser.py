@@ -12,8 +12,6 @@ from symsimpson.cli import commands, runs
 from symsimpson.support.extras import library
 from symsimpson.support.names import did_you_mean
 
-__all__ = ["parser"]
-
 SYSTEM = "name in the catalogue (symsimpson list), or path/to/file.py:attribute"
 SHELLS = ("bash", "zsh")
 

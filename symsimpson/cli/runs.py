@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from symsimpson.mechanics.system import MechanicalSystem
     from symsimpson.results.trajectory import Trajectory
 
-__all__ = ["film", "plot", "run"]
 
 #: Where a run ends for which nothing is asked.
 END = 10.0

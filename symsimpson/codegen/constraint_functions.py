@@ -13,8 +13,8 @@ from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.storage import Held
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.terms_of_l import FamilyWriter, Table
-from symsimpson.discrete.constraint_terms import derive_constraints
 from symsimpson.discrete.families import Family
+from symsimpson.discrete.jet import derive_constraints
 
 DOCS = {
     "constraint_slopes": "Phi = dphi/dq at a point.",

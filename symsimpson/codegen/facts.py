@@ -13,7 +13,7 @@ from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.storage import Held, LoopKernels, Storage, node_stride
 from symsimpson.discrete.combined_rows import force_factor, inertia_factor, simplified
 from symsimpson.discrete.reductions import Composed, Constrained, Part, Routh, Separable
-from symsimpson.module.dimensions import Sizes
+from symsimpson.module.table import Sizes
 from symsimpson.schemes.scheme import Scheme
 
 

@@ -16,11 +16,15 @@ from symsimpson.codegen.ir import IfActive, Load, Row, Section, Statement, Store
 from symsimpson.codegen.levels import Definition, Definitions, Level
 from symsimpson.codegen.storage import node_stride
 from symsimpson.codegen.template import JetTemplate, Point
-from symsimpson.discrete.constraint_terms import derive_constraints
-from symsimpson.discrete.curvatures import derive_curvatures
 from symsimpson.discrete.equations import DiscreteEquations
-from symsimpson.discrete.jet import Jet, watched
-from symsimpson.discrete.node_derivatives import derive_cost, derive_slopes
+from symsimpson.discrete.jet import (
+    Jet,
+    derive_constraints,
+    derive_cost,
+    derive_curvatures,
+    derive_slopes,
+    watched,
+)
 from symsimpson.discrete.reductions import Coupled, Routh
 from symsimpson.graph.nodes import Value
 from symsimpson.mechanics.constraints import regular_mass

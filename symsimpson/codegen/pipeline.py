@@ -13,7 +13,7 @@ from symsimpson.codegen.emitted_names import NameTable
 from symsimpson.codegen.forms import unrolled
 from symsimpson.codegen.module_kernels import lower
 from symsimpson.discrete.equations import discretise
-from symsimpson.discrete.node_derivatives import Cost
+from symsimpson.discrete.jet import Cost
 from symsimpson.discrete.reductions import read_exploit
 from symsimpson.errors import GenerationError
 from symsimpson.mechanics.expression_checks import read_expression
@@ -21,9 +21,8 @@ from symsimpson.mechanics.plain import Symbols
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
-from symsimpson.support.derivation import LAGRANGIAN, Derivation
-from symsimpson.support.garbage import rarely_collected
-from symsimpson.support.stopwatch import collecting, timed
+from symsimpson.support.derivation import LAGRANGIAN, Derivation, collecting, timed
+from symsimpson.support.interpreter import rarely_collected
 
 
 def source(

@@ -20,8 +20,7 @@ from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.codegen.terms_of_l import BLOCKS, FUNCTIONS, cyclic_values, jet_entries, position
 from symsimpson.codegen.trace import ExactTable, Trace
 from symsimpson.discrete.reductions import Routh
-from symsimpson.module.dimensions import Sizes
-from symsimpson.module.table import TABLE
+from symsimpson.module.table import TABLE, Sizes
 from symsimpson.module.workspace_layout import layout
 
 #: What functions compute, as titles of sections.

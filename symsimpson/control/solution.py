@@ -31,9 +31,9 @@ from symsimpson.results.trajectory import Trajectory
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import warn
+from symsimpson.support.interpreter import listening
 from symsimpson.support.names import did_you_mean
 from symsimpson.support.progress import Progress
-from symsimpson.support.signals import listening
 
 #: How far guesses are bent, as parts of the way from start to end; two waves are as high as one.
 #: Of what bends can mend of violations the others mend all but this part.

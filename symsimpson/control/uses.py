@@ -17,9 +17,10 @@ from numpy.typing import ArrayLike
 from symsimpson.control.transcription import PointFunctions, lagrange
 from symsimpson.errors import InputError, StorageError
 from symsimpson.plotting.axes import axes, colours, label, name_axis
-from symsimpson.program.input_values import read_count, read_reals, shortened
+from symsimpson.program.input_values import read_count, read_reals
 from symsimpson.support.array_types import Floats, Ints
 from symsimpson.support.files import read_path, written_beside
+from symsimpson.support.names import shortened
 
 if TYPE_CHECKING:
     from symsimpson.control.layout import Layout

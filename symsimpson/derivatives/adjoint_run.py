@@ -27,8 +27,6 @@ from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Ints, Reals
 
-__all__ = ["Backward", "Objective", "Way", "differentiate_back"]
-
 #: Records of all steps are kept where they have no more numbers than this: 64 MB.
 RECORDED = 8_000_000
 

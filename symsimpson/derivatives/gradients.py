@@ -23,8 +23,6 @@ from symsimpson.stepping.variations import read_varied, refuse_retimed, varied_p
 from symsimpson.support.array_types import Reals
 from symsimpson.support.names import spelled
 
-__all__ = ["Wanted", "gradient_of"]
-
 #: The initial state, by what was given of it.
 STATE = {"q": "q", "v": "v", "p": "p", "q0": "q", "v0": "v", "p0": "p"}
 

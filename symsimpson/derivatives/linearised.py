@@ -17,8 +17,6 @@ from symsimpson.stepping.variations import read_varied, refuse_retimed, varied_p
 from symsimpson.support.array_types import Reals
 from symsimpson.support.names import spelled
 
-__all__ = ["linearise"]
-
 
 def linearise(program: Program, request: Request, wrt: Any, progress: bool | None) -> Linearisation:
     """Run, and differentiate each step by its initial state and by ``wrt``.

@@ -20,8 +20,6 @@ from symsimpson.stepping.spec import RunSpec, read_run
 from symsimpson.stepping.variations import refuse_retimed, varied_program
 from symsimpson.support.array_types import Floats
 
-__all__ = ["PART", "directions", "first_columns", "first_part", "lyapunov", "run_lyapunov"]
-
 Spec = TypeVar("Spec", bound=RunSpec)
 
 

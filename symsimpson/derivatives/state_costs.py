@@ -21,8 +21,6 @@ from symsimpson.program.workspace import workspace
 from symsimpson.stepping.variations import STEP
 from symsimpson.support.array_types import Reals
 
-__all__ = ["Measured", "Slopes", "StateCost", "pull_velocities", "read_cost", "read_samples"]
-
 
 @dataclass(frozen=True)
 class Slopes:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from symsimpson.errors import InputError
-from symsimpson.module.matrices import equations_of, held_equations_of
+from symsimpson.module.quantity import equations_of, held_equations_of
 from symsimpson.program.input_values import read_array, read_number, read_vector
 from symsimpson.program.numbers import Numbers
 from symsimpson.program.program import Program
@@ -19,8 +19,6 @@ from symsimpson.stepping.inputs import read_step
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.variations import read_varied, varied_program
 from symsimpson.support.array_types import Reals
-
-__all__ = ["At", "evaluate_curvature", "evaluate_equations"]
 
 
 class At(NamedTuple):

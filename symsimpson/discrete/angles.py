@@ -8,8 +8,6 @@ from typing import Any
 
 from symsimpson.graph.nodes import ONE, Graph, Value, magnitude, scaled
 
-__all__ = ["halved", "summed"]
-
 
 def halved(graph: Graph, symbols: Iterable[int]) -> dict[int, Value]:
     """Write sine and cosine of symbols by those of half of them.

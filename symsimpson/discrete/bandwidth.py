@@ -6,8 +6,6 @@ from collections.abc import Iterable, Sequence
 
 from symsimpson.discrete.families import Family
 
-__all__ = ["band_of", "neighbours", "ordering"]
-
 
 def neighbours(term_families: Iterable[Family], n: int) -> list[set[int]]:
     """List the coordinates that meet each one in some term."""

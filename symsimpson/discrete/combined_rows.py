@@ -9,16 +9,6 @@ import sympy as sp
 
 from symsimpson.schemes.scheme import Scheme
 
-__all__ = [
-    "Table",
-    "annihilating",
-    "elimination_order",
-    "force_factor",
-    "inertia_factor",
-    "shear_factors",
-    "simplified",
-]
-
 Table = tuple[tuple[sp.Expr, ...], ...]
 
 

@@ -1,18 +1,4 @@
-r"""The discrete Euler-Lagrange equations of a Galerkin scheme.
-
-With increments X_k of the control points from q0 (X_0 = 0) the path has at node i
-
-.. math:: q_i = q_0 + \sum_{k \ge 1} A_{ik} X_k, \qquad v_i = \frac1h \sum_{k \ge 1} B_{ik} X_k,
-
-and the derivative of L_d by control point k is
-
-.. math:: D_k L_d = \sum_i b_i \bigl(h A_{ik} F(q_i, v_i) + B_{ik} P(q_i, v_i)\bigr).
-
-with the force F = L_q and the momentum P = L_v.
-A step solves D_k L_d = 0 for k = 1..d-1 and p0 + D_0 L_d = 0 for X_1..X_d; the new momentum is
-D_d L_d = p0 + h sum_i b_i F(q_i, v_i), because the columns of A sum to one and those of B to
-zero (Marsden and West 2001, equations 1.5.3 and 2.2.6).
-"""
+"""Unknowns of a step: blocks, one after the other."""
 
 from __future__ import annotations
 
@@ -24,8 +10,7 @@ from typing import Any
 import sympy as sp
 
 from symsimpson.discrete.combined_rows import elimination_order
-from symsimpson.discrete.jet import Jet, Key, derive_jet, written_as_jet
-from symsimpson.discrete.node_derivatives import Cost
+from symsimpson.discrete.jet import Cost, Jet, Key, derive_jet, written_as_jet
 from symsimpson.discrete.reductions import (
     Affine,
     Composed,
@@ -37,7 +22,6 @@ from symsimpson.discrete.reductions import (
     read_exploit,
     reduce,
 )
-from symsimpson.discrete.unknowns import Unknowns
 from symsimpson.errors import SchemeError
 from symsimpson.graph.nodes import ZERO, Value
 from symsimpson.graph.read import Reader
@@ -49,13 +33,53 @@ from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.scheme import Scheme
 
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Blocks of unknowns and their sizes.
+
+    The increments X_1..X_d of the control points come first, a block of ``coordinates`` for each.
+    Their sizes are measured with the diagonal of M(q0); what stands behind them, ``others``, is
+    not part of the path and not measured: multipliers, for one.
+
+    Examples
+    --------
+    >>> unknowns = Unknowns(control_points=2, coordinates=3)
+    >>> unknowns.size, unknowns.place(2, 0)
+    (6, 3)
+    """
+
+    control_points: int
+    coordinates: int
+    others: tuple[int, ...] = ()
+
+    @property
+    def measured(self) -> int:
+        """Number of increments."""
+        return self.control_points * self.coordinates
+
+    @property
+    def size(self) -> int:
+        """Number of all unknowns."""
+        return self.measured + sum(self.others)
+
+    @property
+    def behind(self) -> int:
+        """Number of unknowns behind the increments."""
+        return sum(self.others)
+
+    def place(self, k: int, a: int) -> int:
+        """Return the place of X_k of coordinate a, k from 1 on; behind X_d, of the others."""
+        if k > self.control_points:
+            return self.measured + sum(self.others[: k - self.control_points - 1]) + a
+        return (k - 1) * self.coordinates + a
+
+
 #: Gives an entry of the jet at a node: ``entry(i, "F_q", a, b)``.
 Entry = Callable[..., Any]
 
 #: Up to here symmetric compositions for kicks without friction keep their order with it.
 LOW_ORDER = 4
-
-__all__ = ["DiscreteEquations", "Entry", "discretise"]
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,6 @@ from symsimpson.graph.rebuild import rebuilt
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.quadratic import quadratic_form
 
-__all__ = ["Family", "constraint_families", "families"]
-
 #: Terms of more nodes than this, written as trees, are written with what they share.
 LARGE_TREE = 10_000
 #: Sums of sums are split into so many terms at least.

@@ -1,9 +1,4 @@
-"""The jet of a system: forces, momenta and their derivatives at one point (t, q, v).
-
-F = L_q + f and P = L_v, with F_q, F_v, P_q and P_v = M as four separate things: nothing is taken
-for symmetric, what is equal is found to be. There are several ways to derive them, of which none is
-always the shortest; each is tried, and the one with the fewest operations is taken.
-"""
+"""The jet of a system at a point: forces, momenta, constraints, with their derivatives."""
 
 from __future__ import annotations
 
@@ -13,6 +8,8 @@ from itertools import product
 from types import MappingProxyType
 from typing import NamedTuple
 
+import sympy as sp
+
 from symsimpson.discrete.angles import halved, summed
 from symsimpson.graph.derive import Derivatives, gradient
 from symsimpson.graph.merge import merged
@@ -20,11 +17,10 @@ from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.graph.share import share
 from symsimpson.graph.shared_lines import Program
+from symsimpson.mechanics.constraints import accelerations
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.structure import kinetic
-from symsimpson.support.stopwatch import timed
-
-__all__ = ["Jet", "derive_jet", "watched", "written_as_jet"]
+from symsimpson.support.derivation import timed
 
 #: Where the first ways give more operations than this, no others are tried.
 FEW_OPERATIONS = 300
@@ -177,3 +173,197 @@ def written_as_jet(
     values = merged(graph, values, level)
     program = share(Program.of(graph, dict(zip(outputs, values, strict=True)), level))
     return Jet(program, program.operations())
+
+
+@dataclass(frozen=True)
+class Cost:
+    """A running cost g(t, q, v, u), in a graph whose symbols have the names of the plain ones."""
+
+    graph: Graph
+    value: Value
+
+    def depends(self, symbol: sp.Symbol) -> bool:
+        """Return whether a plain symbol stands in it."""
+        numbers = self.graph.numbers([symbol.name])
+        return not self.graph.nodes[self.value[1]].symbols.isdisjoint(numbers)
+
+
+def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
+    """Derive F = L_q + f and P = L_v by parameters and inputs: plain symbols, by their names.
+
+    Outputs are ``("F_a", i, name)`` and ``("P_a", i, name)``; of constraints ``("phi_a", c, name)``
+    and ``("pull_a", i, name)``, those of phi and of Phi^T lambda + A^T nu; of velocity constraints
+    ``("b_a", c, name)`` and ``("rate_a", c, name)``, those of b and A v - b.
+    """
+    graph, n = Graph(), len(plain.q)
+    places = graph.numbers(symbol.name for symbol in plain.symbols)
+    moving = places[: 2 * n]
+    L, *f = rebuilt(plain.graph, [plain.L, *plain.f], {}, graph)
+    held = plain.held_rows(graph)
+    m, multipliers = len(held.phi), graph.numbers(symbol.name for symbol in plain.multipliers)
+    phi = [*held.phi, *(ZERO for _ in held.rows)]
+    pulls = held.pulls(graph, moving[:n], multipliers) if phi else []
+    moved = {("b", c): row[-1] for c, row in enumerate(held.rows, m)}
+    moved |= {("rate", c): rate for c, rate in enumerate(held.rates(graph, moving[n:]), m)}
+    derivatives = Derivatives(graph)
+    outputs: dict[Key, Value] = {}
+    by_size = _BySize(graph, plain, derivatives)
+    for name, x in zip(varied, graph.numbers(s.name for s in varied.values()), strict=True):
+        if varied[name] == plain.step[0]:
+            L_gradient = gradient(graph, L, moving)
+            forces = [graph.add([L_gradient[i], f[i]]) for i in range(n)]
+            outputs |= {("F_a", i, name): by_size(F, integrated=True) for i, F in enumerate(forces)}
+            outputs |= {("P_a", i, name): by_size(P) for i, P in enumerate(L_gradient[n:])}
+            outputs |= {("phi_a", c, name): ZERO for c in range(len(phi))}
+            outputs |= {(f"{what}_a", c, name): by_size(x) for (what, c), x in moved.items()}
+            for i, pull in enumerate(pulls):
+                later = by_size.later(pull) if held.rows else ZERO
+                outputs["pull_a", i, name] = graph.add([by_size.over(scaled(-1, pull)), later])
+            continue
+        slopes = gradient(graph, derivatives(L, x), moving)
+        for i in range(n):
+            outputs["F_a", i, name] = graph.add([slopes[i], derivatives(f[i], x)])
+            outputs["P_a", i, name] = slopes[n + i]
+        outputs |= {("phi_a", c, name): derivatives(value, x) for c, value in enumerate(phi)}
+        outputs |= {(f"{what}_a", c, name): derivatives(y, x) for (what, c), y in moved.items()}
+        outputs |= {("pull_a", i, name): derivatives(y, x) for i, y in enumerate(pulls)}
+    return written_as_jet(plain, graph, outputs)
+
+
+class _BySize:
+    """Derivatives of what stands at a node by the size of the step, its path being held.
+
+    There v goes with 1/h and t moves by its place; what is integrated has a factor h before it,
+    and is divided by that.
+    """
+
+    def __init__(self, graph: Graph, plain: Plain, derivatives: Derivatives) -> None:
+        self._graph, self._derivatives = graph, derivatives
+        self._v = graph.numbers(s.name for s in plain.v)
+        self._h, self._place, self._moving = graph.numbers(s.name for s in plain.step)
+        (self._t,) = graph.numbers([plain.t.name])
+
+    def __call__(self, value: Value, *, integrated: bool = False) -> Value:
+        """Return the derivative of a value."""
+        graph = self._graph
+        along = [
+            graph.multiply([self._derivatives(value, v), (-1, v)])
+            for v in self._v
+            if self._derivatives(value, v) != ZERO
+        ]
+        terms = [self.over(graph.add(along)), self.later(value)]
+        if integrated:
+            terms.append(graph.multiply([value, graph.power((1, self._h), -1)]))
+        return graph.add(terms)
+
+    def later(self, value: Value) -> Value:
+        """Return the derivative of a value through the time, which moves by its place."""
+        return self._graph.multiply([self._derivatives(value, self._t), (1, self._place)])
+
+    def over(self, value: Value) -> Value:
+        """Return a value divided by h, where v goes with 1/h."""
+        inverse = self._graph.power((1, self._h), -1)
+        return self._graph.multiply([value, inverse, (1, self._moving)])
+
+
+def derive_cost(plain: Plain, varied: Mapping[str, sp.Symbol], cost: Cost) -> Jet:
+    """Derive a running cost g(t, q, v, u) by q, by v, and by parameters and inputs.
+
+    Outputs are ``("g",)``, ``("g_q", i)``, ``("g_v", i)`` and ``("g_a", name)``.
+    """
+    graph, n = Graph(), len(plain.q)
+    (value,) = rebuilt(cost.graph, [cost.value], {}, graph)
+    moving = graph.numbers(s.name for s in (*plain.q, *plain.v, *varied.values()))
+    slopes = gradient(graph, value, moving)
+    outputs: dict[Key, Value] = {("g",): value}
+    outputs |= {("g_q", i): slopes[i] for i in range(n)}
+    outputs |= {("g_v", i): slopes[n + i] for i in range(n)}
+    outputs |= {("g_a", name): slopes[2 * n + j] for j, name in enumerate(varied)}
+    by_size = _BySize(graph, plain, Derivatives(graph))
+    outputs |= {
+        ("g_a", name): by_size(value, integrated=True)
+        for name, symbol in varied.items()
+        if symbol == plain.step[0]
+    }
+    return written_as_jet(plain, graph, outputs)
+
+
+def derive_constraints(plain: Plain) -> Jet:
+    """Derive all that a step and its results ask of constraints, and of L beside them.
+
+    Outputs are ``("phi", c)``, ``("Phi", c, a)``, Phi and behind it A, ``("pull", a, b)``, the
+    derivatives of Phi^T lambda + A^T nu by q; of velocity constraints ``("b", c)``, ``("rate",
+    c)``, A v - b, with ``("b_q", c, a)`` and ``("rate_q", c, a)``; and of a state ``("curve", c)``,
+    v.phi_qq.v or the like of A v - b, and ``("push", a)``, L_q + f - (d L_v/dq) v - d L_v/dt, which
+    is M v' + Phi^T lambda + A^T nu. Symbols l_c stand for the multipliers.
+    """
+    graph, n = Graph(), len(plain.q)
+    places = graph.numbers(symbol.name for symbol in plain.symbols)
+    q, v = places[:n], places[n : 2 * n]
+    multipliers = graph.numbers(symbol.name for symbol in plain.multipliers)
+    held = plain.held_rows(graph)
+    L, *f = rebuilt(plain.graph, [plain.L, *plain.f], {}, graph)
+    derivatives, time = Derivatives(graph), graph.symbol(plain.t.name)[1]
+    rows, push, curve, rates = accelerations(graph, L, held, f, (q, v, time))
+    m = len(held.phi)
+    outputs: dict[Key, Value] = {("phi", c): value for c, value in enumerate(held.phi)}
+    outputs |= {("Phi", c, a): x for c, row in enumerate(rows) for a, x in enumerate(row)}
+    outputs |= {("curve", c): value for c, value in enumerate(curve)}
+    outputs |= {("push", a): value for a, value in enumerate(push)}
+    for c, (*_, b) in enumerate(held.rows, m):
+        outputs |= {("phi", c): ZERO, ("b", c): b, ("rate", c): rates[c]}
+        outputs |= {("rate_q", c, a): derivatives(rates[c], x) for a, x in enumerate(q)}
+        outputs |= {("b_q", c, a): derivatives(b, x) for a, x in enumerate(q)}
+    for a, pull in enumerate(held.pulls(graph, q, multipliers)):
+        outputs |= {("pull", a, b): derivatives(pull, x) for b, x in enumerate(q)}
+    return written_as_jet(plain, graph, outputs)
+
+
+def derive_curvatures(plain: Plain, varied: Sequence[sp.Symbol], cost: Cost | None) -> Jet:
+    """Derive second derivatives of h alpha.F + beta.P + h gamma g, and of nu.phi - alpha.Phi^T mu.
+
+    They are by q and w = h v at a node, which do not depend on h: the time t does, which ends up c
+    h behind the one that is given. The symbols of v and t stand for w and for the start of the
+    step, the weights of ``plain`` for alpha, beta and gamma at a node, for alpha and nu at a
+    control point; g is the running cost. Outputs are ``("node", i, j)``, j <= i, by (q, w, varied),
+    and ``("point", i, j)`` by (q, mu, varied); those that vanish are left out.
+    """
+    graph, n = Graph(), len(plain.q)
+    places = graph.numbers(symbol.name for symbol in plain.symbols)
+    moving = places[: 2 * n]
+    h, place, _ = graph.numbers(symbol.name for symbol in plain.step)
+    phi = rebuilt(plain.graph, list(plain.constraints.values()), {}, graph)
+    L, *f = rebuilt(plain.graph, [plain.L, *plain.f], {}, graph)
+    weights = graph.numbers(symbol.name for symbol in plain.weights)
+    of = graph.numbers(symbol.name for symbol in varied)
+    slopes = gradient(graph, L, moving)
+    forces = [graph.add([slopes[i], f[i]]) for i in range(n)]
+    if cost is not None:
+        (g,) = rebuilt(cost.graph, [cost.value], {}, graph)
+        forces.append(g)
+    integrated = graph.add(graph.products(forces, [*weights[:n], *weights[2 * n :]][: len(forces)]))
+    momenta = graph.products(slopes[n:], weights[n : 2 * n])
+    value = graph.add([graph.multiply([integrated, (1, h)]), *momenta])
+    (t,) = graph.numbers([plain.t.name])
+    inverse = graph.power((1, h), -1)
+    moved = {v: graph.multiply([(1, v), inverse]) for v in moving[n:]}
+    if plain.step[0] in varied:
+        moved[t] = graph.add([(1, t), graph.multiply([(1, place), (1, h)])])
+    (value,) = rebuilt(graph, [value], moved)
+    outputs = _second(graph, "node", value, [*moving, *of])
+    if phi:
+        multipliers = graph.numbers(symbol.name for symbol in plain.multipliers)
+        pulls = gradient(graph, graph.add(graph.products(phi, multipliers)), moving[:n])
+        pulled = [scaled(-1, pull) for pull in pulls]
+        value = graph.add(graph.products([*pulled, *phi], weights[: n + len(phi)]))
+        outputs |= _second(graph, "point", value, [*moving[:n], *multipliers, *of])
+    return written_as_jet(plain, graph, outputs)
+
+
+def _second(graph: Graph, what: str, value: Value, symbols: Sequence[int]) -> dict[Key, Value]:
+    """Differentiate a value twice; of two equal entries one is kept."""
+    entries: dict[Key, Value] = {}
+    for i, slope in enumerate(gradient(graph, value, symbols)):
+        row = gradient(graph, slope, symbols[: i + 1])
+        entries |= {(what, i, j): entry for j, entry in enumerate(row) if entry[0]}
+    return entries

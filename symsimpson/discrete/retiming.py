@@ -9,8 +9,6 @@ from symsimpson.graph.rebuild import rebuilt
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.retimed import Retiming
 
-__all__ = ["derive_original_terms", "derive_rate"]
-
 
 def derive_original_terms(retiming: Retiming) -> Jet:
     """Derive M, a, V and P = dL/dv of the original system, with v = dq/dt.

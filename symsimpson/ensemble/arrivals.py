@@ -14,8 +14,6 @@ from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.stepping.arrival import reduced_at_ends, states_at
 
-__all__ = ["take_last_parts", "with_ends"]
-
 
 def take_last_parts(program: Program, task: Task, results: Results) -> None:
     """Take the parts of a step from where members have arrived to their end.

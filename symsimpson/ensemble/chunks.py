@@ -10,8 +10,6 @@ from zarr.storage import WrapperStore
 from symsimpson.errors import StorageError
 from symsimpson.support.extras import library
 
-__all__ = ["WholeChunks"]
-
 decompress = library("numcodecs.zstd", "store=", "data").decompress  # a part of zarr
 
 

@@ -28,8 +28,6 @@ from symsimpson.support.array_types import Floats
 from symsimpson.support.extras import library
 from symsimpson.support.progress import Progress
 
-__all__ = ["check_client", "compute_chunk", "run_on_cluster"]
-
 #: Tasks that wait at the scheduler for each thread of the cluster.
 AHEAD = 4
 

@@ -29,8 +29,6 @@ from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explaining
 from symsimpson.support.names import counted
 
-__all__ = ["Ensemble", "names_in_dataset", "spread"]
-
 #: Names that a dataset has for itself.
 STATES = ("q", "p", "q0", "v0", "p0", "variations")
 RESERVED = (*STATES, "status", "steps", "newton_iterations", "member", "time", "coord")

@@ -21,7 +21,7 @@ from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder, driver_layout, growth, with_clock
 from symsimpson.stepping.recording import recorders_of
 from symsimpson.support.array_types import Floats
-from symsimpson.support.signals import listening
+from symsimpson.support.interpreter import listening
 
 #: A thread comes back from compiled code after about so many seconds, so that Ctrl-C is heard.
 PATIENCE = 0.02

@@ -24,8 +24,6 @@ from symsimpson.stepping.variations import read_tangents
 from symsimpson.support.array_types import Floats
 from symsimpson.support.names import by_name
 
-__all__ = ["read_task"]
-
 MOST_THREADS = 1024
 
 

@@ -35,8 +35,6 @@ from symsimpson.support.extras import library
 from symsimpson.support.files import check_folder, read_path
 from symsimpson.support.progress import Progress
 
-__all__ = ["Store", "members_of", "open_store", "run_missing", "said", "whole_group", "write_chunk"]
-
 LOG = logging.getLogger(__name__)
 #: Seconds of one thread's work in a chunk, and bytes of states that it has at most.
 CHUNK_SECONDS = 0.5

@@ -11,8 +11,6 @@ from symsimpson.ensemble.lanes import run_blocks
 from symsimpson.ensemble.task import Task
 from symsimpson.program.program import Program
 
-__all__ = ["seconds_of_member", "with_fastest_lanes"]
-
 #: A trial takes no more steps.
 TRIAL_STEPS = 2000
 #: Tasks of fewer steps of members are over before a trial pays; of others it takes this part.

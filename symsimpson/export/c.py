@@ -25,19 +25,17 @@ from symsimpson.export.c_expressions import HELPERS, Expressions, number
 from symsimpson.export.kinds import INT, KERNEL, POINTER, REAL, SET, Kinds
 from symsimpson.export.single import Functions, Source
 from symsimpson.export.statements import WIDTH, WORDS, comment, written_function
-from symsimpson.module.definitions import syntax
 from symsimpson.module.header import Header
 from symsimpson.module.interface import EXPLICIT, constants
+from symsimpson.module.syntax import syntax
 from symsimpson.module.workspace_layout import BLOCKS, DRIVER_LAYOUT
 from symsimpson.program.driver import driver_text
 from symsimpson.program.program import Program
 from symsimpson.program.sets import KernelSets
 from symsimpson.program.status import Status
 from symsimpson.stepping.run import FALLBACK_STRETCH, HOPELESS
-from symsimpson.walk.functions import read_functions
-from symsimpson.walk.text import Text, read_text
-
-__all__ = ["identifiers", "written_c"]
+from symsimpson.walk.intrinsics import read_functions
+from symsimpson.walk.trees import Text, read_text
 
 #: Outcomes of runs that are no outcomes of a step.
 OF_RUNS = (

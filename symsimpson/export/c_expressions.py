@@ -11,8 +11,6 @@ import numpy as np
 from symsimpson.errors import InputError
 from symsimpson.export.kinds import INT, REAL, Kinds, constant_of
 
-__all__ = ["CALLED", "HELPERS", "Expressions", "number"]
-
 #: How tightly operators bind: what is looser stands in parentheses.
 CHOICE, OR, AND, EQUAL, LESS, SUM, PRODUCT, SIGN, WHOLE = range(9)
 OPERATORS: dict[type, tuple[str, int]] = {

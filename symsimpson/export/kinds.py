@@ -12,8 +12,6 @@ import numpy as np
 from symsimpson.errors import InputError
 from symsimpson.export.single import Function
 
-__all__ = ["INT", "KERNEL", "POINTER", "REAL", "SET", "Kinds", "Signature", "constant_of"]
-
 #: Whole numbers and conditions, real numbers, rows of the workspace, a kernel, and a set of them.
 INT, REAL, POINTER, KERNEL, SET = "int", "double", "double *", "kernel *", "const kernels *"
 #: Functions of whole numbers, if these are.

@@ -5,8 +5,6 @@ from __future__ import annotations
 import ast
 from itertools import groupby
 
-__all__ = ["Scopes", "used", "with_lengths"]
-
 
 def with_lengths(body: list[ast.stmt]) -> list[ast.stmt]:
     """Let arrays have lengths that the compiler knows: names that have one value are that value."""

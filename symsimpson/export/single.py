@@ -13,8 +13,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
-__all__ = ["Function", "Functions", "Source", "plain_function"]
-
 #: Arguments that say nothing where there is one lane.
 DROPPED = ("lane", "at")
 #: The workspace, and how the driver asks for the number of its rows.

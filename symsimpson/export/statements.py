@@ -15,8 +15,6 @@ from symsimpson.export.kinds import INT, constant_of
 from symsimpson.export.scopes import Scopes, used, with_lengths
 from symsimpson.export.single import Function
 
-__all__ = ["WIDTH", "comment", "written_function"]
-
 #: How a line that declares numbers begins.
 DECLARED = re.compile(r"\s+(const (?:double|int)) ")
 #: Where lines are broken: at spaces, but not behind an operator.

@@ -12,8 +12,6 @@ from symsimpson.export.statements import WORDS
 from symsimpson.program.program import Program
 from symsimpson.support.files import read_path, write_text
 
-__all__ = ["write_files"]
-
 #: Names of C, but for those that belong to the compiler.
 NAME = re.compile("[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 

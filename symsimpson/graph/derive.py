@@ -7,8 +7,6 @@ from fractions import Fraction
 
 from symsimpson.graph.nodes import ONE, ZERO, Graph, Value, scaled
 
-__all__ = ["Derivatives", "gradient", "slopes"]
-
 
 class Derivatives:
     """Derivatives of nodes by symbols, each taken once."""

@@ -11,8 +11,6 @@ import mpmath
 from symsimpson.graph.exponentials import without_overflow
 from symsimpson.graph.nodes import TINY, Exact, Graph, Value
 
-__all__ = ["doubles", "evaluated", "line_value", "moduli"]
-
 
 def evaluated(
     graph: Graph, roots: Iterable[int], symbols: Mapping[int, Any], context: Any

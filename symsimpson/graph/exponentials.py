@@ -7,8 +7,6 @@ from typing import Any
 
 from symsimpson.graph.nodes import Exact, Graph, Value, scaled
 
-__all__ = ["logarithm", "without_overflow"]
-
 #: Functions that overflow though their logarithms are small.
 GROWING = frozenset(["exp", "cosh", "sinh"])
 

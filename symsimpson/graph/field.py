@@ -25,8 +25,6 @@ from typing import Any, Protocol
 
 from symsimpson.graph.nodes import Exact, Graph, Value
 
-__all__ = ["LARGER", "PRIME", "Angles", "Arithmetic", "Evaluation", "PrimeField", "raised"]
-
 #: A Mersenne prime, 3 modulo 4, so that -1 has no root and the field can be extended by i.
 PRIME = 2**61 - 1
 #: Another one, for coefficients that the first one divides.

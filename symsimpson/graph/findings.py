@@ -14,8 +14,6 @@ from symsimpson.graph.nodes import ZERO, Graph, Value
 from symsimpson.graph.rebuild import fixed
 from symsimpson.graph.roots import dependent_radicands, radicands
 
-__all__ = ["Findings"]
-
 POINTS = 2
 #: Functions that a field knows as well as algebra does.
 KNOWN = frozenset(["sin", "cos", "exp", "sinh", "cosh", "tanh"])

@@ -7,8 +7,6 @@ from typing import Any
 from symsimpson.graph.nodes import UNIT, Exact, exact, magnitude
 from symsimpson.graph.shared_lines import Line, Program
 
-__all__ = ["Fold"]
-
 
 class Fold:
     """Puts numbers where they cost least.

@@ -9,8 +9,6 @@ from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.rebuild import again
 from symsimpson.graph.roots import dependent_radicands
 
-__all__ = ["evaluations", "merged"]
-
 #: Points at which nodes are compared: that two of 10^4 agree by chance has odds below 2^-100.
 POINTS = 3
 #: Other points are tried this often where something is divided by zero.

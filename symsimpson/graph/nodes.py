@@ -12,21 +12,6 @@ from fractions import Fraction
 from math import gcd, lcm
 from typing import Any, NamedTuple, TypeAlias
 
-__all__ = [
-    "ONE",
-    "TINY",
-    "UNIT",
-    "ZERO",
-    "Exact",
-    "Graph",
-    "Node",
-    "Value",
-    "arguments",
-    "exact",
-    "magnitude",
-    "scaled",
-]
-
 #: A whole number or a fraction; a fraction is never whole.
 Exact: TypeAlias = int | Fraction
 #: A coefficient and the number of a node.

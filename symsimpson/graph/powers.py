@@ -7,8 +7,6 @@ from fractions import Fraction
 from symsimpson.graph.nodes import Exact, exact
 from symsimpson.graph.shared_lines import Item, Program, add_factor
 
-__all__ = ["write_powers"]
-
 #: So many quotients are cheaper than an inverse and products with it.
 FEW_QUOTIENTS = 3
 

@@ -13,18 +13,6 @@ from symsimpson.errors import GenerationError
 from symsimpson.graph.exponentials import logarithm, without_overflow
 from symsimpson.graph.nodes import TINY, Graph, Value, exact, magnitude
 
-__all__ = [
-    "Reader",
-    "fraction",
-    "in_doubles",
-    "is_float",
-    "line_written",
-    "number",
-    "tree_size",
-    "was_float",
-    "written",
-]
-
 #: SymPy's functions by their names in a graph.
 FUNCTIONS: dict[Any, str] = {
     getattr(sp, name): name

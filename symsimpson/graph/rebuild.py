@@ -10,8 +10,6 @@ import mpmath
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import Exact, Graph, Value, scaled
 
-__all__ = ["NUMBERS", "again", "fixed", "rebuilt", "same"]
-
 #: What is put for symbols that a value does not depend on, the first that will do.
 NUMBERS = (0, 1, 2, Fraction(7, 3))
 #: Values that are the same agree to most of so many digits,

@@ -18,8 +18,6 @@ from symsimpson.graph.field import Angles, Evaluation, raised
 from symsimpson.graph.nodes import Graph
 from symsimpson.support.array_types import Ints
 
-__all__ = ["dependent_radicands", "radicands"]
-
 #: A product of two numbers modulo this fits into 64 bits.
 PRIME = 2**31 - 1
 #: A dependence that is none survives so many more points than radicands with chance 2^-40.

@@ -22,8 +22,6 @@ from symsimpson.graph.nodes import exact
 from symsimpson.graph.powers import write_powers
 from symsimpson.graph.shared_lines import Item, Program, add_factor
 
-__all__ = ["share"]
-
 #: Longer sums, and products, are not searched for pairs.
 LONGEST = 40
 #: Programs with more lines than this are not searched for pairs.

@@ -12,8 +12,6 @@ from typing import Any
 
 from symsimpson.graph.nodes import Exact, Graph, Value, arguments, exact, scaled
 
-__all__ = ["Item", "Line", "Program", "add_factor"]
-
 #: A factor and its exponent, or a coefficient and a term.
 Item = tuple[Any, Any]
 

@@ -6,8 +6,6 @@ from collections.abc import Iterable, Mapping
 
 from symsimpson.graph.nodes import Graph, Value
 
-__all__ = ["Signs"]
-
 #: Functions that are positive everywhere, and those with the sign of their argument.
 POSITIVE = frozenset(["exp", "cosh", "softplus"])
 LIKE_ARGUMENT = frozenset(["sinh", "tanh", "asinh", "atan", "erf"])

@@ -25,9 +25,9 @@ from symsimpson.mechanics.plain import Plain, Symbols, unfrozen
 from symsimpson.mechanics.quadratic import polynomial
 from symsimpson.mechanics.structure import Structure, analyse
 from symsimpson.support.calling import explaining
-from symsimpson.support.garbage import rarely_collected
+from symsimpson.support.derivation import collecting, timed
+from symsimpson.support.interpreter import rarely_collected
 from symsimpson.support.progress import waiting
-from symsimpson.support.stopwatch import collecting, timed
 
 #: No parameters.
 NONE: Mapping[sp.Symbol, float] = MappingProxyType({})

@@ -16,16 +16,6 @@ from typing import Any
 import mpmath
 import numpy as np
 
-__all__ = [
-    "MATH",
-    "bind",
-    "bind_arb",
-    "bind_complex",
-    "bind_float",
-    "bind_mpmath",
-    "plain_arithmetic",
-]
-
 #: Functions of one number that modules may call, in every arithmetic.
 MATH = (
     "sin",

@@ -15,20 +15,10 @@ from typing import Any
 import numpy as np
 
 from symsimpson.errors import StaleKernelError
-from symsimpson.module.definitions import definitions, outline, redefined
 from symsimpson.module.interface import INTERFACE, PIVOTED
+from symsimpson.module.syntax import definitions, outline, redefined
 from symsimpson.module.workspace_layout import ADJACENT, BLOCKS, DRIVER_LAYOUT
 from symsimpson.support.array_types import Ints
-
-__all__ = [
-    "SIGNED",
-    "Header",
-    "check_interface",
-    "digest",
-    "read_header",
-    "signed_anew",
-    "with_facts",
-]
 
 #: Interfaces of modules in files of runs that can still be driven, each with the blocks that these
 #: modules do not have. The driver has rows of its own for them, behind those of the module.

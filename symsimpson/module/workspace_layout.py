@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from itertools import pairwise
 
-from symsimpson.module.dimensions import Sizes
-from symsimpson.module.table import TABLE
-
-__all__ = ["ADJACENT", "BLOCKS", "DRIVER_LAYOUT", "layout", "rows_of_blocks", "scratch"]
+from symsimpson.module.table import TABLE, Sizes
 
 BLOCKS = {block.name: block for block in TABLE}
 

@@ -9,8 +9,6 @@ from symsimpson.errors import InputError
 from symsimpson.support.extras import library
 from symsimpson.support.names import spelled
 
-__all__ = ["axes", "colours", "label", "legend", "name_axes", "name_axis", "style"]
-
 
 def axes(ax: Any, size: tuple[float, float], **how: Any) -> Any:
     """Return the axes that are there, or new ones; ``how`` they are made.

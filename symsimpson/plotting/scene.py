@@ -11,8 +11,6 @@ from symsimpson.mechanics.declared import points_of
 from symsimpson.support.array_types import Floats
 from symsimpson.support.names import spelled
 
-__all__ = ["Film", "Link", "Scene", "places_of", "scene_of"]
-
 #: Distances that change by less than this, of the size of the scene, do not change.
 RIGID = 1e-6
 #: A trail has the length of so many frames.

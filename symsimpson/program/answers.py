@@ -13,8 +13,6 @@ from symsimpson.module.header import digest
 from symsimpson.program.cache import cache_folder
 from symsimpson.support.files import written_beside
 
-__all__ = ["KINDS", "kept"]
-
 #: Folders of answers, beside compiled code.
 Kind = Literal["choices", "texts"]
 KINDS = get_args(Kind)

@@ -34,11 +34,8 @@ from filelock import FileLock, Timeout
 
 from symsimpson.errors import GenerationError
 from symsimpson.support.calling import warn
-from symsimpson.support.garbage import rarely_collected
+from symsimpson.support.interpreter import rarely_collected, undisturbed
 from symsimpson.support.progress import waiting
-from symsimpson.support.signals import undisturbed
-
-__all__ = ["BUILDING", "DIGESTS", "MODULE", "cache_folder", "compiled", "location", "lock_file"]
 
 Result = TypeVar("Result")
 LOG = logging.getLogger(__name__)

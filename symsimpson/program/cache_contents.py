@@ -13,8 +13,6 @@ from filelock import FileLock, Timeout
 from symsimpson.program.answers import KINDS
 from symsimpson.program.cache import BUILDING, DIGESTS, MODULE, cache_folder, lock_file
 
-__all__ = ["clear_cache", "usage"]
-
 SOURCE = re.compile(MODULE + r"(.+_[0-9a-f]{32})\.py")
 ANSWER = re.compile(r"\.?[0-9a-f]{64}(\.new)?\.json")
 

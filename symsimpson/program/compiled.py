@@ -13,14 +13,12 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from symsimpson.errors import GenerationError
-from symsimpson.module.definitions import outline, redefined
 from symsimpson.module.header import Header
+from symsimpson.module.syntax import outline, redefined
 from symsimpson.program.cache import compiled, location
 from symsimpson.program.machine import vector_bits
 from symsimpson.program.sets import KernelSets
-from symsimpson.walk.kernels import stubs, walker_digest, walking
-
-__all__ = ["Kernels", "not_walked"]
+from symsimpson.walk.intrinsics import stubs, walker_digest, walking
 
 #: Kernels that the walker refused in this process, and why: numba compiled them as they stand.
 not_walked: list[str] = []

@@ -10,8 +10,6 @@ from typing import Literal, overload
 
 from symsimpson.errors import InputError
 
-__all__ = ["show_config", "versions_of"]
-
 #: What results depend on; then what is only used where it is there.
 _NEEDED = ("symsimpson", "sympy", "numpy", "numba", "llvmlite", "mpmath")
 _OPTIONAL = ("scipy", "matplotlib", "plotly", "xarray", "zarr", "dask", "heyoka")

@@ -31,8 +31,6 @@ from symsimpson.program.sets import KernelSets
 from symsimpson.support.array_types import Reals
 from symsimpson.support.extras import library
 
-__all__ = ["read_precision"]
-
 FEWEST, MOST = 15, 10_000
 #: With more digits, quadratic convergence is worth its price; with few unknowns, always.
 MOST_BY_STAGES, FEWEST_BY_STAGES = 64, 5

@@ -13,16 +13,13 @@ from numba import njit
 
 from symsimpson.driver.solving import DRIVER_OPTIONS
 from symsimpson.driver.steps import SIGNATURES
-from symsimpson.module.definitions import outline, redefined
 from symsimpson.module.interface import constants
+from symsimpson.module.syntax import outline, redefined
 from symsimpson.program.cache import compiled
 from symsimpson.program.machine import vector_bits
-from symsimpson.support.ahead import compiles_late
-from symsimpson.walk.functions import read_functions, walking_function
-from symsimpson.walk.kernels import stub, walker_digest
-from symsimpson.walk.text import Text
-
-__all__ = ["driver", "driver_text", "signatures"]
+from symsimpson.support.interpreter import compiles_late
+from symsimpson.walk.intrinsics import read_functions, stub, walker_digest, walking_function
+from symsimpson.walk.trees import Text
 
 #: The modules that are compiled as one text, in this order.
 PARTS = (

@@ -16,18 +16,6 @@ from symsimpson.support.names import Named, is_masked, read_mapping, shortened
 if TYPE_CHECKING:
     from symsimpson.program.numbers import Numbers
 
-__all__ = [
-    "MOST_STEPS",
-    "read_array",
-    "read_count",
-    "read_number",
-    "read_parameters",
-    "read_reals",
-    "read_vector",
-    "shortened",
-    "values_at",
-    "whole_number",
-]
 
 #: More steps than this cannot be counted exactly in a float.
 MOST_STEPS = 2**53

@@ -13,8 +13,6 @@ import llvmlite.binding as llvm
 
 from symsimpson.errors import InputError
 
-__all__ = ["VARIABLE", "available_threads", "lanes_for", "lanes_of_machine", "vector_bits"]
-
 VARIABLE = "SYMSIMPSON_VECTOR_BITS"
 #: The widths that machines have, by the feature that tells of them.
 _WIDTHS = {"avx512f": 512, "avx": 256}

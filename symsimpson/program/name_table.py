@@ -13,8 +13,6 @@ from symsimpson.module.header import Header
 from symsimpson.support.calling import warn
 from symsimpson.support.names import Named, spelled
 
-__all__ = ["Names"]
-
 
 class Names:
     """Names of all that a module has; a user's own names come before those of the module.

@@ -17,9 +17,6 @@ from symsimpson.program.sets import KernelSets
 from symsimpson.support.array_types import Reals
 from symsimpson.support.literals import float_literals
 
-__all__ = ["FLOAT64", "Numbers"]
-
-
 #: A context that does nothing can be entered many times.
 NOTHING: AbstractContextManager[None] = nullcontext()
 #: Python is quicker than NumPy with so many numbers.

@@ -16,18 +16,6 @@ from symsimpson.program.program import Program
 from symsimpson.program.reader import OF_MATH, Reader
 from symsimpson.program.recorders import Recorder
 
-__all__ = [
-    "KINDS",
-    "Observed",
-    "Reduction",
-    "observers",
-    "observing_kernel",
-    "read_expression",
-    "read_reductions",
-    "refuse_constant",
-    "watchers",
-]
-
 #: Ways to reduce values over the steps of a run, in the order of their numbers; then what
 #: variations of a motion tell, which are no values of states; then how often an event acted.
 KINDS = ("min", "max", "mean", "first", "lyapunov", "megno", "sali", "count")

@@ -20,8 +20,6 @@ from symsimpson.support.array_types import Reals
 from symsimpson.support.derivation import Derivation, Report
 from symsimpson.support.names import spelled
 
-__all__ = ["Findings", "Program", "Tools", "new_program", "read_program", "report_of"]
-
 
 @dataclass(frozen=True)
 class Tools:

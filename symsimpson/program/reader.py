@@ -16,8 +16,6 @@ from symsimpson.module.quantity import OBSERVABLE, QUANTITIES, VECTORS
 from symsimpson.program.program import Program
 from symsimpson.support.names import counted, did_you_mean, spelled
 
-__all__ = ["OF_MATH", "Reader"]
-
 #: Functions of ``math`` that an expression may have in it.
 OF_MATH = "acos, asin, atan, atan2, cos, cosh, exp, log, sin, sinh, sqrt, tan, tanh"
 #: All functions, and how many arguments they take at least and at most.

@@ -12,18 +12,6 @@ from symsimpson.module.header import Header
 from symsimpson.module.workspace_layout import DRIVER_LAYOUT
 from symsimpson.support.array_types import Ints, Reals
 
-__all__ = [
-    "NAMED",
-    "Recorder",
-    "driver_layout",
-    "growth",
-    "split",
-    "tangents",
-    "tape",
-    "with_clock",
-    "work",
-]
-
 
 @dataclass(frozen=True)
 class Recorder:

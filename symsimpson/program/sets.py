@@ -19,8 +19,6 @@ from symsimpson.module.interface import (
 )
 from symsimpson.program.recorders import Recorder
 
-__all__ = ["KernelSets"]
-
 
 class KernelSets(ABC):
     """Kernels in some arithmetic: addresses of compiled ones, or functions.

@@ -6,8 +6,6 @@ from enum import IntEnum
 
 from symsimpson.module import interface
 
-__all__ = ["REGULAR", "Status"]
-
 
 class Status(IntEnum):
     """How a run ended; 0 is success. ``message`` says it in a sentence, with what to do.

@@ -13,8 +13,6 @@ from symsimpson.module.header import digest
 from symsimpson.program.answers import kept
 from symsimpson.support.derivation import Derivation
 
-__all__ = ["kept_text"]
-
 #: What the generator is made of.
 GENERATOR = ("graph", "mechanics", "schemes", "discrete", "codegen", "module")
 #: A derivation that took less, in seconds, is as soon done again as read.

@@ -12,7 +12,6 @@ from symsimpson.support.array_types import Reals
 if TYPE_CHECKING:
     from symsimpson.program.numbers import Numbers
 
-__all__ = ["NO_INPUTS", "workspace"]
 
 #: Inputs of a system without any: by member, step, node and number.
 NO_INPUTS = np.zeros((1, 1, 1, 0))

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, UnknownNameError
-from symsimpson.module.matrices import slopes_of
-from symsimpson.module.quantity import QUANTITIES, SCALARS, VECTORS
+from symsimpson.module.quantity import QUANTITIES, SCALARS, VECTORS, slopes_of
 from symsimpson.program.program import Program
 from symsimpson.results.tables import Variable, attribute_name, variable_of
 from symsimpson.support.names import did_you_mean, public_names, shortened, spelled

@@ -241,7 +241,7 @@ class States(Quantities, Tabular, Plotted):
         >>> run.plot_path().get_aspect()
         1.0
         """
-        from symsimpson.plotting.animate import plot_path
+        from symsimpson.plotting.films import plot_path
 
         return plot_path(self, connected=self._connected, ax=ax)
 

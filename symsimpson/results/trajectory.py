@@ -21,7 +21,7 @@ from symsimpson.support.calling import explaining
 from symsimpson.support.names import counted, did_you_mean, public_names
 
 if TYPE_CHECKING:
-    from symsimpson.plotting.animate import Animation
+    from symsimpson.plotting.films import Animation
     from symsimpson.results.events import Events
     from symsimpson.results.interpolate import DenseOutput
 
@@ -270,7 +270,7 @@ class Trajectory(Savable, Energies, Differentiated):
         >>> run.animate(fps=10)
         Animation(50 frames; save('film.html') keeps it)
         """
-        from symsimpson.plotting.animate import animate
+        from symsimpson.plotting.films import animate
 
         return animate(self, seconds=seconds, fps=fps, figsize=figsize, dpi=dpi)
 
@@ -368,7 +368,7 @@ class Part(States):
 
     def animate(self, **options: Any) -> Animation:
         """Animate this part of the run, with the arguments of :meth:`Trajectory.animate`."""
-        from symsimpson.plotting.animate import animate
+        from symsimpson.plotting.films import animate
 
         return animate(self, **options)
 

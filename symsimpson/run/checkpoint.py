@@ -28,9 +28,7 @@ from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import warn
-from symsimpson.support.signals import undisturbed
-
-__all__ = ["Checkpoint", "asked", "buffered", "read_asked"]
+from symsimpson.support.interpreter import undisturbed
 
 #: The first line of a file: what it is, its version and the digest of what follows.
 MAGIC, VERSION = "symsimpson checkpoint", 2

@@ -24,8 +24,6 @@ from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Reals
 from symsimpson.support.names import spelled
 
-__all__ = ["chosen_run", "last_time"]
-
 
 def chosen_run(
     program: Program, spec: RunSpec, t_eval: Any, save: Any, progress: bool | None, on_failure: str

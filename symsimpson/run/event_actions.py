@@ -19,8 +19,6 @@ from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Floats, State
 from symsimpson.support.names import speed_of_approach
 
-__all__ = ["EventActions"]
-
 #: So many impacts at one time are taken one after the other.
 MOST_MAPS = 500
 #: States at an event are known to so much of themselves.

@@ -23,8 +23,6 @@ from symsimpson.stepping.run_events import RunEvents
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Floats, State
 
-__all__ = ["LOST", "EventLocator", "plain_restitution"]
-
 #: So many impacts are kept before Python takes their records.
 ROOM = 1024
 #: What ``locate`` returns where a part of a step cannot be taken.

@@ -15,8 +15,6 @@ from symsimpson.stepping.run_events import RunEvents
 from symsimpson.support.array_types import Reals
 from symsimpson.support.names import speed_of_approach
 
-__all__ = ["EventMaps", "read_restitution"]
-
 
 class EventMaps:
     """Computes states after single events.

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from symsimpson.run.saltation import Saltation
     from symsimpson.stepping.spec import RunSpec
 
-__all__ = ["EventRun"]
 
 #: So many actions within one step are too many; a start may be so far behind a wall, relative to
 #: its size.

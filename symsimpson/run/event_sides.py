@@ -16,8 +16,6 @@ from symsimpson.stepping.parts import Parts
 from symsimpson.stepping.run_events import RunEvents
 from symsimpson.support.array_types import Floats, State
 
-__all__ = ["Sides"]
-
 #: In these parts of a step, or of its rest, expressions are looked at that are zero at both ends.
 #: Forces are taken on their own side of a kink up to these parts of a step from it.
 LITTLE = [2.0**k for k in range(-50, -15, 2)]

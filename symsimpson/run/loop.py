@@ -24,8 +24,8 @@ from symsimpson.stepping.request import of_a_step
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Reals
 from symsimpson.support.calling import explaining, warn
+from symsimpson.support.interpreter import undisturbed
 from symsimpson.support.names import counted
-from symsimpson.support.signals import undisturbed
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program

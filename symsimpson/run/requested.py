@@ -19,8 +19,6 @@ from symsimpson.support.progress import read_progress
 if TYPE_CHECKING:
     from symsimpson.results.sampled import Sampled, Saved
 
-__all__ = ["end_of_step", "program_for", "run", "tangent_of_step"]
-
 
 def run(
     program: Program,

@@ -29,8 +29,6 @@ from symsimpson.stepping.variations import STEP_ITSELF, varied_program
 from symsimpson.support.array_types import Floats, Reals, State
 from symsimpson.support.calling import warn
 
-__all__ = ["Saltation"]
-
 #: What is zero with a rate below this part of that over the part of the step is grazed.
 GRAZED = 1e-3
 #: The part of a step over which the vector field is a mean of two derivatives by the length.

@@ -30,8 +30,8 @@ from symsimpson.run.resolution import (
 from symsimpson.stepping.arrival import STRIDE, resolution, with_end
 from symsimpson.stepping.inputs import read_steps, read_times
 from symsimpson.stepping.request import Request
-from symsimpson.support.ahead import compiles_late
 from symsimpson.support.array_types import Floats, Ints
+from symsimpson.support.interpreter import compiles_late
 from symsimpson.support.names import Named
 
 #: Steps times rows of the workspace: so much is over before anybody presses Ctrl-C; and so much

@@ -23,8 +23,6 @@ from symsimpson.stepping.spec import RunSpec, read_run
 from symsimpson.stepping.variations import varied_program
 from symsimpson.support.array_types import Reals
 
-__all__ = ["timed_run"]
-
 
 def timed_run(
     program: Program,

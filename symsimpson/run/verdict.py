@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import ConstraintWarning, ResolutionWarning
-from symsimpson.module.matrices import slopes_of
+from symsimpson.module.quantity import slopes_of
 from symsimpson.program.evaluating import evaluate
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status

@@ -16,8 +16,6 @@ from symsimpson.schemes.quadrature import Quadrature
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.names import did_you_mean
 
-__all__ = ["COMPOSITIONS", "Composition", "composition"]
-
 Coefficients = tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]
 
 

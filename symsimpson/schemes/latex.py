@@ -8,8 +8,6 @@ import sympy as sp
 
 from symsimpson.support.markup import aligned, in_text
 
-__all__ = ["composition", "scheme"]
-
 #: Tables of more numbers than this are not shown.
 MOST_NUMBERS = 42
 

@@ -9,8 +9,6 @@ from symsimpson.schemes.composition import COMPOSITIONS, composition
 from symsimpson.schemes.scheme import MIDPOINT, SIMPSON, Scheme, galerkin
 from symsimpson.support.names import did_you_mean
 
-__all__ = ["read_scheme"]
-
 #: Names that schemes have elsewhere.
 ELSEWHERE = {
     **dict.fromkeys(("verlet", "stormer_verlet", "velocity_verlet", "leapfrog"), "lobatto2"),

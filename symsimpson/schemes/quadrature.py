@@ -10,8 +10,6 @@ from sympy.integrals.quadrature import gauss_legendre, gauss_lobatto
 
 from symsimpson.errors import SchemeError
 
-__all__ = ["Quadrature", "gauss", "lagrange_basis", "lobatto", "radau"]
-
 #: Roots of Legendre polynomials and of their derivatives are written in radicals up to here; with
 #: one node more, products of them fill pages.
 CLOSED_FORM = {"gauss": 4, "lobatto": 5, "radau": 3}

@@ -14,8 +14,6 @@ from symsimpson.errors import SchemeError
 from symsimpson.schemes.quadrature import Quadrature, gauss, lagrange_basis, lobatto, radau
 from symsimpson.support.names import counted
 
-__all__ = ["MIDPOINT", "SIMPSON", "Scheme", "galerkin"]
-
 Table = tuple[tuple[sp.Expr, ...], ...]
 _QUADRATURES = {"gauss": gauss, "lobatto": lobatto, "radau": radau}
 

@@ -27,18 +27,6 @@ if TYPE_CHECKING:
     from symsimpson.program.numbers import Numbers
     from symsimpson.program.program import Program
 
-__all__ = [
-    "Driven",
-    "Samples",
-    "at_places",
-    "driven",
-    "given_inputs",
-    "inputs_there",
-    "places",
-    "read_driving",
-    "samples",
-    "since",
-]
 
 #: A period may miss a whole number of steps by so much of a step.
 STEP_FRACTION = 1e-6

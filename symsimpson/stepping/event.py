@@ -15,8 +15,6 @@ from symsimpson.support.calling import explaining
 from symsimpson.support.markup import fields_given
 from symsimpson.support.names import spelled
 
-__all__ = ["CHANGED", "Change", "Event", "Impact", "Switch"]
-
 #: What may be changed, and the blocks of a state that it stands in.
 CHANGED = {"positions": "q", "velocities": "v", "momenta": "p"}
 

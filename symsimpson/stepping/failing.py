@@ -8,8 +8,6 @@ from symsimpson.module.header import Header
 from symsimpson.program.status import Status
 from symsimpson.support.array_types import Reals
 
-__all__ = ["failure"]
-
 
 def failure(header: Header, column: Reals, *, last_resort: bool) -> Status:
     """Return why a step failed, from the workspace of one lane.

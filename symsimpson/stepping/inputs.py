@@ -10,25 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from symsimpson.errors import InputError
-from symsimpson.program.input_values import MOST_STEPS, read_count, read_number, shortened
+from symsimpson.program.input_values import MOST_STEPS, read_count, read_number
 from symsimpson.stepping.request import Request
-from symsimpson.support.names import counted
+from symsimpson.support.names import counted, shortened
 
 if TYPE_CHECKING:
     from symsimpson.program.numbers import Numbers
 
-__all__ = [
-    "read_every",
-    "read_failure",
-    "read_given",
-    "read_step",
-    "read_steps",
-    "read_times",
-    "refuse_together",
-    "refuse_too_many",
-    "refused_start",
-    "step_taken",
-]
 
 #: The end of a run may miss a whole number of steps by so much of a step, and by what double
 #: precision loses of times and of their quotient; by a tenth at most.

@@ -6,8 +6,6 @@ from typing import NamedTuple
 
 from symsimpson.support.array_types import Ints, Reals
 
-__all__ = ["KeptStates"]
-
 
 class KeptStates(NamedTuple):
     """States of a run at equal strides; the last one may stand behind a part of a stride."""

@@ -15,8 +15,6 @@ from symsimpson.stepping.driving import at_places, places
 from symsimpson.stepping.run import Run
 from symsimpson.support.array_types import Floats
 
-__all__ = ["Parts", "steps_from"]
-
 #: Parts of steps that end beside a place are shorter, or longer, by so much of a step.
 NUDGES = [sign * 2.0**k for k in range(-50, -16, 4) for sign in (-1, 1)]
 #: Those of whole steps: their ends are those of the grid, but for rounding.

@@ -12,8 +12,6 @@ from symsimpson.program.program import Program
 from symsimpson.program.recorders import NAMED, Recorder, tangents
 from symsimpson.support.names import did_you_mean
 
-__all__ = ["read_record", "recorders_of"]
-
 
 def read_record(program: Program, given: Any) -> tuple[str, ...]:
     """Read names of what is to be recorded.

@@ -9,8 +9,6 @@ import numpy as np
 
 from symsimpson.errors import InputError
 
-__all__ = ["Request", "of_a_step", "step_request"]
-
 
 class Request(NamedTuple):
     """Arguments of a run, unread.

@@ -22,10 +22,8 @@ from symsimpson.program.workspace import NO_INPUTS, workspace
 from symsimpson.stepping.failing import failure
 from symsimpson.stepping.kept import KeptStates
 from symsimpson.support.array_types import Floats, Reals
+from symsimpson.support.interpreter import listening
 from symsimpson.support.progress import Watcher
-from symsimpson.support.signals import listening
-
-__all__ = ["Run"]
 
 LOG = logging.getLogger(__name__)
 #: The compiled loop is left after about so many seconds, so that Ctrl-C is heard.

@@ -18,8 +18,6 @@ from symsimpson.stepping.variations import STEP
 from symsimpson.support.array_types import Reals
 from symsimpson.support.names import speed_of_approach, spelled
 
-__all__ = ["RunEvents", "read_run_events"]
-
 #: Events that a program remembers: reading them takes SymPy milliseconds.
 MOST_KNOWN = 64
 

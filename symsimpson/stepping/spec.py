@@ -21,8 +21,6 @@ from symsimpson.stepping.run_events import RunEvents, read_run_events
 from symsimpson.stepping.variations import read_tangents
 from symsimpson.support.array_types import Reals
 
-__all__ = ["RunSpec", "read_run"]
-
 
 @dataclass(frozen=True)
 class RunSpec:

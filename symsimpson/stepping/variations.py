@@ -16,15 +16,6 @@ if TYPE_CHECKING:
     from symsimpson.program.program import Program
     from symsimpson.stepping.run import Run
 
-__all__ = [
-    "STEP",
-    "STEP_ITSELF",
-    "begin_variations",
-    "read_tangents",
-    "read_varied",
-    "refuse_retimed",
-    "varied_program",
-]
 
 #: What a step has besides parameters and inputs.
 STEP = ("h", "t")

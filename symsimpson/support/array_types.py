@@ -5,8 +5,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Floats", "Ints", "Reals", "State"]
-
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 #: float64, or numbers of mpmath in an object array.

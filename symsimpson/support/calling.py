@@ -20,8 +20,6 @@ from symsimpson.errors import (
 )
 from symsimpson.support.names import counted, did_you_mean
 
-__all__ = ["explained", "explaining", "warn", "without_step_warnings"]
-
 VARIADIC, KEYWORDS = inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD
 P = ParamSpec("P")
 Result = TypeVar("Result")

@@ -1,11 +1,38 @@
-"""Records of derivations: the time that each part took, and the result."""
+"""Records of derivations: the time of each part, with the result."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 
-__all__ = ["LAGRANGIAN", "Derivation", "Report"]
+_collected: ContextVar[dict[str, float] | None] = ContextVar("collected", default=None)
+
+
+@contextmanager
+def collecting() -> Iterator[dict[str, float]]:
+    """Collect the seconds of all stages that are timed inside, by their names."""
+    seconds: dict[str, float] = {}
+    token = _collected.set(seconds)
+    try:
+        yield seconds
+    finally:
+        _collected.reset(token)
+
+
+@contextmanager
+def timed(stage: str) -> Iterator[None]:
+    """Add the seconds that a block takes to a stage, if they are collected."""
+    start = time.perf_counter()
+    try:
+        yield
+    finally:
+        seconds = _collected.get()
+        if seconds is not None:
+            seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - start
+
 
 #: The running cost L(t, q, v) of a system, whose integral over a step is the discrete Lagrangian.
 LAGRANGIAN = "the Lagrangian"

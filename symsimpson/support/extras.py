@@ -7,8 +7,6 @@ from typing import Any
 
 from symsimpson.errors import InputError
 
-__all__ = ["library"]
-
 
 def library(name: str, use: str, extra: str) -> Any:
     """Import a library that comes with an extra of the package.

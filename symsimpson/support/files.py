@@ -11,8 +11,6 @@ from typing import Any
 
 from symsimpson.errors import InputError, StorageError
 
-__all__ = ["check_folder", "read_path", "write_text", "written_beside"]
-
 
 def read_path(what: str, value: Any) -> Path:
     """Read the name of a file or a folder; ``what`` names it in the message.

@@ -8,8 +8,6 @@ import numpy as np
 
 from symsimpson.support.array_types import Reals
 
-__all__ = ["bending_length"]
-
 #: Displacements that are tried, and the part of itself by which a slope is to change.
 TRIED, CHANGED = 10.0 ** np.arange(-24, 25), 1e-3
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = ["float_literals"]
-
 #: NumPy and Numba take no larger whole numbers: arrays of them are of objects.
 LARGEST = 2**63 - 1
 

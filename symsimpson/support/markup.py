@@ -13,8 +13,6 @@ import numpy as np
 
 from symsimpson.support.array_types import Reals
 
-__all__ = ["box", "curves", "facts", "fields_given", "scatter", "table"]
-
 #: Points of a picture; more would not be seen.
 POINTS = 240
 #: A value that a user gave is shown up to so many characters.

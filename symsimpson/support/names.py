@@ -13,20 +13,6 @@ import numpy as np
 
 from symsimpson.errors import InputError
 
-__all__ = [
-    "Named",
-    "by_name",
-    "counted",
-    "did_you_mean",
-    "in_a_row",
-    "is_masked",
-    "public_names",
-    "read_mapping",
-    "shortened",
-    "speed_of_approach",
-    "spelled",
-]
-
 #: How alike two names are that may have been mistaken for one another: as "th" and "theta".
 ALIKE = 0.55
 

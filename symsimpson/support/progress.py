@@ -18,8 +18,6 @@ from typing import Any
 from symsimpson.errors import InputError
 from symsimpson.support.extras import library
 
-__all__ = ["Progress", "Watcher", "silence", "waiting"]
-
 #: What is done sooner shows no bar.
 DELAY = 1.0
 

@@ -7,43 +7,62 @@ from collections.abc import Callable
 from symsimpson.errors import ModelError
 from symsimpson.support.calling import explained
 from symsimpson.support.names import did_you_mean
-from symsimpson.systems.argon import argon, argon_cluster
-from symsimpson.systems.bicycle import whipple_bicycle
-from symsimpson.systems.cart_pole import cart_pole, driven_cart_pole
-from symsimpson.systems.cloth import cloth
-from symsimpson.systems.double_pendulum import double_pendulum, driven_double_pendulum
-from symsimpson.systems.driven import (
+from symsimpson.systems.entry import CatalogueSystem
+from symsimpson.systems.geodesics import ellipsoid_geodesic, torus_geodesic
+from symsimpson.systems.gravity import (
+    figure_eight,
+    kepler,
+    kepler_plane,
+    n_body,
+    outer_solar_system,
+    pythagorean,
+)
+from symsimpson.systems.lattices import argon, argon_cluster, cloth, fermi_pasta_ulam, water
+from symsimpson.systems.mechanisms import (
+    andrews_squeezer,
+    cart_pole,
+    driven_cart_pole,
+    four_bar,
+    hanging_chain,
+    puma560,
+    slider_crank,
+)
+from symsimpson.systems.oscillators import (
     charged_particle,
     damped_oscillator,
     damped_pendulum,
     duffing,
     dust_grain,
+    harmonic_oscillator,
+    henon_heiles,
     kapitza,
     van_der_pol,
 )
-from symsimpson.systems.elastic_pendulum import elastic_pendulum
-from symsimpson.systems.entry import CatalogueSystem
-from symsimpson.systems.fermi_pasta_ulam import fermi_pasta_ulam
-from symsimpson.systems.geodesics import ellipsoid_geodesic, torus_geodesic
-from symsimpson.systems.gravity import figure_eight, n_body, outer_solar_system, pythagorean
-from symsimpson.systems.harmonic_oscillator import harmonic_oscillator
-from symsimpson.systems.henon_heiles import henon_heiles
-from symsimpson.systems.kepler import kepler, kepler_plane
-from symsimpson.systems.lagrange_top import lagrange_top, lagrange_top_cusps
-from symsimpson.systems.linkages import andrews_squeezer, four_bar, hanging_chain, slider_crank
-from symsimpson.systems.n_pendulum import n_pendulum
-from symsimpson.systems.pendulum import pendulum
-from symsimpson.systems.puma560 import puma560
-from symsimpson.systems.rigid_body import heavy_top, rigid_body
-from symsimpson.systems.rolling import ball_on_turntable, chaplygin_sleigh, rolling_disc, snakeboard
-from symsimpson.systems.spherical_pendulum import spherical_pendulum
-from symsimpson.systems.turning_bodies import (
+from symsimpson.systems.pendulums import (
+    double_pendulum,
+    driven_double_pendulum,
+    elastic_pendulum,
+    n_pendulum,
+    pendulum,
+    spherical_pendulum,
+)
+from symsimpson.systems.rolling import (
+    ball_on_turntable,
+    chaplygin_sleigh,
+    rolling_disc,
+    snakeboard,
+    whipple_bicycle,
+)
+from symsimpson.systems.tops import (
     cartesian_pendulum,
+    heavy_top,
     jointed_bodies,
+    lagrange_top,
+    lagrange_top_cusps,
     quaternion_top,
+    rigid_body,
     tumbling_body,
 )
-from symsimpson.systems.water import water
 
 Catalogue = dict[str, Callable[[], CatalogueSystem]]
 

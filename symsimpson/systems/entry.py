@@ -9,8 +9,6 @@ from typing import Any
 
 from symsimpson.mechanics.system import MechanicalSystem
 
-__all__ = ["CatalogueSystem"]
-
 State = Mapping[str, Any]
 
 

@@ -7,8 +7,6 @@ import sympy as sp
 from symsimpson.mechanics.coordinates import coordinates
 from symsimpson.systems.entry import CatalogueSystem
 
-__all__ = ["ellipsoid_geodesic", "torus_geodesic"]
-
 
 def torus_geodesic() -> CatalogueSystem:
     """A free particle on a torus; p_phi is Clairaut's constant."""

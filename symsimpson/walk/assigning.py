@@ -14,15 +14,13 @@ from typing import Any
 
 from llvmlite import ir
 
-from symsimpson.walk.arrays import Array
-from symsimpson.walk.called import Functions
+from symsimpson.walk.calls import Functions
 from symsimpson.walk.control_flow import Slot
 from symsimpson.walk.expressions import Env, Product
-from symsimpson.walk.side_by_side import Item, in_order
+from symsimpson.walk.memory import Array
 from symsimpson.walk.trees import assigned
 from symsimpson.walk.values import DOUBLE, Refused, known
-
-__all__ = ["Assigning"]
+from symsimpson.walk.vectors import Item, in_order
 
 
 class Assigning(Functions):

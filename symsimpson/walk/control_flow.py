@@ -9,11 +9,8 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 
-from symsimpson.walk.arrays import BYTE, Array
-from symsimpson.walk.rows import Rows
+from symsimpson.walk.memory import BYTE, Array, Rows
 from symsimpson.walk.values import BIT, DOUBLE, FLAGS, INT, LaneNumber, Refused, known
-
-__all__ = ["Blocks", "Loop", "Slot"]
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.walk.arrays import Array, Range
 from symsimpson.walk.calls import Calls
 from symsimpson.walk.control_flow import Loop, Slot
-from symsimpson.walk.side_by_side import Item
-from symsimpson.walk.text import Text
-from symsimpson.walk.trees import must_wait, used_once
+from symsimpson.walk.memory import Array, Range
+from symsimpson.walk.trees import Text, must_wait, used_once
 from symsimpson.walk.values import PrivateRow, Refused, known
-
-__all__ = ["Ahead", "Env", "Expressions", "Frame", "Product"]
+from symsimpson.walk.vectors import Item
 
 #: Names of a function that is being walked, with what they stand for.
 Env = dict[str, Any]

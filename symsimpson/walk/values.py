@@ -12,19 +12,6 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 
-__all__ = [
-    "BIT",
-    "DOUBLE",
-    "FLAGS",
-    "INT",
-    "KNOWN",
-    "LaneNumber",
-    "PrivateRow",
-    "Refused",
-    "Values",
-    "known",
-]
-
 DOUBLE, INT, BIT = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
 #: What is left of fast arithmetic: tests for NaN and compensated sums stay what they are. A product
 #: is fused with a sum by the walker, where the text has one in the other, and LLVM fuses no more:

@@ -15,15 +15,13 @@ from typing import Any
 
 from symsimpson.errors import GenerationError
 from symsimpson.module.interface import LOOKED_AT, PIVOTED
-from symsimpson.walk.arrays import Array
 from symsimpson.walk.assigning import Assigning
 from symsimpson.walk.control_flow import Loop, Slot
 from symsimpson.walk.expressions import Ahead, Env, Frame, Product
-from symsimpson.walk.own import own_blocks
+from symsimpson.walk.memory import Array
 from symsimpson.walk.trees import assigned, leaves, vectors, weight
 from symsimpson.walk.values import LaneNumber, Refused, known
-
-__all__ = ["Walker"]
+from symsimpson.walk.vectors import own_blocks
 
 #: As many turns are made to one vector.
 WIDTHS = (4, 8, 16)

@@ -16,7 +16,7 @@ from support.workspace import jet_values
 
 import symsimpson as ss
 from symsimpson.discrete.jet import derive_jet
-from symsimpson.systems.puma560 import LINKS
+from symsimpson.systems.mechanisms import LINKS
 
 GRAVITY = (0, 0, -9.81)
 

@@ -17,10 +17,9 @@ from support.places import DATA
 from symsimpson.codegen.pipeline import derive, source
 from symsimpson.errors import SchemeError
 from symsimpson.systems import CATALOGUE, EVERY
-from symsimpson.walk.arrays import Array
 from symsimpson.walk.calls import Calls
-from symsimpson.walk.rows import BlockBuilder
-from symsimpson.walk.text import ARGUMENTS, read_text
+from symsimpson.walk.memory import Array, BlockBuilder
+from symsimpson.walk.trees import ARGUMENTS, read_text
 from symsimpson.walk.values import DOUBLE
 from symsimpson.walk.walker import Walker
 

@@ -12,7 +12,7 @@ import numpy as np
 from numba.core import event
 
 from symsimpson.module.binding import MATH, bind
-from symsimpson.module.definitions import definitions, outline, redefined
+from symsimpson.module.syntax import definitions, outline, redefined
 from symsimpson.program.compiled import Kernels
 from symsimpson.program.driver import driver_text
 from symsimpson.program.numbers import Numbers

@@ -10,7 +10,7 @@ from numba import cfunc
 
 from symsimpson.graph.evaluate import line_value
 from symsimpson.program.machine import vector_bits
-from symsimpson.walk.kernels import stubs, walking
+from symsimpson.walk.intrinsics import stubs, walking
 
 TABLES = {
     "simpson": ("lobatto", 3, 2),

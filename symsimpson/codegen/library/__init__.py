@@ -13,7 +13,7 @@ from functools import cache
 from importlib import resources
 from types import MappingProxyType
 
-from symsimpson.module.definitions import definitions
+from symsimpson.module.syntax import definitions
 
 __all__ = ["kernel_sources", "library_sources"]
 

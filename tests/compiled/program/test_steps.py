@@ -7,8 +7,7 @@ from numba import njit
 import symsimpson as ss
 from symsimpson.driver import steps as text
 from symsimpson.program import driver as compiled
-from symsimpson.walk.functions import read_functions, walking_function
-from symsimpson.walk.kernels import stub
+from symsimpson.walk.intrinsics import read_functions, stub, walking_function
 
 
 def test_a_step_allocates_nothing():

@@ -9,8 +9,8 @@ from support.small_texts import run, text_of
 from support.workspace import walked
 
 import symsimpson as ss
-from symsimpson.module.definitions import redefined
-from symsimpson.walk import kernels
+from symsimpson.module.syntax import redefined
+from symsimpson.walk import intrinsics
 
 LOOPED = ["chaplygin_sleigh", "hanging_chain 6", "fermi_pasta_ulam 12", "puma560", "jointed_bodies"]
 #: In the first row lanes have 0, 1/8, 2/8 and 3/8.
@@ -109,13 +109,13 @@ def test_kernels_by_loops_have_lanes_as_vectors(make, monkeypatch):
     """No kernel of a step is walked once more, or for one lane after another."""
     name, *size = make.split()
     text = ss.compile(getattr(ss.systems, name)(*map(int, size))).source
-    text, taken, real = redefined(text, {"LANES": "LANES = 4"}), [], kernels._walked
+    text, taken, real = redefined(text, {"LANES": "LANES = 4"}), [], intrinsics._walked
 
     def walk(*given, **how):
         taken.append((given[3], how["at_once"], how["alone"]))
         return real(*given, **how)
 
-    monkeypatch.setattr(kernels, "_walked", walk)
+    monkeypatch.setattr(intrinsics, "_walked", walk)
     steps = [kernel for kernel in ("start", "newton", "advance") if f"def {kernel}(" in text]
     walked(text, steps, 4)
     assert taken == [(kernel, True, frozenset()) for kernel in steps]

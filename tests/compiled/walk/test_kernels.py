@@ -15,12 +15,12 @@ import symsimpson as ss
 from symsimpson.codegen.pipeline import derive, source
 from symsimpson.discrete.reductions import read_exploit
 from symsimpson.module.binding import bind
-from symsimpson.module.definitions import redefined
 from symsimpson.module.interface import LOOKED_AT, PIVOTED
+from symsimpson.module.syntax import redefined
 from symsimpson.program import cache, compiled
 from symsimpson.schemes.named import read_scheme
 from symsimpson.systems import EVERY
-from symsimpson.walk.text import ARGUMENTS, read_text
+from symsimpson.walk.trees import ARGUMENTS, read_text
 from symsimpson.walk.values import Refused
 from symsimpson.walk.walker import Walker
 

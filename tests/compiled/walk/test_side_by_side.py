@@ -11,9 +11,9 @@ from support.workspace import new_workspace, walked
 import symsimpson as ss
 from symsimpson.codegen.pipeline import source
 from symsimpson.module.binding import bind_float
-from symsimpson.walk import side_by_side
-from symsimpson.walk.side_by_side import in_order
-from symsimpson.walk.text import read_text
+from symsimpson.walk import vectors
+from symsimpson.walk.trees import read_text
+from symsimpson.walk.vectors import in_order
 
 WAVES = """\
 @compiled
@@ -254,7 +254,7 @@ def test_kernels_have_the_same_bits_as_with_single_calls(monkeypatch):
     text, ends = source(ss.systems.n_pendulum(3), "simpson"), []
     module = bind_float(text)
     for most in (4, 1):
-        monkeypatch.setattr(side_by_side, "MOST", most)
+        monkeypatch.setattr(vectors, "MOST", most)
         kernels = walked(text, ["prepare", "start", "newton", "advance"], 1)
         W = new_workspace(module, [0.5, -0.7, 1.1], [0.1, 0.2, -0.3], module.FACTS["defaults"])
         for name in ("prepare", "start", "newton", "newton", "advance"):

@@ -11,8 +11,7 @@ from support.small_texts import HEAD, run, text_of
 from support.workspace import walked
 
 from symsimpson.errors import GenerationError
-from symsimpson.walk.functions import read_functions, walking_function
-from symsimpson.walk.kernels import stub
+from symsimpson.walk.intrinsics import read_functions, stub, walking_function
 
 LEAVE = """\
 @compiled

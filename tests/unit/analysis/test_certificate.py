@@ -24,8 +24,8 @@ from symsimpson.codegen.library import library_sources
 from symsimpson.codegen.module_kernels import lower
 from symsimpson.codegen.pipeline import source
 from symsimpson.discrete.equations import discretise
-from symsimpson.module.definitions import definitions, redefined
 from symsimpson.module.header import signed_anew
+from symsimpson.module.syntax import definitions, redefined
 from symsimpson.program.program import new_program
 from symsimpson.schemes.named import read_scheme
 

@@ -12,7 +12,7 @@ from symsimpson.analysis.stability import stress
 from symsimpson.analysis.stability import stress_tests as stress_report
 from symsimpson.api.stepper import Stepper
 from symsimpson.run import follow
-from symsimpson.support.signals import listening
+from symsimpson.support.interpreter import listening
 
 PENDULUM = ss.systems.pendulum()
 STATE = {"q0": [1.0], "v0": [0.0]}

@@ -18,7 +18,7 @@ from symsimpson.codegen.pipeline import derive, source
 from symsimpson.discrete.equations import DiscreteEquations, discretise
 from symsimpson.module.binding import bind_float
 from symsimpson.schemes.named import read_scheme
-from symsimpson.support import stopwatch
+from symsimpson.support import derivation
 
 
 def test_values_move_to_the_next_step_in_the_order_of_their_names():
@@ -204,7 +204,7 @@ def test_loops_over_terms_derive_no_jet_of_the_whole(monkeypatch):
 @pytest.mark.parametrize("system", [ss.systems.pendulum(), ss.systems.puma560(3)])
 def test_each_stage_takes_its_own_time(monkeypatch, system):
     """By a clock that ticks when it is read; the jet comes before the text, or within it."""
-    monkeypatch.setattr(stopwatch.time, "perf_counter", count().__next__)
+    monkeypatch.setattr(derivation.time, "perf_counter", count().__next__)
     stages = derive(system, "midpoint").seconds
     assert list(stages) == ["reading", "structure", "jet", "text"]
     assert all(seconds > 0 for seconds in stages.values())

@@ -7,8 +7,7 @@ from support.cases import sweep
 import symsimpson as ss
 from symsimpson.discrete.combined_rows import annihilating, shear_factors
 from symsimpson.discrete.equations import discretise
-from symsimpson.discrete.factors import factorise
-from symsimpson.discrete.reductions import reduce
+from symsimpson.discrete.reductions import factorise, reduce
 from symsimpson.schemes.named import read_scheme
 
 SCHEMES = ["simpson", "midpoint", "gauss4", "lobatto6", "lobatto2", "lobatto_3_3"]

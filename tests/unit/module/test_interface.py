@@ -9,8 +9,8 @@ import symsimpson as ss
 from symsimpson.codegen.pipeline import source
 from symsimpson.errors import StaleKernelError
 from symsimpson.module import interface
-from symsimpson.module.definitions import redefined
 from symsimpson.module.header import SIGNED, digest, read_header, with_facts
+from symsimpson.module.syntax import redefined
 from symsimpson.module.workspace_layout import BLOCKS, DRIVER_LAYOUT
 from symsimpson.program.driver import driver_text
 

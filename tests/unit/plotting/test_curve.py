@@ -97,7 +97,7 @@ def test_states_alone_are_dots_where_lines_would_mislead(circle):
 
 def test_steps_taken_again_are_bounded(circle, monkeypatch):
     run = circle(steps=190, every=19)
-    monkeypatch.setattr("symsimpson.plotting.curve.STEPS", 300)
+    monkeypatch.setattr("symsimpson.plotting.run_figures.STEPS", 300)
     line = run.plot_path().lines[0]
     assert (line.get_linestyle(), len(line.get_xdata())) == ("None", 11)
 

@@ -1,4 +1,4 @@
-"""Oscillators that lose energy, and are driven."""
+"""Oscillators, free or driven."""
 
 from __future__ import annotations
 
@@ -7,15 +7,36 @@ import sympy as sp
 from symsimpson.mechanics.coordinates import coordinates, time
 from symsimpson.systems.entry import CatalogueSystem
 
-__all__ = [
-    "charged_particle",
-    "damped_oscillator",
-    "damped_pendulum",
-    "duffing",
-    "dust_grain",
-    "kapitza",
-    "van_der_pol",
-]
+
+def harmonic_oscillator() -> CatalogueSystem:
+    """A mass on a linear spring; too simple to show a scheme's order."""
+    (x,) = coordinates("x")
+    m, k = sp.symbols("m k", positive=True)
+    return CatalogueSystem(
+        "harmonic_oscillator",
+        coordinates=(x,),
+        kinetic=m * x.diff() ** 2 / 2,
+        potential=k * x**2 / 2,
+        parameters={m: 1.0, k: 1.0},
+        positions={"mass": (x,)},
+        reference_state={"q0": (1.0,), "v0": (0.0,)},
+        source="V. I. Arnold, Mathematical Methods of Classical Mechanics, section 4",
+    )
+
+
+def henon_heiles() -> CatalogueSystem:
+    """A star in the plane of a galaxy with a cubic potential; bounded for energies below 1/6."""
+    x, y = coordinates("x y")
+    return CatalogueSystem(
+        "henon_heiles",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=(x**2 + y**2) / 2 + x**2 * y - y**3 / 3,
+        parameters={},
+        positions={"star": (x, y)},
+        reference_state={"q0": (0.0, 0.1), "v0": (0.48, 0.0)},
+        source="M. Henon, C. Heiles, Astron. J. 69 (1964), 73-79",
+    )
 
 
 def charged_particle() -> CatalogueSystem:
