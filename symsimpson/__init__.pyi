@@ -48,7 +48,7 @@ from .mechanics.rotations import rotation_matrix as rotation_matrix
 from .mechanics.structure import Structure as Structure
 from .mechanics.system import MechanicalSystem as MechanicalSystem
 from .plotting.films import Animation as Animation
-from .program.cache_contents import clear_cache as clear_cache
+from .program.cache import clear_cache as clear_cache
 from .program.configuration import show_config as show_config
 from .program.status import Status as Status
 from .results.archive import open_trajectory as open_trajectory

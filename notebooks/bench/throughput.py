@@ -17,8 +17,8 @@ from symsimpson.bench.contenders import Contender, alternate
 from symsimpson.bench.contenders import in_heyoka
 from symsimpson.ensemble.lanes import run_blocks
 from symsimpson.ensemble.members import read_task
-from symsimpson.ensemble.trial import with_fastest_lanes
-from symsimpson.program.machine import available_threads, lanes_for
+from symsimpson.ensemble.lanes import with_fastest_lanes
+from symsimpson.program.configuration import available_threads, lanes_for
 from symsimpson.reference import canonical
 from symsimpson.stepping.request import Request
 from symsimpson.support.array_types import Floats

@@ -12,7 +12,7 @@ import numpy as np
 from symsimpson.api.stepper import Stepper
 from symsimpson.module.quantity import slopes_of
 from symsimpson.program.digits import Digits, read_precision
-from symsimpson.program.evaluating import evaluate
+from symsimpson.program.observed import evaluate
 from symsimpson.program.program import new_program
 from symsimpson.program.workspace import workspace
 from symsimpson.results.trajectory import Trajectory

@@ -14,8 +14,8 @@ from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
 from symsimpson.api.stepper import Stepper
 from symsimpson.errors import ConvergenceError, SymsimpsonError
-from symsimpson.program.evaluating import evaluate
 from symsimpson.program.input_values import read_number
+from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Findings
 from symsimpson.reference.extrapolation import extrapolate
 from symsimpson.reference.first_order import canonical

@@ -17,7 +17,7 @@ from symsimpson.api.compiling import compile as compile_system
 from symsimpson.errors import ResolutionWarning, StabilityWarning
 from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
-from symsimpson.program.answers import kept
+from symsimpson.program.cache import kept
 from symsimpson.program.input_values import read_number
 from symsimpson.program.numbers import FLOAT64
 from symsimpson.program.status import Status

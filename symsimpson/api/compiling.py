@@ -22,9 +22,9 @@ from symsimpson.mechanics.retimed import RetimedSystem, extended
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.module.header import check_interface
 from symsimpson.module.interface import INTERFACE
+from symsimpson.program.cache import kept_text
 from symsimpson.program.numbers import Numbers
 from symsimpson.program.program import Program, Tools, new_program, read_program
-from symsimpson.program.texts import kept_text
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.checkpoint import read_asked
 from symsimpson.schemes.named import read_scheme

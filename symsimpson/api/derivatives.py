@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from symsimpson.api.evaluator import Parameters
 from symsimpson.api.stepping import Stepping
 from symsimpson.derivatives.gradients import Wanted, gradient_of
-from symsimpson.derivatives.linearised import linearise
 from symsimpson.derivatives.lyapunov import lyapunov
+from symsimpson.derivatives.step_equations import linearise
 from symsimpson.results.motion_derivatives import Chaos, Gradient, Linearisation
 from symsimpson.run.requested import tangent_of_step
 from symsimpson.stepping.request import Request, step_request

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from symsimpson.derivatives.step_equations import At, evaluate_curvature, evaluate_equations
 from symsimpson.errors import InputError
-from symsimpson.program.evaluating import evaluate_energy
+from symsimpson.program.observed import evaluate_energy
 from symsimpson.program.program import Program
 from symsimpson.support.array_types import Reals
 from symsimpson.support.calling import explaining

@@ -92,7 +92,7 @@ class Examining(Differentiating):
         (True, True)
         """
         from symsimpson.results.events import read_zeros
-        from symsimpson.run.pieces import poincare
+        from symsimpson.run.chosen import poincare
 
         request = Request(q0, v0, p0, h, t_end, steps, t0, parameters, inputs, events=events)
         wanted = read_zeros(self.program, expression, direction, wrap)

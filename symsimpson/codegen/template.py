@@ -10,8 +10,8 @@ from itertools import count
 from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.levels import Definitions, Level
 from symsimpson.discrete.jet import Jet, Key
+from symsimpson.graph.lines import Line, Program
 from symsimpson.graph.nodes import UNIT, Value
-from symsimpson.graph.shared_lines import Line, Program
 
 #: What a point has in place of plain symbols, by the first letter of these.
 _AT_POINT = {"q": "q", "v": "v", "u": "u", "l": "multipliers", "s": "step", "w": "weights"}

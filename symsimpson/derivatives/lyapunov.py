@@ -10,7 +10,7 @@ import numpy as np
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_count, whole_number
 from symsimpson.program.program import Program
-from symsimpson.program.recorders import growth
+from symsimpson.program.workspace import growth
 from symsimpson.results.motion_derivatives import Chaos, chaos_of
 from symsimpson.run.ended import raise_failure, trajectory_of
 from symsimpson.run.integrate import integrate

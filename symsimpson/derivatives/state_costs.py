@@ -12,10 +12,9 @@ from numpy.typing import ArrayLike
 
 from symsimpson.errors import InputError
 from symsimpson.module.quantity import OBSERVABLE
-from symsimpson.program.evaluating import evaluate
 from symsimpson.program.input_values import read_array
 from symsimpson.program.numbers import Numbers
-from symsimpson.program.observed import read_expression
+from symsimpson.program.observed import evaluate, read_expression
 from symsimpson.program.program import Program
 from symsimpson.program.workspace import workspace
 from symsimpson.stepping.variations import STEP

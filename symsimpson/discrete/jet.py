@@ -12,11 +12,11 @@ import sympy as sp
 
 from symsimpson.discrete.angles import halved, summed
 from symsimpson.graph.derive import Derivatives, gradient
+from symsimpson.graph.lines import Program
 from symsimpson.graph.merge import merged
 from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.graph.share import share
-from symsimpson.graph.shared_lines import Program
 from symsimpson.mechanics.constraints import accelerations
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.structure import kinetic

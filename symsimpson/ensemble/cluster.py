@@ -16,11 +16,11 @@ import numpy as np
 
 from symsimpson.ensemble.ensemble import names_in_dataset
 from symsimpson.ensemble.lanes import run_blocks
+from symsimpson.ensemble.members import Task
 from symsimpson.ensemble.store import Store, members_of, said, whole_group, write_chunk
-from symsimpson.ensemble.task import Task
 from symsimpson.errors import InputError, StorageError, SymsimpsonError
 from symsimpson.module.header import digest
-from symsimpson.program.machine import lanes_for
+from symsimpson.program.configuration import lanes_for
 from symsimpson.program.observed import read_reductions
 from symsimpson.program.program import Program, read_program
 from symsimpson.program.workspace import NO_INPUTS

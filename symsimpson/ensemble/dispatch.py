@@ -6,15 +6,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from symsimpson.ensemble.arrivals import with_ends
 from symsimpson.ensemble.cluster import check_client, run_on_cluster
 from symsimpson.ensemble.ensemble import Ensemble
-from symsimpson.ensemble.lanes import run_blocks
-from symsimpson.ensemble.members import read_task
+from symsimpson.ensemble.lanes import run_blocks, with_ends, with_fastest_lanes
+from symsimpson.ensemble.members import Task, read_task
 from symsimpson.ensemble.singles import look_at_ends, look_at_steps
 from symsimpson.ensemble.store import open_store, run_missing
-from symsimpson.ensemble.task import Task
-from symsimpson.ensemble.trial import with_fastest_lanes
 from symsimpson.errors import InputError, Interrupted
 from symsimpson.program.observed import read_reductions
 from symsimpson.program.program import Program

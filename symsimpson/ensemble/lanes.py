@@ -7,21 +7,78 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from symsimpson.derivatives.lyapunov import first_columns, first_part
-from symsimpson.ensemble.arrivals import take_last_parts
 from symsimpson.ensemble.ensemble import Ensemble
+from symsimpson.ensemble.members import Results, Task, ensemble_of
 from symsimpson.ensemble.singles import PAIR, RENEWAL, run_singly
-from symsimpson.ensemble.task import Results, Task, ensemble_of
 from symsimpson.errors import InputError
+from symsimpson.module.interface import ARRIVED
 from symsimpson.program.observed import KINDS
 from symsimpson.program.program import Program
-from symsimpson.program.recorders import Recorder, driver_layout, growth, with_clock
+from symsimpson.program.status import Status
+from symsimpson.program.workspace import Recorder, driver_layout, growth, with_clock
+from symsimpson.stepping.arrival import reduced_at_ends, states_at
 from symsimpson.stepping.recording import recorders_of
 from symsimpson.support.array_types import Floats
 from symsimpson.support.interpreter import listening
+
+
+def take_last_parts(program: Program, task: Task, results: Results) -> None:
+    """Take the parts of a step from where members have arrived to their end.
+
+    Where states on the way are stored, their end is not.
+    """
+    arrived = np.flatnonzero(results.codes[:, 0] == ARRIVED)
+    results.codes[arrived, 0] = Status.SUCCESS
+    if task.every or not arrived.size:
+        return
+    states = tuple(np.ascontiguousarray(x[arrived, 0]) for x in (results.q, results.p))
+    part, q, p, fine = states_at(
+        program,
+        task.parameters[arrived],
+        task.h,
+        (results.recorded[arrived, 0, 0], *states),
+        np.arange(arrived.size),
+        np.full(arrived.size, task.t_end),
+        1,
+    )
+    if task.reductions:
+        fine_ones, count = arrived[fine], 2 * len(task.reductions)
+        before = (results.recorded[fine_ones, 0, 0], *(x[fine] for x in states))
+        ends = np.full(len(fine_ones), task.t_end), q[fine], p[fine]
+        seen = results.seen[fine_ones, :count:2]
+        given = program, task.reductions, task.parameters[fine_ones]
+        results.seen[fine_ones, :count:2] = reduced_at_ends(*given, before, ends, seen)
+    results.q[arrived, 0], results.p[arrived, 0] = q, p
+    results.recorded[arrived, 0, 0], results.part[arrived] = task.t_end, part
+    results.codes[arrived[~fine], 0] = Status.NOT_CONVERGED
+
+
+def with_ends(ensemble: Ensemble, ends: Ensemble, every: int) -> Ensemble:
+    """Return members that have every so-many-th state with the state at the end behind them.
+
+    One that did not reach its ``ends`` has the states before that and its status.
+    """
+    steps = np.minimum(ensemble.steps, ends.steps)
+    status = np.where(ends.status == Status.SUCCESS, ensemble.status, ends.status)
+    place = steps // every + 1
+    last = np.take_along_axis(ensemble.t, place[:, None] - 1, axis=1)[:, 0]
+    some = np.flatnonzero((status == Status.SUCCESS) & (last != ends.t))
+    stored = int(max(place.max(), 1 + place[some].max(initial=0)))
+    columns: dict[str, Any] = {}
+    for name in ("t", "tau", "q", "p"):
+        column = getattr(ensemble, name)
+        columns[name] = np.full((len(column), stored, *column.shape[2:]), np.nan)
+        room = min(stored, column.shape[1])
+        columns[name][:, :room] = column[:, :room]
+        columns[name][np.arange(stored) >= place[:, None]] = np.nan
+        columns[name][some, place[some]] = getattr(ends, name)[some]
+    return replace(ensemble, **columns, status=status, steps=steps, reduced=ends.reduced)
+
 
 #: A thread comes back from compiled code after about so many seconds, so that Ctrl-C is heard.
 PATIENCE = 0.02
@@ -173,3 +230,67 @@ def _aligned(rows: int, lanes: int) -> Floats:
     room = np.zeros(rows * lanes + CACHE_LINE)
     first = -(room.__array_interface__["data"][0] // room.itemsize) % CACHE_LINE
     return room[first : first + rows * lanes].reshape(rows, lanes)
+
+
+#: A trial takes no more steps.
+TRIAL_STEPS = 2000
+#: Tasks of fewer steps of members are over before a trial pays; of others it takes this part.
+WORTH_IT, PART = 200_000, 0.2
+#: One by one must take so much less time, so that noise does not choose.
+CLEARLY = 0.9
+#: Members of a trial, and rounds of it.
+FEW, ROUNDS = 16, 3
+
+
+def seconds_of_member(program: Program, task: Task) -> float:
+    """Estimate the time of one member on one thread, by a trial with a block of them.
+
+    Raises KeyboardInterrupt.
+    """
+    return _seconds(program, task, task.lanes, rounds=1)
+
+
+def with_fastest_lanes(program: Program, task: Task) -> Task:
+    """Return a task whose members run one by one, if that is faster on this machine.
+
+    Where steps are solved by stages, the nodes of one member fill a vector, too. Members side by
+    side wait for each other, and need more of the cache; one by one, each waits for itself. Both
+    leave the same bits.
+
+    Raises KeyboardInterrupt at Ctrl-C; no member has been run by then.
+    """
+    small = task.members * task.steps < WORTH_IT or task.lanes == 1
+    if small or task.retimed or not program.kernels_for(task.lanes).by_stages:
+        return task
+    known = program.findings.lanes
+    if task.lanes not in known:
+        whole = task.members * task.steps
+        steps = int(PART * whole / (2 * (1 + ROUNDS) * max(task.lanes, FEW)))
+        short = replace(task, steps=min(task.steps, max(1, steps)))
+        beside, single = (_seconds(program, short, lanes, ROUNDS) for lanes in (task.lanes, 1))
+        known[task.lanes] = 1 if single < CLEARLY * beside else task.lanes
+    return replace(task, lanes=known[task.lanes])
+
+
+def _seconds(program: Program, task: Task, lanes: int, rounds: int) -> float:
+    """Estimate the time of a member in blocks of so many lanes, by the best of some rounds."""
+    members = min(max(lanes, FEW), task.members)
+    some = np.linspace(0, task.members - 1, members).astype(np.int64)
+    steps = min(task.steps, TRIAL_STEPS)
+    trial = replace(
+        task.part(some),
+        steps=steps,
+        every=0,
+        threads=1,
+        lanes=lanes,
+        reductions=(),
+        run_events=None,
+    )
+    seconds = []
+    for _ in range(1 + rounds):  # the first compiles
+        begin = time.perf_counter()
+        if run_blocks(program, trial, lambda done: None)[1]:  # which heard Ctrl-C
+            raise KeyboardInterrupt
+        seconds.append(time.perf_counter() - begin)
+    parts = task.steps / steps if steps else 1.0  # as many as would take its time
+    return max(min(seconds[1:]), 1e-9) * parts / members

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from symsimpson.derivatives.lyapunov import run_lyapunov
 from symsimpson.ensemble.ensemble import Ensemble, spread
-from symsimpson.ensemble.task import Results, Task
+from symsimpson.ensemble.members import Results, Task
 from symsimpson.errors import (
     ConstraintWarning,
     InputError,
@@ -22,7 +22,7 @@ from symsimpson.errors import (
 )
 from symsimpson.module.interface import SMALL_PIVOT
 from symsimpson.module.quantity import velocities_by
-from symsimpson.program.evaluating import evaluate
+from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory

@@ -21,9 +21,8 @@ from typing import Any, cast
 import numpy as np
 
 from symsimpson.ensemble.ensemble import Ensemble, names_in_dataset
-from symsimpson.ensemble.lanes import run_blocks
-from symsimpson.ensemble.task import Results, Task, ensemble_of
-from symsimpson.ensemble.trial import seconds_of_member
+from symsimpson.ensemble.lanes import run_blocks, seconds_of_member
+from symsimpson.ensemble.members import Results, Task, ensemble_of
 from symsimpson.errors import InputError, StorageError, SymsimpsonError
 from symsimpson.module.header import digest
 from symsimpson.module.interface import SMALL_PIVOT

@@ -21,17 +21,23 @@ from typing import Any
 import numpy as np
 
 from symsimpson.errors import InputError
-from symsimpson.export.c_expressions import HELPERS, Expressions, number
 from symsimpson.export.kinds import INT, KERNEL, POINTER, REAL, SET, Kinds
 from symsimpson.export.single import Functions, Source
-from symsimpson.export.statements import WIDTH, WORDS, comment, written_function
+from symsimpson.export.statements import (
+    HELPERS,
+    WIDTH,
+    WORDS,
+    Expressions,
+    comment,
+    number,
+    written_function,
+)
 from symsimpson.module.header import Header
 from symsimpson.module.interface import EXPLICIT, constants
 from symsimpson.module.syntax import syntax
 from symsimpson.module.workspace_layout import BLOCKS, DRIVER_LAYOUT
-from symsimpson.program.driver import driver_text
+from symsimpson.program.driver import KernelSets, driver_text
 from symsimpson.program.program import Program
-from symsimpson.program.sets import KernelSets
 from symsimpson.program.status import Status
 from symsimpson.stepping.run import FALLBACK_STRETCH, HOPELESS
 from symsimpson.walk.intrinsics import read_functions

@@ -17,10 +17,8 @@ from fractions import Fraction
 from itertools import combinations
 from typing import Any
 
-from symsimpson.graph.fold import Fold
+from symsimpson.graph.lines import Fold, Item, Program, add_factor, write_powers
 from symsimpson.graph.nodes import exact
-from symsimpson.graph.powers import write_powers
-from symsimpson.graph.shared_lines import Item, Program, add_factor
 
 #: Longer sums, and products, are not searched for pairs.
 LONGEST = 40

@@ -14,7 +14,7 @@ from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.read import written
 from symsimpson.graph.rebuild import rebuilt
-from symsimpson.graph.signs import Signs
+from symsimpson.graph.roots import Signs
 from symsimpson.mechanics.coordinates import time
 
 Matrix: TypeAlias = sp.ImmutableDenseMatrix

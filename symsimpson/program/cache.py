@@ -1,11 +1,4 @@
-"""Compiled code on disk, found by content.
-
-An entry is a folder that holds a module under a name made of its hash, what numba compiled from
-it, and a digest of every file. It is built in a folder of its own and then renamed into place, so
-that processes that start together cannot see half an entry. An entry that does not match its
-digests is deleted and built again. The files hold machine code and pickles: the folder must
-belong to the user alone.
-"""
+"""Machine code, texts or answers on disk, under what they follow from."""
 
 from __future__ import annotations
 
@@ -15,16 +8,19 @@ import importlib.util
 import json
 import logging
 import os
+import re
 import shutil
 import stat
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
+from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 import llvmlite
 import llvmlite.binding as llvm
@@ -32,8 +28,11 @@ import numba
 import numpy as np
 from filelock import FileLock, Timeout
 
-from symsimpson.errors import GenerationError
+from symsimpson.errors import GenerationError, StorageError, SymsimpsonError
+from symsimpson.module.header import digest
 from symsimpson.support.calling import warn
+from symsimpson.support.derivation import Derivation
+from symsimpson.support.files import written_beside
 from symsimpson.support.interpreter import rarely_collected, undisturbed
 from symsimpson.support.progress import waiting
 
@@ -291,3 +290,183 @@ def _own_numba_cache() -> Iterator[None]:
         yield
     finally:
         config.CACHE_DIR, sys.dont_write_bytecode = elsewhere, bytecode
+
+
+SOURCE = re.compile(MODULE + r"(.+_[0-9a-f]{32})\.py")
+ANSWER = re.compile(r"\.?[0-9a-f]{64}(\.new)?\.json")
+
+
+def clear_cache() -> int:
+    """Remove compiled code and remembered choices from the disk.
+
+    The next run of each system compiles again. Code that is loaded stays in use, and other
+    processes may go on: what one of them compiles at the moment is not removed. Files in the
+    cache folder that symsimpson did not write stay there.
+
+    Returns
+    -------
+    int
+        Number of bytes that were removed.
+
+    Raises
+    ------
+    GenerationError
+        If the cache folder is not private to you.
+
+    Examples
+    --------
+    >>> import os, tempfile, symsimpson as ss
+    >>> from unittest import mock
+    >>> with mock.patch.dict(os.environ, SYMSIMPSON_CACHE_DIR=tempfile.mkdtemp()):  # a new one
+    ...     ss.clear_cache()
+    0
+    """
+    folder = cache_folder()
+    freed = sum(_removed(folder, path) for path in list(_ours(folder)))
+    for kind in KINDS:
+        with contextlib.suppress(OSError):  # it holds something else
+            (folder / kind).rmdir()
+    return freed
+
+
+def usage(folder: Path) -> tuple[int, int]:
+    """Return the number of compiled entries in a cache folder, and the bytes of all in it."""
+    ours = list(_ours(folder))
+    entries = [path for path in ours if path.is_dir() and not path.name.startswith(BUILDING)]
+    return len(entries), sum(map(_bytes, ours))
+
+
+def _ours(folder: Path) -> Iterator[Path]:
+    """Return entries, folders in which entries are built, and answers."""
+    for path in folder.iterdir():
+        if path.is_dir() and not path.is_symlink():
+            if path.name in KINDS:
+                yield from (x for x in path.glob("*.json") if ANSWER.fullmatch(x.name))
+            elif path.name in _keys(path) or (path.name.startswith(BUILDING) and _keys(path)):
+                yield path
+
+
+def _keys(path: Path) -> list[str]:
+    """Return keys of the entries in a folder; none if it holds anything else."""
+    names = [x.name for x in path.rglob("*") if not x.is_dir()]
+    if not all(x.startswith(MODULE) or x == DIGESTS for x in names):
+        return []
+    return [match[1] for x in names if (match := SOURCE.fullmatch(x))]
+
+
+def _bytes(path: Path) -> int:
+    total = 0
+    for file in (path, *path.rglob("*")):
+        with contextlib.suppress(OSError):  # another process removed it
+            total += file.lstat().st_size * (not file.is_dir())
+    return total
+
+
+def _removed(folder: Path, path: Path) -> int:
+    """Remove a file or a folder, unless another process builds it; return the bytes removed."""
+    size, keys = _bytes(path), _keys(path) if path.name.startswith(BUILDING) else []
+    try:
+        with contextlib.ExitStack() as stack:
+            for key in keys:
+                stack.enter_context(FileLock(lock_file(folder, key), timeout=0))
+            aside = tempfile.TemporaryDirectory(
+                prefix=BUILDING, dir=folder, ignore_cleanup_errors=True
+            )
+            # renamed first: another process finds all of it, or nothing
+            path.rename(Path(stack.enter_context(aside)) / path.name)
+    except (OSError, NotImplementedError, Timeout):
+        return 0
+    return size
+
+
+#: Folders of answers, beside compiled code.
+Kind = Literal["choices", "texts"]
+KINDS = get_args(Kind)
+Answer = TypeVar("Answer")
+#: What a file may raise that is not there, not whole, or not what it should be.
+DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, SymsimpsonError)
+
+
+def kept(
+    kind: Kind,
+    question: str,
+    read: Callable[[Any], Answer],
+    make: Callable[[], Answer],
+    write: Callable[[Answer], Any],
+) -> Answer:
+    """Return the answer that was kept for the same question, or make it and keep it.
+
+    ``kind`` is the folder of such answers, beside compiled code; ``question`` is all that the
+    answer follows from. ``read`` makes the answer of what JSON holds, and raises an error of
+    ``DAMAGE`` if that makes no sense; ``write`` returns what is to be kept, for JSON, or None if it
+    is not worth it.
+    """
+    place = cache_folder() / kind / f"{digest(question)}.json"
+    try:
+        answer = read(json.loads(place.read_text(encoding="utf-8")))
+        LOG.info("%s: taken from the cache, %s", kind, place)
+        return answer
+    except FileNotFoundError:
+        pass
+    except DAMAGE as error:
+        LOG.info("%s: %s is damaged, and made again: %s", kind, place, error)
+    answer = make()
+    content = write(answer)
+    if content is not None:
+        with contextlib.suppress(StorageError, OSError):  # a full disk keeps nothing
+            place.parent.mkdir(mode=0o700, exist_ok=True)
+            with written_beside(place, "answer") as whole:
+                whole.write_text(json.dumps(content), encoding="utf-8")
+            LOG.info("%s: remembered in %s", kind, place)
+    return answer
+
+
+#: What the generator is made of.
+GENERATOR = ("graph", "mechanics", "schemes", "discrete", "codegen", "module")
+#: A derivation that took less, in seconds, is as soon done again as read.
+BRIEF = 0.1
+
+
+def kept_text(source: Iterable[str], derive: Callable[[], Derivation]) -> Derivation:
+    """Return the derivation that was kept for the same source, or make it and keep it.
+
+    The ``source`` is all that the text follows from, beside the generator itself. Stages of the
+    derivation took no time where it was kept.
+    """
+    return kept("texts", "\n".join([_generator(), *source]), _derivation, derive, _written)
+
+
+def _derivation(content: Any) -> Derivation:
+    text = content["text"]
+    if digest(text) != content["sha256"]:
+        raise ValueError("the text does not have the digest that it names")
+    seconds = dict.fromkeys(map(str, content["stages"]), 0.0)
+    return Derivation(text, seconds, content["operations"], content["unrolled"] is True)
+
+
+def _written(derivation: Derivation) -> dict[str, Any] | None:
+    if sum(derivation.seconds.values()) <= BRIEF:
+        return None
+    return {
+        "text": derivation.text,
+        "sha256": digest(derivation.text),
+        "operations": derivation.operations,
+        "unrolled": derivation.unrolled,
+        "stages": [*derivation.seconds],
+    }
+
+
+@cache
+def _generator() -> str:
+    """Return what tells this generator from others, which may write other texts."""
+    package, content = resources.files("symsimpson"), hashlib.sha256()
+    for name in GENERATOR:
+        for file in _files(package.joinpath(name)):
+            content.update(file.read_bytes())
+    return content.hexdigest()
+
+
+def _files(place: Traversable) -> list[Traversable]:
+    if place.is_file():
+        return [place] if place.name.endswith(".py") else []
+    return [x for entry in sorted(place.iterdir(), key=lambda x: x.name) for x in _files(entry)]

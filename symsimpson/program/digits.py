@@ -24,10 +24,9 @@ from symsimpson.module.binding import bind, bind_arb, bind_mpmath
 from symsimpson.module.header import Header
 from symsimpson.module.interface import KERNELS
 from symsimpson.module.workspace_layout import scratch
-from symsimpson.program.driver import driver_text
+from symsimpson.program.driver import KernelSets, driver_text
 from symsimpson.program.input_values import whole_number
 from symsimpson.program.numbers import Numbers
-from symsimpson.program.sets import KernelSets
 from symsimpson.support.array_types import Reals
 from symsimpson.support.extras import library
 

@@ -12,10 +12,10 @@ import numpy as np
 from symsimpson.errors import InputError
 from symsimpson.module.header import Header, read_header
 from symsimpson.module.syntax import check_structure
+from symsimpson.program.driver import KernelSets
 from symsimpson.program.input_values import read_parameters
 from symsimpson.program.name_table import Names
 from symsimpson.program.numbers import FLOAT64, Numbers
-from symsimpson.program.sets import KernelSets
 from symsimpson.support.array_types import Reals
 from symsimpson.support.derivation import Derivation, Report
 from symsimpson.support.names import spelled

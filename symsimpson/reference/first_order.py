@@ -8,10 +8,10 @@ from typing import Any
 
 import sympy as sp
 
+from symsimpson.graph.lines import Program
 from symsimpson.graph.nodes import UNIT, ZERO, Value
 from symsimpson.graph.read import line_written, number
 from symsimpson.graph.share import share
-from symsimpson.graph.shared_lines import Program
 from symsimpson.mechanics.constraints import accelerations
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.system import MechanicalSystem

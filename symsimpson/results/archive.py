@@ -10,9 +10,8 @@ import numpy as np
 
 from symsimpson.errors import InputError, StaleKernelError, StorageError, SymsimpsonError
 from symsimpson.program.program import Program, read_program
-from symsimpson.program.recorders import NAMED
 from symsimpson.program.status import Status
-from symsimpson.program.workspace import NO_INPUTS
+from symsimpson.program.workspace import NAMED, NO_INPUTS
 from symsimpson.results.records import Record
 from symsimpson.results.saving import EVENTS, RECORDED, digest_of
 from symsimpson.results.tables import TABLES, check_kind

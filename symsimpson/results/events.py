@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.module.interface import ZERO
-from symsimpson.program.evaluating import watching
 from symsimpson.program.input_values import whole_number
-from symsimpson.program.observed import Observed, read_expression, refuse_constant
+from symsimpson.program.observed import Observed, read_expression, refuse_constant, watching
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.interpolate import DenseOutput

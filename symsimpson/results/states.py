@@ -266,7 +266,7 @@ class States(Quantities, Tabular, Plotted):
     def _evaluated(
         self, kernel: str, block: str, count: int, *, driven: bool = False
     ) -> NDArray[Any]:
-        from symsimpson.program.evaluating import evaluate
+        from symsimpson.program.observed import evaluate
 
         states, values = (self.t, self.q, self.p), self.parameter_values
         inputs = inputs_there(self.program, self.driven, self.t) if driven else NO_INPUTS

@@ -22,9 +22,8 @@ import numpy as np
 from symsimpson.errors import InputError, StorageError
 from symsimpson.module.header import digest
 from symsimpson.program.program import Program
-from symsimpson.run.keeping import Keeper
-from symsimpson.stepping.kept import KeptStates
-from symsimpson.stepping.run import Run
+from symsimpson.run.ended import Keeper
+from symsimpson.stepping.run import KeptStates, Run
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import warn

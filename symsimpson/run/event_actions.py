@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from symsimpson.driver.impacts import STILL
 from symsimpson.errors import InputError, ModelError
-from symsimpson.program.evaluating import watching
+from symsimpson.program.observed import watching
 from symsimpson.program.program import Program
 from symsimpson.run.event_maps import EventMaps, read_restitution
 from symsimpson.stepping.constrained_start import project_start

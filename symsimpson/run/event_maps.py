@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.program.evaluating import evaluate
+from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.run_events import RunEvents

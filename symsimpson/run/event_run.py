@@ -13,12 +13,11 @@ from symsimpson.errors import InputError
 from symsimpson.module.interface import ARRIVED, MET, RECORDERS, WATCHED
 from symsimpson.module.workspace_layout import DRIVER_LAYOUT
 from symsimpson.program.observed import OF_EVENTS, Reduction
-from symsimpson.program.recorders import Recorder
 from symsimpson.program.status import Status
+from symsimpson.program.workspace import Recorder
 from symsimpson.results.records import Record
 from symsimpson.run.event_actions import EventActions
-from symsimpson.run.event_locator import LOST, EventLocator, plain_restitution
-from symsimpson.run.event_sides import Sides
+from symsimpson.run.event_locator import LOST, EventLocator, Sides, plain_restitution
 from symsimpson.stepping.event import Impact
 from symsimpson.stepping.parts import LEAST, Parts
 from symsimpson.stepping.run import Run

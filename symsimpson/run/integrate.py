@@ -1,31 +1,90 @@
-"""One trajectory, from what is asked for to what it has come to."""
+"""One trajectory, from what is asked for to its verdict."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from symsimpson.errors import InputError
+from symsimpson.errors import InputError, StorageError
 from symsimpson.program.input_values import read_count
 from symsimpson.program.numbers import NOTHING
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.checkpoint import Checkpoint, asked, buffered
-from symsimpson.run.ended import raise_failure
-from symsimpson.run.follow import follow
-from symsimpson.run.keeping import Collected, Keeper, Samples
-from symsimpson.run.resolution import finer_stride, sampling_stride
+from symsimpson.run.ended import Collected, Keeper, Samples, Sink, raise_failure, trajectory_of
+from symsimpson.run.resolution import each, finer_stride, sampling_stride
 from symsimpson.run.short_runs import make_ready
-from symsimpson.run.start import recorders_for, started
+from symsimpson.run.start import check_forces, recorders_for, started
+from symsimpson.run.verdict import verdict
 from symsimpson.stepping.arrival import STRIDE
 from symsimpson.stepping.inputs import read_failure
-from symsimpson.stepping.run import Run
+from symsimpson.stepping.run import KeptStates, Run
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.files import check_folder, read_path
 from symsimpson.support.progress import silence
+
+#: Runs of fewer steps end before a bar would be drawn, and need not look for a terminal.
+BRIEF = 10_000
+
+
+def follow(
+    program: Program,
+    run: Run,
+    spec: RunSpec,
+    keeper: Keeper,
+    sinks: Sequence[Sink] = (),
+    progress: bool | None = None,
+) -> tuple[Trajectory, StorageError | None]:
+    """Take the steps of a run that has begun; judge its energy by the states that a keeper has.
+
+    Of the states the trajectory has those that ``spec.every`` says, the last one for 0; ``sinks``
+    take them, too. Returned are what the run came to, and the error of a sink that ended it. Raises
+    InputError if forces have no value at the start.
+    """
+    count, problem = spec.steps, None
+    shown = progress if count > BRIEF and spec.t_end is None else bool(progress)
+    with run.watched(count, shown):
+        try:
+            _take_pieces(run, count, (keeper, *sinks))
+        except StorageError as error:
+            problem = error
+    status = run.status if problem is None else Status.FILE_ERROR
+    if status is Status.NOT_FINITE and run.step == 0:
+        check_forces(program, spec)
+    kept = keeper.states()
+    asked, left_out = kept, 0
+    if spec.every not in (0, kept.every):
+        q, p, iterations, recorded = each(spec.every // kept.every, *kept[:-1])
+        asked = KeptStates(q, p, iterations, recorded, spec.every)
+        left_out = int(kept.iterations.sum() - iterations.sum())
+    count = run.step if run.arrived else count
+    trajectory = trajectory_of(program, run, count, status, spec, asked, spec.every, left_out)
+    if count and status is not Status.INTERRUPTED and problem is None:
+        try:
+            trajectory = verdict(program, run, trajectory, kept)
+        except KeyboardInterrupt:  # the states are there, what they are worth is not known
+            stopped = Status.INTERRUPTED
+            trajectory = replace(trajectory, status=stopped, message=stopped.message)
+    return trajectory, problem
+
+
+def _take_pieces(run: Run, count: int, sinks: Sequence[Sink]) -> None:
+    """Take steps; hand states to the sinks when one asks for them, or there is room for no more."""
+    while True:
+        stop = min(count, run.room)
+        try:
+            run.advance(min(sink.due(stop) for sink in sinks))
+        finally:  # Ctrl-C loses nothing
+            for sink in sinks:
+                sink.take()
+        if run.step >= count or not run.alive:
+            return
+        run.forget()
+
 
 #: Where the number of steps is not known before, so many states behind the first are put away at
 #: a time: few enough to cost no memory, many enough to cost no time.

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 
 from symsimpson.errors import InputError, ResolutionWarning
 from symsimpson.module.quantity import velocities_by
-from symsimpson.program.evaluating import evaluate
 from symsimpson.program.input_values import MOST_STEPS
 from symsimpson.program.numbers import NOTHING
+from symsimpson.program.observed import evaluate
 from symsimpson.results.states import States
 from symsimpson.run.ended import out_of_domain, raise_failure, trajectory_of
 from symsimpson.run.resolution import real_energies

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.program.evaluating import evaluate_energy
+from symsimpson.program.observed import evaluate_energy
 from symsimpson.program.program import Program
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.integrate import integrate

@@ -9,16 +9,15 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import ConstraintWarning, ResolutionWarning
 from symsimpson.module.quantity import slopes_of
-from symsimpson.program.evaluating import evaluate
+from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.ended import out_of_domain, shortened
 from symsimpson.run.resolution import EnergySamples, kept_states, level_left, sample_energies
 from symsimpson.stepping.constrained_start import DEPENDENT, name_dependent
-from symsimpson.stepping.kept import KeptStates
 from symsimpson.stepping.request import Request
-from symsimpson.stepping.run import Run
+from symsimpson.stepping.run import KeptStates, Run
 from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.calling import warn
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, ModelError
 from symsimpson.module.quantity import slopes_of
-from symsimpson.program.evaluating import evaluate
+from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
 from symsimpson.support.array_types import Reals
 from symsimpson.support.lengths import bending_length

@@ -9,7 +9,7 @@ from symsimpson.errors import InputError
 from symsimpson.module.header import Header
 from symsimpson.program.observed import Reduction, observers
 from symsimpson.program.program import Program
-from symsimpson.program.recorders import NAMED, Recorder, tangents
+from symsimpson.program.workspace import NAMED, Recorder, tangents
 from symsimpson.support.names import did_you_mean
 
 

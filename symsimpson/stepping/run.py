@@ -1,4 +1,4 @@
-"""One run of the driver: its workspace, and the arrays in which states are stored."""
+"""One run of the driver: its workspace, the states that it stores, why a step failed."""
 
 from __future__ import annotations
 
@@ -8,22 +8,70 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from symsimpson.module.header import Header
 from symsimpson.module.interface import ARRIVED, RATE_NOT_POSITIVE
 from symsimpson.program.numbers import NOTHING
 from symsimpson.program.observed import Reduction
 from symsimpson.program.program import Program
-from symsimpson.program.recorders import Recorder, driver_layout, split, with_clock
 from symsimpson.program.status import Status
-from symsimpson.program.workspace import NO_INPUTS, workspace
-from symsimpson.stepping.failing import failure
-from symsimpson.stepping.kept import KeptStates
-from symsimpson.support.array_types import Floats, Reals
+from symsimpson.program.workspace import (
+    NO_INPUTS,
+    Recorder,
+    driver_layout,
+    split,
+    with_clock,
+    workspace,
+)
+from symsimpson.support.array_types import Floats, Ints, Reals
 from symsimpson.support.interpreter import listening
 from symsimpson.support.progress import Watcher
+
+
+class KeptStates(NamedTuple):
+    """States of a run at equal strides; the last one may stand behind a part of a stride."""
+
+    #: Both of shape (N, n).
+    q: Reals
+    p: Reals
+    #: Since the state before, shape (N,); or, of a run of which none is asked for, all of them,
+    #: shape (1,).
+    iterations: Ints
+    recorded: Reals  #: What recorders left beside them, shape (N, k).
+    every: int  #: Steps from one to the next; 0 where none were kept.
+
+
+def failure(header: Header, column: Reals, *, last_resort: bool) -> Status:
+    """Return why a step failed, from the workspace of one lane.
+
+    ``last_resort`` tells whether the kernels that eliminate with pivoting took it.
+    """
+    status = Status(int(column[header.layout["STATUS"]]))
+    if status is Status.NOT_CONVERGED and _diverged(header, column):
+        return Status.DIVERGED
+    if status is Status.NOT_FINITE and last_resort and _singular(header, column):
+        return Status.SINGULAR_JACOBIAN
+    return status
+
+
+def _diverged(header: Header, column: Reals) -> bool:
+    """Return whether the increments became ten times what was predicted, and seen before."""
+    at, n, d = header.layout, header.n, header.degree
+    predicted = column[at["PREDICTED"] : at["PREDICTED"] + d * n].reshape(d, n)
+    masses = column[at["MASS_DIAGONAL"] : at["MASS_DIAGONAL"] + n]
+    expected = max((masses * predicted**2).sum(), column[at["LARGEST_SQUARED"]])
+    return bool(column[at["INCREMENT_SQUARED"]] > 100 * expected)
+
+
+def _singular(header: Header, column: Reals) -> bool:
+    """Return whether elimination with pivoting met a pivot of zero."""
+    at = header.layout
+    places = np.arange(at["SOLVE_UNKNOWNS"]) * (at["SOLVE_STRIDE"] + 1)
+    return bool((column[at["JACOBIAN"] + at["SOLVE_OFFSET"] + places] == 0).any())
+
 
 LOG = logging.getLogger(__name__)
 #: The compiled loop is left after about so many seconds, so that Ctrl-C is heard.

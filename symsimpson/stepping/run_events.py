@@ -11,7 +11,7 @@ from symsimpson.errors import InputError
 from symsimpson.module.header import Header
 from symsimpson.program.observed import Observed, read_expression, refuse_constant, watchers
 from symsimpson.program.program import Program
-from symsimpson.program.recorders import Recorder
+from symsimpson.program.workspace import Recorder
 from symsimpson.stepping.event import CHANGED, Change, Event, Impact
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.variations import STEP

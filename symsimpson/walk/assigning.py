@@ -14,9 +14,8 @@ from typing import Any
 
 from llvmlite import ir
 
-from symsimpson.walk.calls import Functions
 from symsimpson.walk.control_flow import Slot
-from symsimpson.walk.expressions import Env, Product
+from symsimpson.walk.expressions import Env, Functions, Product
 from symsimpson.walk.memory import Array
 from symsimpson.walk.trees import assigned
 from symsimpson.walk.values import DOUBLE, Refused, known

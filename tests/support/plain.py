@@ -13,9 +13,8 @@ from numba.core import event
 
 from symsimpson.module.binding import MATH, bind
 from symsimpson.module.syntax import definitions, outline, redefined
-from symsimpson.program.compiled import Kernels
 from symsimpson.program.driver import driver_text
-from symsimpson.program.numbers import Numbers
+from symsimpson.program.numbers import Kernels, Numbers
 
 #: Kernels by their address, which is none of the machine.
 _kernels = [None]

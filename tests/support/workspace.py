@@ -9,7 +9,7 @@ import numpy as np
 from numba import cfunc
 
 from symsimpson.graph.evaluate import line_value
-from symsimpson.program.machine import vector_bits
+from symsimpson.program.configuration import vector_bits
 from symsimpson.walk.intrinsics import stubs, walking
 
 TABLES = {

@@ -9,7 +9,7 @@ import pytest
 
 import symsimpson as ss
 from symsimpson.program import cache
-from symsimpson.program.answers import kept
+from symsimpson.program.cache import kept
 
 TOP = logging.getLogger("symsimpson")
 

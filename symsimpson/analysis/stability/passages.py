@@ -21,7 +21,7 @@ from symsimpson.errors import SymsimpsonError
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import Value
 from symsimpson.mechanics.system import MechanicalSystem
-from symsimpson.program.evaluating import evaluate
+from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
 from symsimpson.reference.first_order import Lines
 from symsimpson.results.trajectory import Trajectory

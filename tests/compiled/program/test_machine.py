@@ -9,7 +9,7 @@ from support.workspace import walked
 
 import symsimpson as ss
 from symsimpson.codegen.pipeline import source
-from symsimpson.program.machine import VARIABLE, vector_bits
+from symsimpson.program.configuration import VARIABLE, vector_bits
 
 WIDE = llvm.get_host_cpu_features().get("avx512f", False)
 

@@ -11,7 +11,7 @@ from symsimpson.analysis import certify as certification
 from symsimpson.analysis.stability import stress
 from symsimpson.analysis.stability import stress_tests as stress_report
 from symsimpson.api.stepper import Stepper
-from symsimpson.run import follow
+from symsimpson.run import integrate
 from symsimpson.support.interpreter import listening
 
 PENDULUM = ss.systems.pendulum()
@@ -62,7 +62,7 @@ def test_comparisons_end(interrupted):
 
 def test_what_a_user_asks_to_be_returned_is_returned(monkeypatch):
     """Also where Ctrl-C comes when all steps are done: no state is lost."""
-    monkeypatch.setattr(follow, "verdict", stopped)
+    monkeypatch.setattr(integrate, "verdict", stopped)
     stepper = ss.compile(PENDULUM, "midpoint")
     given = {**STATE, "h": 0.1, "steps": 3, "progress": False}
     run = stepper.integrate(**given, on_failure="return")

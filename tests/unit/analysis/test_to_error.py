@@ -23,7 +23,7 @@ def choices(monkeypatch, tmp_path):
 
     monkeypatch.setattr(to_error, "select", choose)
     monkeypatch.setattr("symsimpson.analysis.candidates.SCOUT", 0)  # no run of many steps
-    monkeypatch.setattr("symsimpson.program.answers.cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("symsimpson.program.cache.cache_folder", lambda: tmp_path)
     return made
 
 

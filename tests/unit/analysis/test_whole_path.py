@@ -23,7 +23,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("error")]
 
 @pytest.fixture(autouse=True)
 def own_folder(monkeypatch, tmp_path):
-    monkeypatch.setattr("symsimpson.program.answers.cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("symsimpson.program.cache.cache_folder", lambda: tmp_path)
 
 
 def system(name, potential, **given):

@@ -9,7 +9,7 @@ from support.forms import limited
 from support.tangents import check_adjoint
 
 import symsimpson as ss
-from symsimpson.derivatives import adjoint_run
+from symsimpson.derivatives import gradients
 from symsimpson.stepping.run import Run
 
 H, STEPS = 0.01, 60
@@ -79,7 +79,7 @@ def test_runs_that_are_taken_again_have_the_same_gradient(double_pendulum, costs
     monkeypatch.setattr(
         Run, "advance", lambda run, stop: (calls.append(stop), advance(run, stop))[1]
     )
-    monkeypatch.setattr(adjoint_run, "RECORDED", 100)
+    monkeypatch.setattr(gradients, "RECORDED", 100)
     again = gradient()
     assert calls[:9] == [7, 14, 21, 28, 35, 42, 49, 56, 60]  # there, in pieces of sqrt(60)
     assert calls[9:] == [56, 49, 42, 35, 28, 21, 14, 7]  # and all but the last once more

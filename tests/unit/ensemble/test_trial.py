@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import symsimpson as ss
-from symsimpson.ensemble import trial
+from symsimpson.ensemble import lanes as trial
 from symsimpson.ensemble.members import read_task
 from symsimpson.stepping.request import Request
 

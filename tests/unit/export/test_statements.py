@@ -6,10 +6,9 @@ import ctypes
 import pytest
 from support.in_c import COMPILER, build
 
-from symsimpson.export.c_expressions import HELPERS, Expressions
 from symsimpson.export.kinds import REAL, Kinds
 from symsimpson.export.single import Functions, Source
-from symsimpson.export.statements import written_function
+from symsimpson.export.statements import HELPERS, Expressions, written_function
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no compiler of C")
 

@@ -6,18 +6,17 @@ import mpmath as mp
 import pytest
 import sympy as sp
 
-from symsimpson.graph import nodes, shared_lines
+from symsimpson.graph import lines, nodes
 from symsimpson.graph.derive import Derivatives, gradient
 from symsimpson.graph.evaluate import evaluated, line_value, moduli
 from symsimpson.graph.findings import Findings
+from symsimpson.graph.lines import Program
 from symsimpson.graph.merge import merged
 from symsimpson.graph.nodes import Graph
 from symsimpson.graph.read import Reader, tree_size, written
 from symsimpson.graph.rebuild import fixed, rebuilt, same
-from symsimpson.graph.roots import dependent_radicands
+from symsimpson.graph.roots import Signs, dependent_radicands
 from symsimpson.graph.share import share
-from symsimpson.graph.shared_lines import Program
-from symsimpson.graph.signs import Signs
 
 x, y, z = sp.symbols("x y z", real=True)
 a = sp.Symbol("a", positive=True)
@@ -280,5 +279,5 @@ def test_shared_nodes_are_visited_once_and_not_on_every_path(walk, monkeypatch):
         return look(*given)
 
     monkeypatch.setattr(nodes, "arguments", counted)
-    monkeypatch.setattr(shared_lines, "arguments", counted, raising=False)
+    monkeypatch.setattr(lines, "arguments", counted, raising=False)
     WALKS[walk](graph, value)

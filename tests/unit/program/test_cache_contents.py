@@ -7,8 +7,7 @@ from filelock import FileLock
 
 import symsimpson as ss
 from symsimpson.program import cache
-from symsimpson.program.answers import kept
-from symsimpson.program.cache_contents import usage
+from symsimpson.program.cache import kept, usage
 
 KEY = "newton-4_" + "0123456789abcdef" * 2
 

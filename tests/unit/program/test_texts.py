@@ -7,7 +7,7 @@ import sympy as sp
 
 import symsimpson as ss
 from symsimpson.api import compiling as api
-from symsimpson.program import answers, texts
+from symsimpson.program import cache
 
 k = sp.Symbol("k", positive=True)
 (x,) = ss.coordinates("x")
@@ -23,8 +23,8 @@ def derived(monkeypatch, tmp_path):
         made.append(given)
         return original(*given, **how)
 
-    monkeypatch.setattr(answers, "cache_folder", lambda: tmp_path)
-    monkeypatch.setattr(texts, "BRIEF", 0.0)
+    monkeypatch.setattr(cache, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(cache, "BRIEF", 0.0)
     monkeypatch.setattr(api, "derive", derive)
     return made
 

@@ -8,7 +8,7 @@ import sympy.physics.mechanics
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.run import pieces
+from symsimpson.run import chosen
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +118,7 @@ def test_sections_do_not_disturb_the_run_and_equal_its_events(monkeypatch):
     run = stepper.integrate([0.0, 0.1], **given)
     wanted = run.events("x", direction=1)
     for piece in (8192, 7, 1):
-        monkeypatch.setattr(pieces, "PIECE", piece)
+        monkeypatch.setattr(chosen, "PIECE", piece)
         found = stepper.poincare("x", [0.0, 0.1], **given, direction=1)
         assert (found.t == wanted.t).all()
         assert (found.y == wanted.y).all()
@@ -138,7 +138,7 @@ def test_zeros_at_stored_states_are_counted_once(pendulum):
             shifted = f"{sign}(t - {float(run.t[k])!r})"
             for piece in (3, 4, 100):
                 with pytest.MonkeyPatch.context() as patch:
-                    patch.setattr(pieces, "PIECE", piece)
+                    patch.setattr(chosen, "PIECE", piece)
                     found = pendulum.poincare(shifted, [1.0], v0=[0.0], h=0.05, steps=20)
                 assert found.t.tolist() == [run.t[k]]
 
@@ -195,9 +195,9 @@ def test_interrupted_and_failed_sections_keep_what_they_found(monkeypatch):
             raise KeyboardInterrupt
         return original(*arguments, **options)
 
-    original = pieces.zeros
-    monkeypatch.setattr(pieces, "zeros", stop)
-    monkeypatch.setattr(pieces, "PIECE", 500)
+    original = chosen.zeros
+    monkeypatch.setattr(chosen, "zeros", stop)
+    monkeypatch.setattr(chosen, "PIECE", 500)
     with pytest.raises(ss.Interrupted, match="interrupted at t=") as caught:
         stepper.poincare("x", [0.0, 0.1], v0=[0.4, 0.0], h=0.1, steps=5000)
     assert 0 < len(caught.value.trajectory) < 100

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import symsimpson as ss
-from symsimpson.run import pieces
+from symsimpson.run import chosen
 
 GIVEN = {"q0": [0.8, 1.0], "p0": [0.0, 0.0], "h": 0.01}
 TIMES = np.array([0.0, 0.003, 0.5, 0.50001, 2.0])
@@ -17,7 +17,7 @@ def stepper():
 
 @pytest.fixture(params=[8192, 7])
 def piece(request, monkeypatch):
-    monkeypatch.setattr(pieces, "PIECE", request.param)
+    monkeypatch.setattr(chosen, "PIECE", request.param)
 
 
 def test_states_at_chosen_times_are_those_of_the_dense_output(stepper, piece):

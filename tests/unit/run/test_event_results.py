@@ -11,7 +11,7 @@ from support.impacts import BALL, FALL, drop, floor, z
 
 import symsimpson as ss
 from symsimpson.ensemble import singles
-from symsimpson.run import pieces
+from symsimpson.run import chosen
 from symsimpson.run.event_actions import EventActions
 from symsimpson.run.event_run import EventRun
 
@@ -243,9 +243,9 @@ def test_chosen_states_and_sections_of_long_runs(monkeypatch):
     """Whose pieces are looked at one after the other, each with the events in it."""
     run = drop(floor(1.0), t_end=4.0)
     times = np.linspace(0, 4, 23)
-    monkeypatch.setattr(pieces, "PIECE", 30)
-    chosen = drop(floor(1.0), t_end=4.0, t_eval=times)
-    assert np.abs(chosen.q - run.at(times).q).max() < 1e-15
+    monkeypatch.setattr(chosen, "PIECE", 30)
+    some = drop(floor(1.0), t_end=4.0, t_eval=times)
+    assert np.abs(some.q - run.at(times).q).max() < 1e-15
     saved = drop(floor(1.0), t_end=4.0, save=("z", "energy"), every=7)
     assert np.array_equal(saved["z"], run["z"][::7])
     end = ss.Event(z, name="down", direction=-1, terminal=True)

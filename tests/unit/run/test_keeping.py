@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import symsimpson as ss
-from symsimpson.run.keeping import Samples
+from symsimpson.run.ended import Samples
 from symsimpson.run.start import started
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run import Run
@@ -33,7 +33,7 @@ def interrupt_at(monkeypatch, last):
 @pytest.mark.parametrize("how", [{"save": "q"}, {"t_eval": np.arange(50) * 0.01}], ids=str)
 def test_ctrl_c_loses_no_chosen_states(monkeypatch, stepper, how, last):
     whole = stepper.integrate(**START, steps=50)
-    monkeypatch.setattr("symsimpson.run.pieces.PIECE", 16)
+    monkeypatch.setattr("symsimpson.run.chosen.PIECE", 16)
     interrupt_at(monkeypatch, last)
     with pytest.raises(ss.Interrupted) as caught:
         stepper.integrate(**START, steps=50, **how)
@@ -62,7 +62,7 @@ def test_ctrl_c_loses_no_crossings(monkeypatch, stepper):
 
 @pytest.mark.parametrize("piece", [1, 7, 64])
 def test_samples_stand_at_equal_strides_and_are_few(monkeypatch, stepper, piece):
-    monkeypatch.setattr("symsimpson.run.keeping.MOST_LOOKED_AT", 10)
+    monkeypatch.setattr("symsimpson.run.ended.MOST_LOOKED_AT", 10)
     whole = stepper.integrate(**START, steps=200)
     program = stepper.program
     spec = read_run(program, Request(**START, steps=200, every=1))

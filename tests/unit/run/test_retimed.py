@@ -265,13 +265,13 @@ def test_an_error_of_the_energy_that_comes_back_is_no_other_motion(recwarn):
 @pytest.mark.slow
 def test_states_beyond_memory_end_a_run_with_what_it_has(monkeypatch):
     """How many steps lead to the end is not known before; each part asks for room for all."""
-    from symsimpson.run import keeping
+    from symsimpson.run import ended
 
     stepper = ss.compile(ss.systems.kepler_plane().retimed("encounters"), "gauss8")
     given = {"q0": [1.6, 0.0], "v0": [0.0, 0.5], "h": 1e-3, "t_end": 40.0}
     whole = stepper.integrate(**given)
-    monkeypatch.setattr(keeping, "LOOKS", 1)
-    monkeypatch.setattr(keeping, "JOINING", 10**12)  # as if all states took so much more
+    monkeypatch.setattr(ended, "LOOKS", 1)
+    monkeypatch.setattr(ended, "JOINING", 10**12)  # as if all states took so much more
     with pytest.raises(ss.StorageError, match=r"do not fit into memory.*those are kept") as caught:
         stepper.integrate(**given)
     kept = caught.value.trajectory
