@@ -49,7 +49,10 @@ PARTS = (
 )
 #: Functions that are compiled in one go, because they share others, and a run that has called one
 #: may call all of them: those of any run, and those of steps that are solved by iteration.
-TOGETHER = (("begin_anew", "begin", "apply", "change_to"), ("take_steps", "run_briefly", "recover"))
+TOGETHER = (
+    ("begin_anew", "begin", "apply", "change_to", "evaluate"),
+    ("take_steps", "run_briefly", "recover"),
+)
 
 
 @cache

@@ -78,9 +78,11 @@ class Kernels(KernelSets):
         """Compile kernels as one unit, and return their addresses; 0 for an empty name."""
         if any_angle:
             return self._addresses(self._text_with_libm, label, names)
-        *kernels, begin = self._addresses(self._text, label, [*names, _BEGIN])
-        self._single.setdefault((_BEGIN, False), begin)
-        return kernels
+        compiled_names = [*names, _BEGIN]
+        addresses = self._addresses(self._text, label, compiled_names)
+        for name, address in zip(compiled_names, addresses, strict=True):
+            self._single.setdefault((name, False), address)
+        return addresses[:-1]
 
     def pack(self, mode: int, kernels: list[int]) -> NDArray[np.int64]:
         """Pack the mode and the addresses of a set into one array."""

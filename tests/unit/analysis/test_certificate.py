@@ -116,7 +116,6 @@ def rewritten_text(function, old, new):
         sources[name] = sources[name].replace(old[name], new[name])
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(traced_parts, "library_sources", lambda: sources)
-        patch.setattr(traced_parts, "_texts", traced_parts._texts.__wrapped__)
         return built()
 
 
