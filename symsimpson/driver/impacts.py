@@ -80,8 +80,7 @@ SIGNATURES |= {
         types.float64,
         types.float64,
         types.UniTuple(ROW, 3),
-        ROW,
-        types.UniTuple(ROW, 2),
+        types.UniTuple(ROW, 3),
         types.int64[:, ::1],
         types.Tuple((ROW, types.UniTuple(ROW, 2))),
     ),
@@ -241,9 +240,9 @@ def zero_without_rate(means, start, t, span, ends, k, side, work):
 
 
 @njit(**RARE)
-def dip(means, start, t, span, ends, k, rate, small, work):
+def dip(means, start, t, span, ends, places, small, work):
     """Find where a gap passes through zero and comes back within a span, NaN if it does not."""
-    (first, last), x = ends, np.nan
+    (first, last), (k, rate), x = ends, places, np.nan
     if min(first[k], last[k]) > small and span * first[rate] < 0.0 and span * last[rate] > 0.0:
         rates, size = (first[rate], last[rate]), LOWEST * abs(span)
         x = ridders(means, start, t, (0.0, span), rates, rate, size, work)
@@ -278,15 +277,17 @@ def weight_of(looking, events, k, t, row, q):
 
 
 @njit(**RARE)
-def locate(means, start, t, span, ends, zeros, sides, events, work):
+def locate(means, start, t, span, ends, sides, events, work):
     """Find the first event within a span of a step; return its number, -1 where there is none.
 
-    ``ends`` is all that is asked for at both ends, and q at the last one. Zeros of expressions that
-    change their side, and of gaps that pass through zero and come back, are put into ``zeros``. An
-    entry that is not NaN at first is the end of the span for its event. The state at the first zero
-    is left in ``work``, with all that is asked for. Returns -2 if a part cannot be taken.
+    ``ends`` is all that is asked for at both ends, and q at the last one. ``sides`` has signs and
+    sizes of all expressions, and room for zeros: of those that change their side, and of gaps that
+    pass through zero and come back. An entry that is not NaN at first is the end of the span for
+    its event. The state at the first zero is left in ``work``, with all that is asked for. Returns
+    -2 if a part cannot be taken.
     """
-    (first, last, q), (side, size), lost, earliest, tried = ends, sides, means[2][2], -1, 0
+    (first, last, q), (side, size, zeros) = ends, sides
+    lost, earliest, tried = means[2][2], -1, 0
     lost[0, 0] = 0
     for k in range(events.shape[0]):
         after = side_of(last[k], ZERO * size_of(events, k, last, q, size[k]), side[k])
@@ -295,7 +296,7 @@ def locate(means, start, t, span, ends, zeros, sides, events, work):
             zeros[k] = span
         elif events[k, SLOPES_AT] >= 0:
             rows, small = (first, last), ZERO * size[k]
-            zeros[k] = dip(means, start, t, span, rows, k, rate, small, work)
+            zeros[k] = dip(means, start, t, span, rows, (k, rate), small, work)
     for k in range(events.shape[0]):
         if zeros[k] == zeros[k]:
             tried, until, rate = tried + 1, zeros[k], events[k, RATE_AT]
@@ -343,7 +344,7 @@ def bounce(means, setting, step, impacts, sides):
             for j in range(events.shape[0]):
                 zeros[j] = np.nan
             ends, work = (first, last, behind[0]), (row, there)
-            k = locate(means, state, t, rest, ends, zeros, (side, size), events, work)
+            k = locate(means, state, t, rest, ends, (side, size, zeros), events, work)
         well = k != -2
         if well and k == -1:
             over = True

@@ -262,7 +262,7 @@ class EventLocator:
         Zeros are put into ``zeros``, which has ends of the span for some events, NaN for others.
         """
         state, until = (np.zeros_like(start[0]), np.zeros_like(start[1])), zeros.copy()
-        known = span, ends, zeros, sides, self._events, (np.zeros(len(ends[0])), state)
+        known = span, ends, (*sides, zeros), self._events, (np.zeros(len(ends[0])), state)
         inputs, event = self._parts.inputs(span, *place), LOST
         room = np.zeros(4, np.int64), np.zeros((1, 1, 1)), np.zeros((1, 1), np.int64), inputs
         if inputs.shape[2] == 1:  # they are held over the step
