@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, Unpack, overload
 
 from numpy.typing import ArrayLike
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from symsimpson.ensemble.ensemble import Ensemble
     from symsimpson.results.sampled import Sampled, Saved
     from symsimpson.stepping.event import Event
+    from symsimpson.stepping.options import RunOptions, SavedOptions, TimesOptions
 
 
 @explaining()
@@ -52,71 +53,15 @@ class Stepper(Examining):
 
     @overload
     def integrate(
-        self,
-        q0: ArrayLike,
-        v0: ArrayLike | None = None,
-        *,
-        p0: ArrayLike | None = None,
-        h: Any,
-        t_end: Any = None,
-        steps: int | None = None,
-        t0: Any = 0.0,
-        parameters: Parameters | None = None,
-        inputs: Any = None,
-        every: int | None = 1,
-        t_eval: None = None,
-        save: None = None,
-        tangents: ArrayLike | None = None,
-        sensitivities: Any = None,
-        record: str | Sequence[str] | None = None,
-        reduce: Mapping[str, Any] | None = None,
-        events: Sequence[Event] | None = None,
-        exact_h: bool = False,
-        checkpoint: str | os.PathLike[str] | None = None,
-        checkpoint_every: int | None = None,
-        progress: bool | None = None,
-        on_failure: Literal["raise", "return"] = "raise",
+        self, q0: ArrayLike, v0: ArrayLike | None = None, **options: Unpack[RunOptions]
     ) -> Trajectory: ...
     @overload
     def integrate(
-        self,
-        q0: ArrayLike,
-        v0: ArrayLike | None = None,
-        *,
-        p0: ArrayLike | None = None,
-        h: Any,
-        t_eval: ArrayLike,
-        save: None = None,
-        t_end: Any = None,
-        steps: int | None = None,
-        t0: Any = 0.0,
-        parameters: Parameters | None = None,
-        inputs: Any = None,
-        events: Sequence[Event] | None = None,
-        exact_h: bool = False,
-        progress: bool | None = None,
-        on_failure: Literal["raise", "return"] = "raise",
+        self, q0: ArrayLike, v0: ArrayLike | None = None, **options: Unpack[TimesOptions]
     ) -> Sampled: ...
     @overload
     def integrate(
-        self,
-        q0: ArrayLike,
-        v0: ArrayLike | None = None,
-        *,
-        p0: ArrayLike | None = None,
-        h: Any,
-        save: Any,
-        t_eval: ArrayLike | None = None,
-        t_end: Any = None,
-        steps: int | None = None,
-        t0: Any = 0.0,
-        parameters: Parameters | None = None,
-        inputs: Any = None,
-        every: int | None = 1,
-        events: Sequence[Event] | None = None,
-        exact_h: bool = False,
-        progress: bool | None = None,
-        on_failure: Literal["raise", "return"] = "raise",
+        self, q0: ArrayLike, v0: ArrayLike | None = None, **options: Unpack[SavedOptions]
     ) -> Saved: ...
     def integrate(
         self,
