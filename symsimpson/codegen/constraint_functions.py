@@ -26,6 +26,7 @@ DOCS = {
     "rates": "A v - b and its derivatives by q and v at a point.",
     "carried_slopes": "Derivatives of b by q at a point.",
 }
+_CLEARED = Call("clear", ("W", "CONSTRAINT_QQ", "HELD_SIZE", "lane"))
 #: What is evaluated is asked for by its name and indices.
 Entry = Callable[..., Expression]
 #: The row for two coordinates or constraints: the latter are those behind the former.
@@ -41,8 +42,7 @@ def constraint_functions(
     coordinate in matrices. Schemes with a drift, as RATTLE, call for phi alone (``drifting``).
     """
     point = replace(low.node, suffix="c", multipliers=low.multipliers)
-    cleared = (Call("clear_constraints"),)
-    first = dict.fromkeys(("constraint_slopes", "constrain"), cleared)
+    first = dict.fromkeys(("constraint_slopes", "constrain"), (_CLEARED,))
     functions = []
     for name, some in constraint_stores(low, held, places, point, "constraints").items():
         if drifting or name != "constraint_values":
@@ -114,10 +114,10 @@ def constraint_family_functions(
     """
     tables: dict[str, Table] = {}
     functions: list[Function] = []
-    calls: dict[str, list[str]] = {
-        "constraint_slopes": ["clear_constraints"],
-        "constrain": ["clear_constraints"],
-        "pushes": ["jet", "push_of_jet"],
+    calls = {
+        "constraint_slopes": [_CLEARED],
+        "constrain": [_CLEARED],
+        "pushes": [Call("jet"), Call("push_of_jet")],
     } | ({"constraint_values": []} if drifting else {})
     for number, family in enumerate(families, 1):
         writer = FamilyWriter(
@@ -129,10 +129,8 @@ def constraint_family_functions(
                 continue
             function = writer.function(f"{name}_{number}", DOCS[name], stores, indices)
             functions.append(function)
-            calls["pushes" if name == "curves" else name].append(function.name)
-    functions += [
-        Function(name, DOCS[name], tuple(map(Call, some))) for name, some in calls.items()
-    ]
+            calls["pushes" if name == "curves" else name].append(Call(function.name))
+    functions += [Function(name, DOCS[name], tuple(some)) for name, some in calls.items()]
     return functions, tables
 
 

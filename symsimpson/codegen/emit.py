@@ -200,10 +200,8 @@ def _computed_tables(equations: DiscreteEquations, module: Module) -> str:
     lines = []
     if not scheme.exact:
         names = "POINTS, PLACES, WEIGHTS, BASIS, BASIS_SLOPE, EXTRAPOLATION, END_SLOPE, START_SLOPE"
-        lines.append(f'{names} = path_tables("{kind}", {s}, {d})')
-        if equations.plain.velocity_constraints:
-            names = "PLACES, BASIS, BASIS_SLOPE"
-            lines.append(f"{names} = with_gauss_points({names}, {d})")
+        more = d if equations.plain.velocity_constraints else 0
+        lines.append(f'{names} = path_tables("{kind}", {s}, {d}, {more})')
     if "STRIDE" in module.tables:
         lines.append(f'STAGE_TABLE = stage_table("{kind}", {s})')
         if module.tables["UNFORCED"]:

@@ -37,6 +37,7 @@ def facts(
         "CARRIED": plain.carried,
         "GYROSCOPIC": equations.system.structure.gyroscopic,
         "LOOKED_AT": equations.looked_at,
+        "DIFFERENTIATED": equations.varied is not None,
         "VARIED_BY": len(low.varied),
         "SIZED": low.sized,
         "COSTED": equations.cost is not None,

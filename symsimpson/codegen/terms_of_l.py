@@ -42,6 +42,7 @@ FUNCTIONS = {
     "gyroscopic": ("a at a node.", ("a",)),
     "potential": ("Add V to the energy.", ("V",)),
 }
+_CLEARED = "W[{} + row, lane] = real(0)"
 #: Terms of more nodes are not shown.
 _SHOWN = 100
 BLOCKS = {
@@ -53,14 +54,6 @@ BLOCKS = {
     "f_v": "NODE_F_V",
     "M": "NODE_L_VV",
     "V": "ENERGY",
-}
-_CLEARED = {
-    "F": "clear_gradient",
-    "a": "clear_gyroscopic",
-    "F_q": "clear_hessian",
-    "F_v": "clear_mixed",
-    "M": "clear_mass",
-    "f_v": "clear_drag",
 }
 
 
@@ -138,9 +131,16 @@ def _with_drag(parts: Sequence[str], *, dragged: bool) -> Sequence[str]:
     return (*parts, "f_v") if dragged and "F_v" in parts else parts
 
 
-def _clearing(parts: Sequence[str]) -> list[Call]:
-    """Return what begins the sums that make some parts; that of M begins those of P and a, too."""
-    return [Call(_CLEARED[x]) for x in parts if x in _CLEARED and (x != "a" or "M" not in parts)]
+def _clearing(parts: Iterable[str]) -> list[Loop]:
+    """Return the loops that begin the sums over the terms of L with zero; that of V goes on."""
+    size = {True: "NODE_L_QV - NODE_L_QQ", False: "DIMENSION"}
+    return [
+        Loop(
+            "row", f"range({size['_' in x or x == 'M']})", (Excerpt((_CLEARED.format(BLOCKS[x]),)),)
+        )
+        for x in parts
+        if x != "V"
+    ]
 
 
 def power_stores(low: Lowering, template: JetTemplate, point: Point) -> list[Store]:

@@ -160,9 +160,6 @@ class TracedKernels:
         solved = self._solved
         if self._held:
             (part,) = solved
-            if low.equations.plain.carried:
-                part.traced.run("keep_taken")
-            part.traced.run("carry_multipliers")
             pivots = part.pivots()
         else:
             state.velocity(end=[part.traced for part in self._parts])

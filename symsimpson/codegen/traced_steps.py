@@ -39,9 +39,8 @@ def traced_facts(low: Lowering, part: Part, held: Held | None = None) -> dict[st
 
 #: Texts that a trace begins with.
 FUNCTIONS = """
-    correct update_increments update_multipliers solve_linear_step find_straight_path find_impulse
-    find_cyclic_impulse find_allowed_impulse measure_prediction close_step keep_taken
-    carry_multipliers predict go_to_start keep_mass factor_mass find_pivots
+    correct update_increments solve_linear_step find_straight_path find_impulse find_cyclic_impulse
+    find_allowed_impulse measure_prediction close_step predict factor_at_start find_pivots
 """
 
 
@@ -88,9 +87,7 @@ class TracedSolver:
         traced = self.traced
         traced.begin()
         if isinstance(self._part, Separable):
-            traced.run("go_to_start", self._low.t)
-            for text in ("mass", "keep_mass", "factor_mass"):
-                traced.run(text)
+            traced.run("factor_at_start", self._low.t)
         return traced
 
     def equations(self) -> TracedPart:
@@ -107,8 +104,6 @@ class TracedSolver:
         hints += [f"d_mu_{k}_{c}" for k, c in self.multipliers]
         traced.hold("RESIDUAL", traced.named("RESIDUAL", len(hints), hints, "elimination"))
         traced.run("update_increments")
-        if self.multipliers:
-            traced.run("update_multipliers")
 
     def close(self) -> None:
         """Trace the end of the step: q1 = q0 + X_d and p1 = p0 + h sum_i b_i F_i, less damping."""

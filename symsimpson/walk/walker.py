@@ -153,6 +153,8 @@ class Walker(Assigning):
                 name in self._text.functions and name not in self._apart
             ):
                 given = [self._value(x, env) for x in arguments]
+                here, passed = self._ahead[-1], map(self._mentioned, arguments)
+                self._ahead[-1] = Ahead(here.after.union(*passed), here.here)
                 self._inside(self._text.functions[name], given, last=True)
             case ast.Expr(value=value):
                 self._value(value, env)

@@ -42,7 +42,7 @@ def test_kicks_damp_as_friction_does_by_itself(scheme, monkeypatch):
     with monkeypatch.context() as patch:  # the same in loops
         limited(patch, UNROLLED_FORCES=1)
         looped = ss.compile(system, scheme)
-    assert "decay(" in looped.source
+    assert "sinh(" in looped.source
     assert np.abs(looped.integrate(q, p0=p, h=0.1, steps=5).p - run.p).max() < 1e-15
     # not in proportion to each momentum, of no positive rate, or of another order
     for force, message in (

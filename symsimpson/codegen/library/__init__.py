@@ -18,34 +18,11 @@ from symsimpson.module.syntax import definitions
 __all__ = ["kernel_sources", "library_sources"]
 
 #: The files, in the order in which their functions stand in a module.
-FILES = (
-    "sincos",
-    "softplus",
-    "path",
-    "clear",
-    "assemble",
-    "solve",
-    "cyclic",
-    "mass",
-    "close",
-    "explicit_steps",
-    "shears",
-    "acceptance",
-    "constrained_step",
-    "rattle",
-    "velocity_constraints",
-    "step_kernels",
-    "stage_iteration",
-    "stage_loops",
-    "collocation",
-    "step_derivatives",
-    "tangent",
-    "constrained_tangent",
-    "adjoint",
-    "constrained_adjoint",
-    "curvature",
-    "clock",
-)
+FILES = """
+    elementary moving path assemble solve cyclic mass close explicit_steps acceptance
+    constrained_step step_kernels stage_loops collocation step_derivatives tangent adjoint curvature
+    clock
+"""
 
 
 def library_sources() -> Mapping[str, str]:
@@ -62,7 +39,7 @@ def kernel_sources() -> Mapping[str, str]:
 def _sources(*, kernels: bool) -> Mapping[str, str]:
     """Return the text of each function that is a kernel, or of each that is none."""
     sources: dict[str, str] = {}
-    for file in FILES:
+    for file in FILES.split():
         text = resources.files(__name__).joinpath(f"{file}.py").read_text("utf-8")
         lines = text.splitlines()
         for name, (first, end) in definitions(text).items():

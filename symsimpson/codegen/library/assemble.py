@@ -5,20 +5,12 @@
 def grow_node(W, node, lane):
     """Multiply what a node contributes by what its weight has grown to."""
     growth = W[GROWTH + node, lane]
-    for a in range(DIMENSION):
-        W[NODE_L_Q + a, lane] *= growth
-        W[NODE_L_V + a, lane] *= growth
-    for entry in range(NODE_L_QV - NODE_L_QQ):
-        W[NODE_L_QQ + entry, lane] *= growth
-        W[NODE_L_QV + entry, lane] *= growth
-        W[NODE_L_VV + entry, lane] *= growth
-
-
-@compiled
-def grow_force(W, node, lane):
-    """Multiply the force at a node by what its weight has grown to."""
-    for a in range(DIMENSION):
-        W[NODE_L_Q + a, lane] *= W[GROWTH + node, lane]
+    size = NODE_L_QV - NODE_L_QQ
+    multiply(W, NODE_L_Q, DIMENSION, growth, lane)
+    multiply(W, NODE_L_V, DIMENSION, growth, lane)
+    multiply(W, NODE_L_QQ, size, growth, lane)
+    multiply(W, NODE_L_QV, size, growth, lane)
+    multiply(W, NODE_L_VV, size, growth, lane)
 
 
 @compiled
@@ -77,21 +69,15 @@ def assemble_residual(W, h, lane):
 
 
 @compiled
-def keep_jet(W, node, lane):
+def keep_node(W, node, lane):
     """Keep the derivatives of F and P by q and v at a node."""
     size = NODE_L_QV - NODE_L_QQ
     for entry in range(size):
         W[STEP_QQ + node * size + entry, lane] = W[NODE_L_QQ + entry, lane]
         W[STEP_QV + node * size + entry, lane] = W[NODE_L_QV + entry, lane]
         W[STEP_VV + node * size + entry, lane] = W[NODE_L_VV + entry, lane]
-
-
-@compiled
-def keep_drag(W, node, lane):
-    """Keep what forces at a node depend on v."""
-    size = NODE_L_QV - NODE_L_QQ
-    for entry in range(size):
-        W[STEP_F_V + node * size + entry, lane] = W[NODE_F_V + entry, lane]
+    if DRAGGED:
+        copy(W, NODE_F_V, STEP_F_V + node * size, size, lane)
 
 
 @compiled
@@ -99,6 +85,8 @@ def assemble_entries(W, h, count, row_step, stride, lane):
     """Add up what the nodes contribute to D_k D_m L_d of some coordinates, the first ones."""
     rate = 1 / h
     size = NODE_L_QV - NODE_L_QQ
+    if CLEARED > 0:
+        clear(W, JACOBIAN, CLEARED, lane)
     for row in range(DEGREE):
         k = ROW_ORDER[row]
         for a in range(count):
@@ -159,46 +147,6 @@ def inertia(W, h, lane):
                 for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
                     mass = stiffness * W[MASS + s * NODE_STRIDE + b + NODE_OFFSET, lane]
                     W[entry + b * SOLVE_PLACE_STEP, lane] = mass
-
-
-@compiled
-def assemble_forces(W, h, node, lane):
-    """Add the forces at a node and their derivatives to these rows."""
-    square = h * h
-    for s in range(DIMENSION):
-        force = h * (h * WEIGHTS[node] * W[NODE_L_Q + s, lane])
-        W[ROW + s, lane] += force - PLACES[node] * force
-        for k in range(1, DEGREE):
-            W[ROW + k * DIMENSION + s, lane] += BASIS[node, k] * force
-    for row in range(BLOCKS):
-        for s in range(DIMENSION):
-            i = row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP
-            for column in range(BLOCKS):
-                slope = square * (TEST_FORCE[node, row] * BASIS[node, SOLVE_COLUMNS[column]])
-                entry = JACOBIAN + i * SOLVE_STRIDE + SOLVE_OFFSET + column * SOLVE_ROW_STEP
-                for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
-                    W[entry + b * SOLVE_PLACE_STEP, lane] += (
-                        slope * W[NODE_L_QQ + s * NODE_STRIDE + b + NODE_OFFSET, lane]
-                    )
-
-
-@compiled
-def combine_rows(W, lane):
-    """Combine the rows to those that are solved for."""
-    for row in range(BLOCKS):
-        for s in range(DIMENSION):
-            value = TEST_START[row] * W[ROW + s, lane]
-            for k in range(1, DEGREE):
-                value += TEST_ROWS[row, k] * W[ROW + k * DIMENSION + s, lane]
-            W[RESIDUAL + row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP, lane] = value
-
-
-@compiled
-def keep_slopes(W, node, lane):
-    """Keep the derivatives of the forces at a node."""
-    size = NODE_L_QV - NODE_L_QQ
-    for entry in range(size):
-        W[STEP_QQ + node * size + entry, lane] = W[NODE_L_QQ + entry, lane]
 
 
 @compiled

@@ -11,26 +11,6 @@ def accumulate(W, h, node, lane):
 
 
 @compiled
-def accumulate_start(W, h, node, lane):
-    """Add the force at a node to the row of q0."""
-    weight = h * WEIGHTS[node]
-    for s in range(DIMENSION):
-        force = weight * W[NODE_L_Q + s, lane]
-        W[RESIDUAL + COORDINATE[s], lane] += force - PLACES[node] * force
-
-
-@compiled
-def end_path(W, h, lane):
-    """Find the end of a straight path from this row: h M^-1 times what p0 becomes."""
-    for s in range(DIMENSION):
-        a = COORDINATE[s]
-        W[NODE_VELOCITY + s, lane] = W[RESIDUAL + a, lane] + W[MOMENTUM + a, lane]
-    solve_mass(W, lane)
-    for a in range(DIMENSION):
-        W[INCREMENT + (DEGREE - 1) * DIMENSION + a, lane] = h * W[VELOCITY + a, lane]
-
-
-@compiled
 def exact_sum(a, b):
     """Add two numbers; the second result is what rounding takes from the first (Knuth)."""
     total = a + b
@@ -44,22 +24,6 @@ def add_exactly(W, row, low, increment, lane):
     total, lost = exact_sum(W[row, lane], increment)
     W[row, lane] = total
     W[low, lane] = lost
-
-
-@compiled
-def add_work(W, h, node, lane):
-    """Add what a node contributes to the integrals of powers, to what rounding took from them."""
-    for k in range(NODE_POWERS):
-        W[WORK_LOW + k, lane] += h * WEIGHTS[node] * W[POWER + k, lane]
-
-
-@compiled
-def sum_work(W, lane):
-    """Add the integrals over a step to those of the run."""
-    for k in range(NODE_POWERS):
-        change = W[WORK_LOW + k, lane]
-        W[WORK_LOW + k, lane] = real(0)
-        add_exactly(W, WORK + k, WORK_LOW + k, change, lane)
 
 
 @compiled

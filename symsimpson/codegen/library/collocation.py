@@ -87,8 +87,11 @@ def slopes(points, x):
     return values
 
 
-def path_tables(kind, nodes, degree):
-    """Control points, weights, basis and slopes at the nodes, and what predicts the next path."""
+def path_tables(kind, nodes, degree, more):
+    """Control points, weights, basis and slopes at the nodes, and what predicts the next path.
+
+    So many ``more`` Gauss points of the path follow the nodes.
+    """
 
     def row(values):
         return array([number(value) for value in values])
@@ -98,12 +101,7 @@ def path_tables(kind, nodes, degree):
 
     points = quadrature("lobatto", degree + 1)[0]
     c, b = quadrature(kind, nodes)
-    bends = []
-    for x in points[1:]:
-        value = x
-        for other in points[:-1]:
-            value = value * (x - (other - ONE)) // (ONE - other)
-        bends.append(value)
+    c += quadrature("gauss", more)[0]
     ahead = [basis(points, ONE + x) for x in points[1:]]
     return (
         row(points),
@@ -113,15 +111,8 @@ def path_tables(kind, nodes, degree):
         rows(slopes(points, x) for x in c),
         rows([*values[1:-1], values[-1] - ONE] for values in ahead),
         row(slopes(points, ONE)[1:]),
-        row(bends),
+        row(points[k + 1] * ahead[k][-1] // ONE for k in range(degree)),
     )
-
-
-def with_gauss_points(places, values, slopes_there, degree):
-    """The same tables, with rows for Gauss points of the path behind those of its nodes."""
-    _, c, _, more_values, more_slopes, *_ = path_tables("gauss", degree, degree)
-    tables = (places, c), (values, more_values), (slopes_there, more_slopes)
-    return tuple(array([*table, *more]) for table, more in tables)
 
 
 def shares_up_to(c, b, end):

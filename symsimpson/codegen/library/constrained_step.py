@@ -2,29 +2,26 @@
 
 Coordinates and constraints share one order of places, in which those that meet stand close:
 HELD_PLACE tells that of a coordinate, then of a constraint, CONSTRAINT_AT what stands at a place.
+
+Velocity constraints A v = b are asked for at Gauss points of the path. Their rows follow those of
+phi in each block; their multipliers act at the control points, as those of phi do.
 """
 
 
 @compiled
-def control_point(W, point, lane):
-    """Position and multipliers at a control point; there are none of these at the last one."""
+def at_point(W, h, t, point, lane):
+    """Go to a control point of the path, with its multipliers; the last one has none."""
     for s in range(DIMENSION):
         a = COORDINATE[s]
         W[NODE_POSITION + s, lane] = W[POSITION + a, lane]
         if point > 0:
             W[NODE_POSITION + s, lane] += W[INCREMENT + (point - 1) * DIMENSION + a, lane]
-    for c in range(CONSTRAINTS):
-        W[MULTIPLIER + c, lane] = real(0)
-        if point < DEGREE:
-            row = INCREMENT + DEGREE * DIMENSION + point * CONSTRAINTS + c
-            W[MULTIPLIER + c, lane] = W[row, lane]
-
-
-@compiled
-def clear_constraints(W, lane):
-    """Begin with second derivatives of lambda.phi that are zero."""
-    for entry in range(HELD_SIZE):
-        W[CONSTRAINT_QQ + entry, lane] = real(0)
+    clear(W, MULTIPLIER, CONSTRAINTS, lane)
+    if point < DEGREE:
+        first = INCREMENT + DEGREE * DIMENSION + point * CONSTRAINTS
+        copy(W, first, MULTIPLIER, CONSTRAINTS, lane)
+    if ROLLING and not AUTONOMOUS:
+        W[NODE_TIME, lane] = t + POINTS[point] * h
 
 
 @compiled
@@ -38,6 +35,24 @@ def constraint_forces(W, lane):
             if CONSTRAINT_AT[j] >= 0:
                 force += W[row + j, lane] * W[MULTIPLIER + CONSTRAINT_AT[j], lane]
         W[CONSTRAINT_FORCE + COORDINATE[s], lane] = force
+
+
+@compiled
+def assemble_constraints(W, h, t, kept, lane):
+    """Add what constraints contribute to the rows of a step; their derivatives may be kept."""
+    for point in range(DEGREE + 1 if HOLONOMIC > 0 else DEGREE):
+        at_point(W, h, t, point, lane)
+        constrain(W, lane)
+        assemble_constraint(W, h, point, lane)
+        if DIFFERENTIATED and kept > 0:
+            keep_point(W, h, point, lane)
+    if ROLLING:
+        for node in range(NODES, NODES + DEGREE):
+            at_node(W, h, t, node, lane)
+            rates(W, lane)
+            assemble_rates(W, h, node, lane)
+            if DIFFERENTIATED and kept > 0:
+                keep_rates(W, h, node, lane)
 
 
 @compiled
@@ -91,7 +106,25 @@ def join_equations(W, lane):
                     W[target + HELD_PLACE[b] * HELD_PLACE_STEP, lane] += W[
                         source + b * EQUATION_PLACE_STEP, lane
                     ]
-    join_rows(W, RESIDUAL, lane)
+    reorder_rows(W, RESIDUAL, 0, lane)
+
+
+@compiled
+def reorder_rows(W, first, back, lane):
+    """Bring rows, of increments and then of multipliers, into the order of elimination, or back."""
+    copy(W, first, HELD_RIGHT, DEGREE * HELD_PLACES, lane)
+    for row in range(DEGREE):
+        for s in range(DIMENSION):
+            there = row * HELD_ROW_STEP + HELD_PLACE[s] * HELD_PLACE_STEP
+            here = row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
+            source = HELD_RIGHT + (there if back > 0 else here)
+            W[first + (here if back > 0 else there), lane] = W[source, lane]
+        for c in range(CONSTRAINTS):
+            there = HELD_SHIFT + row * HELD_PULL_STEP
+            there += HELD_PLACE[DIMENSION + c] * HELD_PLACE_STEP
+            here = DEGREE * DIMENSION + row * CONSTRAINTS + c
+            source = HELD_RIGHT + (there if back > 0 else here)
+            W[first + (here if back > 0 else there), lane] = W[source, lane]
 
 
 @compiled
@@ -117,85 +150,6 @@ def stiffen(W, h, lane):
 
 
 @compiled
-def join_rows(W, first, lane):
-    """Bring rows, of increments and then of multipliers, into the order of elimination."""
-    for row in range(DEGREE):
-        for s in range(DIMENSION):
-            there = row * HELD_ROW_STEP + HELD_PLACE[s] * HELD_PLACE_STEP
-            here = row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
-            W[HELD_RIGHT + there, lane] = W[first + here, lane]
-        for c in range(CONSTRAINTS):
-            there = HELD_SHIFT + row * HELD_PULL_STEP
-            there += HELD_PLACE[DIMENSION + c] * HELD_PLACE_STEP
-            here = DEGREE * DIMENSION + row * CONSTRAINTS + c
-            W[HELD_RIGHT + there, lane] = W[first + here, lane]
-    for row in range(DEGREE * HELD_PLACES):
-        W[first + row, lane] = W[HELD_RIGHT + row, lane]
-
-
-@compiled
-def part_rows(W, first, lane):
-    """Bring rows back into the order of increments, then multipliers."""
-    for row in range(DEGREE * HELD_PLACES):
-        W[HELD_RIGHT + row, lane] = W[first + row, lane]
-    for row in range(DEGREE):
-        for s in range(DIMENSION):
-            there = row * HELD_ROW_STEP + HELD_PLACE[s] * HELD_PLACE_STEP
-            here = row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
-            W[first + here, lane] = W[HELD_RIGHT + there, lane]
-        for c in range(CONSTRAINTS):
-            there = HELD_SHIFT + row * HELD_PULL_STEP
-            there += HELD_PLACE[DIMENSION + c] * HELD_PLACE_STEP
-            here = DEGREE * DIMENSION + row * CONSTRAINTS + c
-            W[first + here, lane] = W[HELD_RIGHT + there, lane]
-
-
-@compiled
-def update_multipliers(W, lane):
-    """Apply the Newton correction to the multipliers, which follow where the increments go."""
-    first = DEGREE * DIMENSION
-    for row in range(first, first + DEGREE * CONSTRAINTS):
-        W[INCREMENT + row, lane] -= W[RESIDUAL + row, lane]
-
-
-@compiled
-def clear_multipliers(W, lane):
-    """Begin with multipliers of zero: the first iteration finds them, as they enter linearly."""
-    first = DEGREE * DIMENSION
-    for row in range(first, first + DEGREE * CONSTRAINTS):
-        W[INCREMENT + row, lane] = real(0)
-        W[PREDICTED + row, lane] = real(0)
-
-
-@compiled
-def carry_multipliers(W, lane):
-    """Predict the multipliers of the last step."""
-    first = DEGREE * DIMENSION
-    for row in range(first, first + DEGREE * CONSTRAINTS):
-        W[RESIDUAL + row, lane] = W[INCREMENT + row, lane]
-
-
-@compiled
-def add_pull(W, lane):
-    """Add the pull -Phi^T mu of constraints at a control point to p1 - p0, h times."""
-    for s in range(DIMENSION):
-        i = HELD_PLACE[s]
-        row = CONSTRAINT_QQ + i * HELD_STRIDE + HELD_OFFSET
-        for j in range(max(0, i - HELD_BAND), min(HELD_PLACES, i + HELD_BAND + 1)):
-            if CONSTRAINT_AT[j] >= 0:
-                pull = W[row + j, lane] * W[MULTIPLIER + CONSTRAINT_AT[j], lane]
-                W[RESIDUAL + COORDINATE[s], lane] -= pull
-
-
-@compiled
-def divide_pulls(W, h, lane):
-    """Divide their sum by h."""
-    rate = 1 / h
-    for a in range(DIMENSION):
-        W[RESIDUAL + a, lane] *= rate
-
-
-@compiled
 def border_mass(W, lane):
     """Write M, bordered by Phi, and a weight w of each constraint.
 
@@ -204,9 +158,7 @@ def border_mass(W, lane):
     """
     first = HELD + HELD_OFFSET
     slopes = CONSTRAINT_QQ + HELD_OFFSET
-    for i in range(HELD_PLACES):
-        for j in range(max(0, i - HELD_BAND), min(HELD_PLACES, i + HELD_BAND + 1)):
-            W[first + i * HELD_STRIDE + j, lane] = real(0)
+    clear(W, HELD, HELD_SIZE, lane)
     for s in range(DIMENSION):
         for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
             entry = W[NODE_L_VV + s * NODE_STRIDE + b + NODE_OFFSET, lane]
@@ -303,39 +255,11 @@ def solve_held(W, lane):
 
 
 @compiled
-def allow_no_change(W, lane):
-    """Velocities stay on the constraints: Phi v = 0."""
-    for c in range(CONSTRAINTS):
-        W[CURVATURE + c, lane] = real(0)
-
-
-@compiled
-def change_to_constraints(W, lane):
-    """Find the least change of q, in M, that takes phi to zero to first order."""
-    for s in range(DIMENSION):
-        W[NODE_VELOCITY + s, lane] = real(0)
-    for c in range(CONSTRAINTS):
-        W[CURVATURE + c, lane] = -W[CONSTRAINT + c, lane]
-    solve_held(W, lane)
-    for a in range(DIMENSION):
-        W[HELD_CHANGE + a, lane] = W[VELOCITY + a, lane]
-
-
-@compiled
 def take_momentum(W, lane):
     """Take from p what constraints take."""
     constraint_forces(W, lane)
     for a in range(DIMENSION):
         W[RESIDUAL + a, lane] -= W[CONSTRAINT_FORCE + a, lane]
-
-
-@compiled
-def momentum_at_end(W, lane):
-    """Return p1 - a to the solve for the velocity, before constraints take their part."""
-    for s in range(DIMENSION):
-        a = COORDINATE[s]
-        p = W[MOMENTUM + a, lane] + (W[RESIDUAL + a, lane] + W[MOMENTUM_LOW + a, lane])
-        W[NODE_VELOCITY + s, lane] = p - W[NODE_L_V + s, lane]
 
 
 @compiled
@@ -350,7 +274,74 @@ def push_of_jet(W, lane):
 
 
 @compiled
-def push_to_solve(W, lane):
-    """Return what accelerates to the solve for v' and the multipliers."""
-    for s in range(DIMENSION):
-        W[NODE_VELOCITY + s, lane] = W[RESIDUAL + s, lane]
+def assemble_rates(W, h, node, lane):
+    """Let rows of the step say A v = b at a point, where what is alike says phi = 0."""
+    point = node - NODES
+    for c in range(HOLONOMIC, CONSTRAINTS):
+        rate = c - HOLONOMIC
+        W[RESIDUAL + DEGREE * DIMENSION + point * CONSTRAINTS + c, lane] = W[RATE + rate, lane]
+        i = HELD_PLACE[DIMENSION + c]
+        row = HELD_SHIFT + point * HELD_PULL_STEP + i * HELD_PLACE_STEP
+        row = JACOBIAN + row * SOLVE_STRIDE
+        for column in range(DEGREE):
+            k = COLUMN_ORDER[column]
+            for s in range(DIMENSION):
+                a = rate * DIMENSION + COORDINATE[s]
+                j = HELD_PLACE[s]
+                entry = column * HELD_ROW_STEP + j * HELD_PLACE_STEP
+                if abs(i - j) <= HELD_BAND:
+                    W[row + SOLVE_OFFSET + entry, lane] = (
+                        BASIS[node, k] * W[RATE_Q + a, lane]
+                        + BASIS_SLOPE[node, k] / h * W[RATE_V + a, lane]
+                    )
+
+
+@compiled
+def keep_rates(W, h, node, lane):
+    """Keep the derivatives of A v - b, by q and by parameters, h times, like those of phi."""
+    point = node - NODES + 1
+    first = POINT_QQ + point * HELD_SIZE + HELD_OFFSET
+    for c in range(HOLONOMIC, CONSTRAINTS):
+        i = HELD_PLACE[DIMENSION + c]
+        for s in range(DIMENSION):
+            rate = RATE_Q + (c - HOLONOMIC) * DIMENSION + COORDINATE[s]
+            if abs(i - HELD_PLACE[s]) <= HELD_BAND:
+                W[first + i * HELD_STRIDE + HELD_PLACE[s], lane] = h * W[rate, lane]
+    if VARIED_BY:
+        if SIZED:
+            go_to_place(W, h, PLACES[node], real(1), lane)
+        rate_parameter_slopes(W, lane)
+        for j in range(VARIED):
+            for c in range(HOLONOMIC, CONSTRAINTS):
+                rate = RATE_A + j * (CONSTRAINTS - HOLONOMIC) + c - HOLONOMIC
+                slope = POINT_A + (point * VARIED + j) * CONSTRAINTS + c
+                W[slope, lane] = h * W[rate, lane]
+
+
+@compiled
+def vary_carried(W, variation, lane):
+    """Add b_q dq to what A dv is, and what a parameter changes of b."""
+    dq = TANGENT + variation * 2 * DIMENSION
+    room = work_row_of(W, variation, lane)
+    parameter = variation - int(W[TANGENTS, lane]) + VARIED
+    for c in range(HOLONOMIC, CONSTRAINTS):
+        for a in range(DIMENSION):
+            slope = W[RATE_Q + (c - HOLONOMIC) * DIMENSION + a, lane]
+            W[room + DIMENSION + c, lane] += slope * W[dq + a, lane]
+        if VARIED_BY and parameter >= 0:
+            slope = RATE_A + parameter * (CONSTRAINTS - HOLONOMIC) + c - HOLONOMIC
+            W[room + DIMENSION + c, lane] += W[slope, lane]
+
+
+@compiled
+def pull_carried(W, lane):
+    """Add z.b_q to the derivative of a cost by q1, and z.b_a to those by parameters."""
+    for c in range(HOLONOMIC, CONSTRAINTS):
+        for a in range(DIMENSION):
+            slope = W[RATE_Q + (c - HOLONOMIC) * DIMENSION + a, lane]
+            W[ADJOINT + a, lane] += W[MULTIPLIER + c, lane] * slope
+    if VARIED_BY:
+        for j in range(VARIED):
+            for c in range(HOLONOMIC, CONSTRAINTS):
+                slope = RATE_A + j * (CONSTRAINTS - HOLONOMIC) + c - HOLONOMIC
+                W[COST_END + j, lane] += W[MULTIPLIER + c, lane] * W[slope, lane]

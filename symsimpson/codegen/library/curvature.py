@@ -14,12 +14,11 @@ varied has at each node.
 @kernel
 def curvature(W, h, t, lane):
     """Second derivatives of weighted rows of a step."""
-    for entry in range(HESSIAN_SIZE * HESSIAN_SIZE):
-        W[HESSIAN + entry, lane] = real(0)
+    clear(W, HESSIAN, HESSIAN_SIZE * HESSIAN_SIZE, lane)
     for node in range(NODES):
         at_node(W, h, t, node, lane)
         if TIMED_COST:
-            node_time(W, t + PLACES[node] * h, lane)
+            W[NODE_TIME, lane] = t + PLACES[node] * h
         weigh_node_rows(W, node, lane)
         go_to_place(W, h, PLACES[node], real(1), lane)
         node_curvature(W, lane)
@@ -27,8 +26,14 @@ def curvature(W, h, t, lane):
     if HELD:
         for point in range(DEGREE + 1):
             at_point(W, h, t, point, lane)
-            clear_constraints(W, lane)
-            weigh_point_rows(W, h, point, lane)
+            clear(W, CONSTRAINT_QQ, HELD_SIZE, lane)
+            for s in range(DIMENSION):
+                a = COORDINATE[s]
+                W[NODE_WEIGHT + a, lane] = W[ROW_WEIGHT + point * DIMENSION + a, lane]
+            first = ROW_WEIGHT + (DEGREE + 1) * DIMENSION + point * CONSTRAINTS
+            copy(W, first, NODE_WEIGHT + DIMENSION, CONSTRAINTS, lane)
+            for c in range(CONSTRAINTS):  # these are mu
+                W[MULTIPLIER + c, lane] /= h
             point_curvature(W, lane)
             add_point_curvature(W, point, lane)
 
@@ -47,14 +52,29 @@ def weigh_node_rows(W, node, lane):
         W[NODE_WEIGHT + DIMENSION + COORDINATE[s], lane] = momentum
     W[NODE_WEIGHT + 2 * DIMENSION, lane] = WEIGHTS[node] * W[COST_WEIGHT, lane]
     if DAMPED:  # a cost does not grow
-        for row in range(2 * DIMENSION):
-            W[NODE_WEIGHT + row, lane] *= W[GROWTH + node, lane]
+        multiply(W, NODE_WEIGHT, 2 * DIMENSION, W[GROWTH + node, lane], lane)
 
 
 @compiled
 def reach(node, variable, k):
-    """Return the derivative of a variable at a node, q or h v, by the control point X_k."""
-    return BASIS[node, k] if variable < DIMENSION else BASIS_SLOPE[node, k]
+    """Return the derivative of a variable at a node, q, h v or what is varied, by the point X_k."""
+    slope = BASIS[node, k] if variable < DIMENSION else BASIS_SLOPE[node, k]
+    return slope if variable < 2 * DIMENSION else real(1)
+
+
+@compiled
+def row_of(node, variable, k):
+    """Return the row of the Hessian of the point X_k, or of what is varied at a node."""
+    varied = VARIED_FROM + (variable - 2 * DIMENSION) * NODES + node
+    return k * DIMENSION + variable % DIMENSION if variable < 2 * DIMENSION else varied
+
+
+@compiled
+def add_entry(W, row, column, value, both, lane):
+    """Add a second derivative, and the one with the variables exchanged if these are ``both``."""
+    W[HESSIAN + row * HESSIAN_SIZE + column, lane] += value
+    if both:
+        W[HESSIAN + column * HESSIAN_SIZE + row, lane] += value
 
 
 @compiled
@@ -63,41 +83,11 @@ def add_curvature(W, node, lane):
     for entry in range(len(CURVATURE_ROW)):
         i = CURVATURE_ROW[entry]
         j = CURVATURE_COLUMN[entry]
-        value = W[NODE_CURVATURE + entry, lane]
-        if i < 2 * DIMENSION:
-            for k in range(DEGREE + 1):
-                for m in range(DEGREE + 1):
-                    row = k * DIMENSION + i % DIMENSION
-                    column = m * DIMENSION + j % DIMENSION
-                    term = reach(node, i, k) * (reach(node, j, m) * value)
-                    W[HESSIAN + row * HESSIAN_SIZE + column, lane] += term
-                    if i != j:
-                        W[HESSIAN + column * HESSIAN_SIZE + row, lane] += term
-        else:
-            row = VARIED_FROM + (i - 2 * DIMENSION) * NODES + node
-            for m in range(DEGREE + 1):
-                if j < 2 * DIMENSION:
-                    column = m * DIMENSION + j % DIMENSION
-                    term = reach(node, j, m) * value
-                    W[HESSIAN + row * HESSIAN_SIZE + column, lane] += term
-                    W[HESSIAN + column * HESSIAN_SIZE + row, lane] += term
-            if j >= 2 * DIMENSION:
-                column = VARIED_FROM + (j - 2 * DIMENSION) * NODES + node
-                W[HESSIAN + row * HESSIAN_SIZE + column, lane] += value
-                if i != j:
-                    W[HESSIAN + column * HESSIAN_SIZE + row, lane] += value
-
-
-@compiled
-def weigh_point_rows(W, h, point, lane):
-    """Find the weights of a control point; the multipliers there are mu, and none at the last."""
-    for s in range(DIMENSION):
-        a = COORDINATE[s]
-        W[NODE_WEIGHT + a, lane] = W[ROW_WEIGHT + point * DIMENSION + a, lane]
-    for c in range(CONSTRAINTS):
-        row = ROW_WEIGHT + (DEGREE + 1) * DIMENSION + point * CONSTRAINTS + c
-        W[NODE_WEIGHT + DIMENSION + c, lane] = W[row, lane]
-        W[MULTIPLIER + c, lane] /= h
+        for k in range(DEGREE + 1 if i < 2 * DIMENSION else 1):
+            for m in range(DEGREE + 1 if j < 2 * DIMENSION else 1):
+                value = reach(node, j, m) * W[NODE_CURVATURE + entry, lane]
+                value = reach(node, i, k) * value
+                add_entry(W, row_of(node, i, k), row_of(node, j, m), value, i != j, lane)
 
 
 @compiled
@@ -118,8 +108,5 @@ def add_point_curvature(W, point, lane):
         j = POINT_COLUMN[entry]
         held = i >= DIMENSION and i < DIMENSION + CONSTRAINTS
         if point < DEGREE or not held:
-            row = place_of(point, i)
-            column = place_of(point, j)
-            W[HESSIAN + row * HESSIAN_SIZE + column, lane] += W[POINT_CURVATURE + entry, lane]
-            if i != j:
-                W[HESSIAN + column * HESSIAN_SIZE + row, lane] += W[POINT_CURVATURE + entry, lane]
+            value = W[POINT_CURVATURE + entry, lane]
+            add_entry(W, place_of(point, i), place_of(point, j), value, i != j, lane)

@@ -135,14 +135,6 @@ def cyclic_velocities(W, h, t, closing, lane):
 
 
 @compiled
-def cyclic_state(W, h, t, node, closing, lane):
-    """Go to a node, where all velocities are known."""
-    cyclic_point(W, h, t, node, closing, lane)
-    for r in range(CYCLIC):
-        W[NODE_VELOCITY + OTHERS + r, lane] = W[CYCLIC_V + node * CYCLIC + r, lane]
-
-
-@compiled
 def reduce_jet(W, node, lane):
     """Make F_q, F_v and P_v those of the Routhian L - p v_y, in which v_y follows from p.
 
@@ -225,7 +217,8 @@ def cyclic_equations(W, h, t, lane):
     """Residual and Jacobian of the other coordinates, at constant momenta of cyclic ones."""
     cyclic_velocities(W, h, t, 0, lane)
     for node in range(NODES):
-        cyclic_state(W, h, t, node, 0, lane)
+        cyclic_point(W, h, t, node, 0, lane)
+        copy(W, CYCLIC_V + node * CYCLIC, NODE_VELOCITY + OTHERS, CYCLIC, lane)
         jet(W, lane)
         weigh_node(W, h, node, lane)
         reduce_jet(W, node, lane)
@@ -246,9 +239,10 @@ def find_cyclic_impulse(W, h, t, lane):
     These end at h sum_i b_i v_y.
     """
     cyclic_velocities(W, h, t, 1, lane)
-    clear_momentum(W, lane)
+    clear(W, RESIDUAL, DIMENSION, lane)
     for node in range(NODES):
-        cyclic_state(W, h, t, node, 1, lane)
+        cyclic_point(W, h, t, node, 1, lane)
+        copy(W, CYCLIC_V + node * CYCLIC, NODE_VELOCITY + OTHERS, CYCLIC, lane)
         gradient(W, lane)
         accumulate(W, h, node, lane)
     for r in range(CYCLIC):
@@ -284,7 +278,7 @@ def cyclic_ends(W, h, t, lane):
             slope += END_SLOPE[k] * W[INCREMENT + k * DIMENSION + COORDINATE[s], lane]
         W[NODE_VELOCITY + s, lane] = rate * slope
     if not AUTONOMOUS:
-        node_time(W, t + h, lane)
+        W[NODE_TIME, lane] = t + h
     cyclic_node(W, end, lane)
     for r in range(CYCLIC):
         gap = real(0)

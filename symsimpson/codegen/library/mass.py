@@ -2,20 +2,15 @@
 
 
 @compiled
-def keep_mass(W, lane):
-    """Keep a constant M, whose factors will take its place."""
-    for entry in range(MASS - NODE_L_VV):
-        W[MASS + entry, lane] = W[NODE_L_VV + entry, lane]
-
-
-@compiled
 def factor_mass(W, lane):
     """Factorise M = L D L^T in its place; MASS_PIVOT < 0 if M is not positive definite."""
     first = NODE_L_VV + NODE_OFFSET
     for i in range(DIMENSION):
         W[MASS_DIAGONAL + COORDINATE[i], lane] = W[first + i * NODE_STRIDE + i, lane]
-    if TRACED and DIMENSION == 2:
-        factor_two(W, first, NODE_STRIDE, lane)
+    if TRACED and DIMENSION == 2:  # [[a, b], [d, a d - b^2]]: one division solves then
+        a, b, d = W[first, lane], W[first + 1, lane], W[first + NODE_STRIDE + 1, lane]
+        W[first + NODE_STRIDE, lane] = d
+        W[first + NODE_STRIDE + 1, lane] = a * d - b**2
     else:
         factor_symmetric(W, first, DIMENSION, MASS_BAND, NODE_STRIDE, lane)
     deficit = real(0)
@@ -26,15 +21,17 @@ def factor_mass(W, lane):
 
 
 @compiled
-def scale_pivots(W, first, lane):
+def scale_pivots(W, lane):
     """Keep 1 / pivot of M where a run begins."""
+    first = HELD if HELD else NODE_L_VV
     for i in range(DIMENSION):
         W[PIVOT_SCALE + i, lane] = 1 / W[first + PIVOT_AT[i], lane]
 
 
 @compiled
-def least_pivot(W, first, lane):
+def least_pivot(W, lane):
     """Find the smallest pivot of M, each in units of that at the start."""
+    first = HELD if HELD else NODE_L_VV
     least = W[first + PIVOT_AT[0], lane] * W[PIVOT_SCALE, lane]
     for i in range(1, DIMENSION):
         least = min(least, W[first + PIVOT_AT[i], lane] * W[PIVOT_SCALE + i, lane])
@@ -42,24 +39,15 @@ def least_pivot(W, first, lane):
 
 
 @compiled
-def compare_pivots(W, first, lane):
-    """Compare the pivots of M with those at the start."""
-    W[MASS_PIVOT, lane] = least_pivot(W, first, lane)
-
-
-@compiled
-def momentum_to_solve(W, lane):
-    """Return p - a to the solve for the velocity."""
-    for s in range(DIMENSION):
-        W[NODE_VELOCITY + s, lane] = W[MOMENTUM + COORDINATE[s], lane] - W[NODE_L_V + s, lane]
-
-
-@compiled
 def solve_with_mass(W, lane):
     """Solve M v = right in place, in the rows of a node's velocity, with the factors of M."""
     first = NODE_L_VV + NODE_OFFSET
     if TRACED and DIMENSION == 2:
-        solve_two(W, first, NODE_VELOCITY, NODE_STRIDE, lane)
+        a, b, d = W[first, lane], W[first + 1, lane], W[first + NODE_STRIDE, lane]
+        scale = 1 / W[first + NODE_STRIDE + 1, lane]
+        x, y = W[NODE_VELOCITY, lane], W[NODE_VELOCITY + 1, lane]
+        W[NODE_VELOCITY, lane] = scale * (d * x - b * y)
+        W[NODE_VELOCITY + 1, lane] = scale * (a * y - b * x)
     else:
         solve_symmetric(W, first, NODE_VELOCITY, DIMENSION, MASS_BAND, NODE_STRIDE, lane)
 

@@ -36,24 +36,6 @@ def solve_symmetric(W, first, right, count, band, stride, lane):
 
 
 @compiled
-def factor_two(W, first, stride, lane):
-    """Let [[a, b], [d, a d - b^2]] take the place of [[a, b], [b, d]]: one division solves then."""
-    a, b, d = W[first, lane], W[first + 1, lane], W[first + stride + 1, lane]
-    W[first + stride, lane] = d
-    W[first + stride + 1, lane] = a * d - b**2
-
-
-@compiled
-def solve_two(W, first, right, stride, lane):
-    """Solve a symmetric system of two equations with these numbers, in place."""
-    a, b, d = W[first, lane], W[first + 1, lane], W[first + stride, lane]
-    scale = 1 / W[first + stride + 1, lane]
-    x, y = W[right, lane], W[right + 1, lane]
-    W[right, lane] = scale * (d * x - b * y)
-    W[right + 1, lane] = scale * (a * y - b * x)
-
-
-@compiled
 def solve_pivoted(W, lane):
     """Solve J x = R in place with row pivoting; a larger entry takes the pivot's place at once."""
     for k in range(SOLVE_UNKNOWNS):
@@ -150,11 +132,15 @@ def update_increments(W, lane):
         increment_squared += increment
     W[CORRECTION_SQUARED, lane] = correction_squared
     W[INCREMENT_SQUARED, lane] = increment_squared
+    if HELD:  # multipliers follow where the increments go
+        for row in range(DEGREE * DIMENSION, DEGREE * (DIMENSION + CONSTRAINTS)):
+            W[INCREMENT + row, lane] -= W[RESIDUAL + row, lane]
 
 
 @compiled
-def solve_following(W, lane):
+def solve_following(W, h, t, lane):
     """Solve for coordinates whose increments follow from those of the others, which are held."""
+    step_equations(W, h, t, lane)
     for row in range(BLOCKS):
         for s in range(SOLVE_COORDINATES):
             i = row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP
@@ -165,16 +151,6 @@ def solve_following(W, lane):
                     W[entry, lane] = real(1) if i == j else real(0)
     solve_pivoted(W, lane)
     update_increments(W, lane)
-
-
-@compiled
-def clear_following(W, lane):
-    """Leave out of a correction what follows from the rest of it."""
-    for row in range(BLOCKS):
-        for s in range(DIMENSION):
-            if FOLLOWING[s] != 0:
-                W[RESIDUAL + row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP, lane] = real(0)
-                W[INCREMENT + row * DIMENSION + s, lane] = real(0)
 
 
 @compiled
@@ -196,11 +172,7 @@ def factor_equations(W, lane):
                 pivot = i
         W[EXCHANGE + k, lane] = pivot
         if pivot != k:
-            row_pivot = first + pivot * TANGENT_STRIDE
-            for j in range(k, end):
-                swap = W[row_k + j, lane]
-                W[row_k + j, lane] = W[row_pivot + j, lane]
-                W[row_pivot + j, lane] = swap
+            exchange(W, row_k + k, first + pivot * TANGENT_STRIDE + k, end - k, lane)
         inverse = 1 / W[row_k + k, lane]
         for i in range(k + 1, last):
             row_i = first + i * TANGENT_STRIDE
@@ -245,7 +217,7 @@ def solve_in_order(W, first, right, count, stride, lane):
 def solve_factored(W, right, lane):
     """Solve S x = b with these factors; x takes the place of b."""
     if HELD:
-        join_rows(W, right, lane)
+        reorder_rows(W, right, 0, lane)
     first = JACOBIAN + TANGENT_OFFSET
     for k in range(TANGENT_UNKNOWNS):
         pivot = int(W[EXCHANGE + k, lane])
@@ -262,14 +234,14 @@ def solve_factored(W, right, lane):
             x -= W[row_k + j, lane] * W[right + j, lane]
         W[right + k, lane] = x / W[row_k + k, lane]
     if HELD:
-        part_rows(W, right, lane)
+        reorder_rows(W, right, 1, lane)
 
 
 @compiled
 def solve_transposed(W, right, lane):
     """Solve S^T x = b with these factors; x takes the place of b."""
     if HELD:
-        join_rows(W, right, lane)
+        reorder_rows(W, right, 0, lane)
     first = JACOBIAN + TANGENT_OFFSET
     for k in range(TANGENT_UNKNOWNS):
         x = W[right + k, lane] / W[first + k * TANGENT_STRIDE + k, lane]
@@ -285,4 +257,4 @@ def solve_transposed(W, right, lane):
         W[right + k, lane] = W[right + pivot, lane]
         W[right + pivot, lane] = x
     if HELD:
-        part_rows(W, right, lane)
+        reorder_rows(W, right, 1, lane)

@@ -12,6 +12,107 @@ treated alike, so they are lanes, and one trajectory fills a vector register.
 
 
 @compiled
+def stage_constants(W, h, lane):
+    """The tables of the nodes; the parts h b_i of the step, which add up to h, their inverses.
+
+    Read from rows, tables are vectors; as constants they tempt compilers to unroll the nodes.
+    """
+    for row in range(4 * NODES):
+        for node in range(STRIDE):
+            W[STAGE_MU + row * STRIDE + node, lane] = STAGE_TABLE[row, node]
+    inner = real(0)
+    for node in range(1, NODES - 1):
+        W[STAGE_STEP + node, lane] = h * WEIGHTS[node]
+        inner += h * WEIGHTS[node]
+    W[STAGE_STEP, lane] = (h - inner) / 2
+    W[STAGE_STEP + NODES - 1, lane] = (h - inner) / 2
+    for node in range(NODES):
+        W[STAGE_RATE + node, lane] = 1 / W[STAGE_STEP + node, lane]
+        if not AUTONOMOUS:
+            W[STAGE_PLACE + node, lane] = PLACES[node]
+
+
+@compiled
+def over_nodes(W, first, lane):
+    """The sum of a row of nodes, in four parts that do not wait for each other."""
+    a, b, c, d = real(0), real(0), real(0), real(0)
+    for node in range(first, first + STRIDE, 4):
+        a += W[node, lane]
+        b += W[node + 1, lane]
+        c += W[node + 2, lane]
+        d += W[node + 3, lane]
+    return (a + b) + (c + d)
+
+
+@compiled
+def check_stage_convergence(W, lane):
+    """Go on or not: ACTIVE becomes 0 where the nodes are solved, -3 where they are not finite.
+
+    Corrections shrink by a factor each time; the next one is predicted by the largest factor seen
+    of late, and where it would be lost in rounding, the step is done. All sizes are squared.
+    A correction that is no smaller than the one before is rounding only where both are small: those
+    of slow iterations may grow for once, long before the step is solved.
+    Convergence is not checked before the iteration in which the step is expected to be nearly done.
+    """
+    W[ITERATIONS, lane] += 1.0
+    W[STAGE_COUNT, lane] += 1.0
+    if W[STAGE_COUNT, lane] >= W[STAGE_EXPECTED, lane]:
+        correction = over_nodes(W, STAGE_CORRECTION, lane)
+        increment = max(over_nodes(W, STAGE_SIZE, lane), correction)
+        before, factor = W[RELATIVE, lane], W[CONTRACTION, lane]
+        now = correction / (increment if increment != 0 else 1.0)
+        factor = max(now / before, 0.25 * factor) if before < INFINITE else factor
+        negligible = (factor < 1) & (now * factor <= LOST * (1 - factor) * (1 - factor))
+        stalled = (now < STALLED) & (now >= (0.25 if now < NOISE else 1.0) * before)
+        done = negligible | (now <= ROUNDING) | stalled
+        finite = (correction < INFINITE) & (increment < INFINITE)
+        W[CORRECTION_SQUARED, lane] = correction
+        W[INCREMENT_SQUARED, lane] = increment
+        W[CONTRACTION, lane] = factor
+        W[RELATIVE, lane] = now
+        W[ACTIVE, lane] = (0.0 if done else 1.0) if finite else -3.0
+
+
+@compiled
+def turned(sine, cosine, change):
+    """Sine and cosine of an angle that changed by so little, to rounding for up to 2^-7."""
+    z = change * change
+    along = change * (1 - z * (0.16666666666666666 - z * 0.008333333333333333))
+    back = z * (0.5 - z * (0.041666666666666664 - z * 0.001388888888888889))
+    return sine + (cosine * along - sine * back), cosine - (sine * along + cosine * back)
+
+
+@compiled
+def check_turns(W, lane):
+    """Go on with sines and cosines that are computed, where they were turned too far."""
+    late = W[ACTIVE, lane] == 0 or W[STAGE_COUNT, lane] > MANY
+    if late and W[STAGE_COUNT, lane] > W[STAGE_TURNED, lane]:
+        farthest = over_nodes(W, STAGE_TURN, lane)
+        if not farthest <= TURN:
+            W[STAGE_TURNED, lane] = INFINITE
+            if W[ACTIVE, lane] == 0:
+                W[ACTIVE, lane] = 1.0
+
+
+@compiled
+def check_stage_acceptance(W, lane):
+    """Leave it to Newton's method where velocities of cyclic coordinates are no polynomial.
+
+    LARGEST_SQUARED is what it compares its increments with: about n^2/4 times those of n nodes,
+    squared. In the next step convergence is checked first when one more iteration is likely to be
+    enough, and earlier behind a step that was done when it was first checked: it may have been so
+    for long.
+    """
+    increment = W[INCREMENT_SQUARED, lane]
+    resolved = W[CYCLIC_JUMP_SQUARED, lane] <= UNRESOLVED * increment
+    W[IN_DOUBT, lane] = 0.0 if resolved else 1.0
+    W[LARGEST_SQUARED, lane] = max(W[LARGEST_SQUARED, lane], 0.25 * NODES**2 * increment)
+    count = W[STAGE_COUNT, lane]
+    W[STAGE_EXPECTED, lane] = count - (1.0 if count > W[STAGE_EXPECTED, lane] else 3.0)
+    W[STAGE_COUNT, lane] = 0.0
+
+
+@compiled
 def stage_sum(W, factors, values, node, lane):
     """Sum what all nodes have by factors of a node, in halves that do not wait for each other."""
     first, second = real(0), real(0)
@@ -38,9 +139,10 @@ def enter_stage(W, h, t, node, lane):
         W[NODE_POSITION + s, lane] = W[POSITION + a, lane] + W[STAGE_Q + a * STRIDE + node, lane]
         W[NODE_VELOCITY + s, lane] = first + rate * lost
     if not AUTONOMOUS:
-        node_time(W, t + W[STAGE_PLACE + node, lane] * h, lane)
+        W[NODE_TIME, lane] = t + W[STAGE_PLACE + node, lane] * h
     if DRIVEN:
-        node_inputs(W, node, lane)
+        for k in range(INPUTS):
+            W[NODE_INPUT + k, lane] = W[INPUT + k * INPUT_STRIDE + node, lane]
 
 
 @compiled
@@ -72,7 +174,7 @@ def stage_velocity(W, h, t, node, lane):
         mass(W, lane)
         factor_mass(W, lane)
     if PIVOTS:
-        W[STAGE_PIVOT + node, lane] = least_pivot(W, NODE_L_VV, lane)
+        W[STAGE_PIVOT + node, lane] = least_pivot(W, lane)
     if GYROSCOPIC and CONSTANT_MASS:
         gyroscopic(W, lane)
     share = W[STAGE_STEP + node, lane]
@@ -104,8 +206,7 @@ def stage_velocities(W, h, t, lane):
 @compiled
 def close_stages(W, lane):
     """Add what the nodes contribute to q and p, with what rounding lost carried along."""
-    for row in range(4 * DIMENSION):
-        W[PREVIOUS + row, lane] = W[POSITION + row, lane]
+    copy(W, POSITION, PREVIOUS, 4 * DIMENSION, lane)
     for a in range(DIMENSION):
         increment = over_nodes(W, STAGE_V + a * STRIDE, lane) + W[POSITION_LOW + a, lane]
         add_exactly(W, POSITION + a, POSITION_LOW + a, increment, lane)
@@ -113,18 +214,6 @@ def close_stages(W, lane):
         a = FORCED[k]
         increment = over_nodes(W, STAGE_F + a * STRIDE, lane) + W[MOMENTUM_LOW + a, lane]
         add_exactly(W, MOMENTUM + a, MOMENTUM_LOW + a, increment, lane)
-
-
-@compiled
-def cyclic_jump(W, h, lane):
-    """Measure how far velocities of cyclic coordinates at q1 are from those of the path."""
-    jump_squared = real(0)
-    for a in UNFORCED:
-        gap = h * W[VELOCITY + a, lane]
-        for node in range(NODES):
-            gap -= STAGE_END[node] * W[STAGE_V + a * STRIDE + node, lane]
-        jump_squared += W[MASS_DIAGONAL + a, lane] * gap**2
-    W[CYCLIC_JUMP_SQUARED, lane] = jump_squared
 
 
 @compiled
@@ -140,8 +229,7 @@ def extrapolate_stages(W, smooth, lane):
     """Extrapolate velocities to all nodes of the next step."""
     for node in range(STRIDE if LANES == 1 else NODES):
         stage_ahead(W, smooth, node, lane)
-    for row in range(DIMENSION * STRIDE):
-        W[STAGE_V + row, lane] = W[STAGE_Q + row, lane]
+    copy(W, STAGE_Q, STAGE_V, DIMENSION * STRIDE, lane)
 
 
 @compiled
@@ -149,7 +237,7 @@ def start_velocity(W, t, lane):
     """Find the velocity at (q, p), and keep the pivots of M there."""
     find_velocity(W, t, lane)
     if PIVOTS:
-        scale_pivots(W, NODE_L_VV, lane)
+        scale_pivots(W, lane)
 
 
 @compiled
@@ -194,10 +282,21 @@ def advance_stages(W, h, t, lane):
     if W[ACTIVE, lane] != 0:
         close_stages(W, lane)
         if LOOKED_AT:
-            leave_path(W, lane)
+            for k in range(DEGREE):  # increments of control points, for derivatives
+                for a in range(DIMENSION):
+                    moved = real(0)
+                    for node in range(NODES):
+                        moved += REACHED_BY_MOVES[k, node] * W[STAGE_V + a * STRIDE + node, lane]
+                    W[SOLVED + k * DIMENSION + a, lane] = moved
         if UNFORCED:
             end_velocity(W, h, t, lane)
-            cyclic_jump(W, h, lane)
+            jump_squared = real(0)
+            for a in UNFORCED:  # velocities of cyclic coordinates at q1, less those of the path
+                gap = h * W[VELOCITY + a, lane]
+                for node in range(NODES):
+                    gap -= STAGE_END[node] * W[STAGE_V + a * STRIDE + node, lane]
+                jump_squared += W[MASS_DIAGONAL + a, lane] * gap**2
+            W[CYCLIC_JUMP_SQUARED, lane] = jump_squared
         # steps that take many iterations are long: there a smoother extrapolation is closer
         if W[STAGE_COUNT, lane] > MANY:
             extrapolate_stages(W, NODES * STRIDE, lane)
@@ -205,7 +304,12 @@ def advance_stages(W, h, t, lane):
             extrapolate_stages(W, 0, lane)
         check_stage_acceptance(W, lane)
         if PIVOTS:
-            least_over_nodes(W, lane)
+            least = W[STAGE_PIVOT, lane]
+            for node in range(1, NODES):
+                least = min(least, W[STAGE_PIVOT + node, lane])
+            last = W[STAGE_PIVOT + NODES - 1, lane]  # M may be singular after it
+            ahead = last + FALL * (last - W[STAGE_PIVOT + NODES - 2, lane])
+            W[MASS_PIVOT, lane] = 0.0 if (ahead <= 0) & (least > 0) else least
             check_pivots(W, lane)
         if TURNED:
             W[STAGE_TURNED, lane] = FRESH

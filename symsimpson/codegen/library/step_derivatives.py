@@ -12,10 +12,25 @@ parameters stay at the nodes, STEP_F_A and STEP_P_A, and those of constraints at
 
 
 @compiled
+def differentiate_step(W, h, t, costed, lane):
+    """Assemble the matrix, and add a running cost at the nodes if there is one."""
+    for node in range(NODES):
+        differentiate_node(W, h, t, node, lane)
+        if COSTED and costed > 0:
+            cost_at_node(W, h, t, node, lane)
+            add_cost(W, h, node, lane)
+    assemble_entries(W, h, DIMENSION, EQUATION_ROW_STEP, EQUATION_STRIDE, lane)
+    assemble_slopes(W, h, lane)
+    if HELD:
+        assemble_constraints(W, h, t, 1, lane)
+
+
+@compiled
 def differentiate_node(W, h, t, node, lane):
     """Evaluate and keep the derivatives of F and P at a node."""
     if TRACED and CYCLIC > 0:
-        cyclic_state(W, h, t, node, 0, lane)
+        cyclic_point(W, h, t, node, 0, lane)
+        copy(W, CYCLIC_V + node * CYCLIC, NODE_VELOCITY + OTHERS, CYCLIC, lane)
     else:
         at_node(W, h, t, node, lane)
     jet(W, lane)
@@ -25,35 +40,12 @@ def differentiate_node(W, h, t, node, lane):
         if SIZED:
             go_to_place(W, h, PLACES[node], real(1), lane)
         parameter_slopes(W, lane)
-        keep_parameter_slopes(W, node, lane)
+        if DAMPED:
+            multiply(W, NODE_F_A, F_A_FROM[VARIED], W[GROWTH + node, lane], lane)
+            multiply(W, NODE_P_A, P_A_FROM[VARIED], W[GROWTH + node, lane], lane)
+        copy(W, NODE_F_A, STEP_F_A + node * F_A_FROM[VARIED], F_A_FROM[VARIED], lane)
+        copy(W, NODE_P_A, STEP_P_A + node * P_A_FROM[VARIED], P_A_FROM[VARIED], lane)
     keep_node(W, node, lane)
-
-
-@compiled
-def assemble_derivatives(W, h, t, lane):
-    """Assemble the matrix, from what is kept of the nodes and from the constraints."""
-    assemble_nodes(W, h, lane)
-    assemble_slopes(W, h, lane)
-    if HELD:
-        for point in range(DEGREE + 1 if HOLONOMIC > 0 else DEGREE):
-            at_point(W, h, t, point, lane)
-            constrain(W, lane)
-            assemble_constraint(W, h, point, lane)
-            if VARIED_BY:
-                if SIZED and ROLLING:
-                    go_to_place(W, h, POINTS[point], real(1), lane)
-                constraint_parameter_slopes(W, lane)
-            keep_point(W, point, lane)
-    if ROLLING:
-        for node in range(NODES, NODES + DEGREE):
-            at_node(W, h, t, node, lane)
-            rates(W, lane)
-            assemble_rates(W, h, node, lane)
-            if VARIED_BY:
-                if SIZED:
-                    go_to_place(W, h, PLACES[node], real(1), lane)
-                rate_parameter_slopes(W, lane)
-            keep_rates(W, h, node, lane)
 
 
 @compiled
@@ -110,56 +102,30 @@ def go_to_place(W, h, place, moving, lane):
 
 
 @compiled
-def keep_parameter_slopes(W, node, lane):
-    """Keep the derivatives of F and P by parameters at a node, times what its weight grows to."""
-    if DAMPED:
-        for row in range(F_A_FROM[VARIED]):
-            W[NODE_F_A + row, lane] *= W[GROWTH + node, lane]
-        for row in range(P_A_FROM[VARIED]):
-            W[NODE_P_A + row, lane] *= W[GROWTH + node, lane]
-    for row in range(F_A_FROM[VARIED]):
-        W[STEP_F_A + node * F_A_FROM[VARIED] + row, lane] = W[NODE_F_A + row, lane]
-    for row in range(P_A_FROM[VARIED]):
-        W[STEP_P_A + node * P_A_FROM[VARIED] + row, lane] = W[NODE_P_A + row, lane]
-
-
-@compiled
-def keep_point(W, point, lane):
-    """Keep Phi and the second derivatives of lambda.phi at a control point.
-
-    The derivatives of phi and of Phi^T lambda by parameters follow.
-    """
-    for entry in range(HELD_SIZE):
-        W[POINT_QQ + point * HELD_SIZE + entry, lane] = W[CONSTRAINT_QQ + entry, lane]
+def keep_point(W, h, point, lane):
+    """Keep derivatives of phi and of Phi^T lambda, by q and by parameters, at a control point."""
+    copy(W, CONSTRAINT_QQ, POINT_QQ + point * HELD_SIZE, HELD_SIZE, lane)
     if VARIED_BY:
-        for entry in range(VARIED * CONSTRAINTS):
-            W[POINT_A + point * VARIED * CONSTRAINTS + entry, lane] = W[CONSTRAINT_A + entry, lane]
-        for entry in range(VARIED * DIMENSION):
-            W[POINT_QA + point * VARIED * DIMENSION + entry, lane] = W[CONSTRAINT_QA + entry, lane]
+        if SIZED and ROLLING:
+            go_to_place(W, h, POINTS[point], real(1), lane)
+        constraint_parameter_slopes(W, lane)
+        size = VARIED * CONSTRAINTS
+        copy(W, CONSTRAINT_A, POINT_A + point * size, size, lane)
+        size = VARIED * DIMENSION
+        copy(W, CONSTRAINT_QA, POINT_QA + point * size, size, lane)
 
 
 @compiled
 def exchange_steps(W, lane):
     """Put the step that was taken in the place of the next one, or back."""
-    for row in range(4 * DIMENSION):
-        kept = W[POSITION + row, lane]
-        W[POSITION + row, lane] = W[PREVIOUS + row, lane]
-        W[PREVIOUS + row, lane] = kept
-    for row in range(UNKNOWNS):
-        kept = W[INCREMENT + row, lane]
-        W[INCREMENT + row, lane] = W[SOLVED + row, lane]
-        W[SOLVED + row, lane] = kept
+    exchange(W, POSITION, PREVIOUS, 4 * DIMENSION, lane)
+    exchange(W, INCREMENT, SOLVED, UNKNOWNS, lane)
 
 
 @compiled
 def impulse_of_step(W, h, t, lane):
     """Find p1 - p0 of the step, before the projection."""
-    clear_momentum(W, lane)
-    for point in range(DEGREE):
-        at_point(W, h, t, point, lane)
-        constraint_slopes(W, lane)
-        add_pull(W, lane)
-    divide_pulls(W, h, lane)
+    begin_impulse(W, h, t, lane)
     for node in range(NODES):
         at_node(W, h, t, node, lane)
         jet(W, lane)

@@ -6,15 +6,30 @@ def go_to_start(W, t, lane):
     """Go to the start of the path."""
     path_start(W, lane)
     if not AUTONOMOUS:
-        node_time(W, t, lane)
+        W[NODE_TIME, lane] = t
     if DRIVEN:
-        node_inputs(W, 0, lane)
+        for k in range(INPUTS):
+            W[NODE_INPUT + k, lane] = W[INPUT + k * INPUT_STRIDE, lane]
 
 
 @compiled
 def at_node(W, h, t, node, lane):
     """Go to a node of the path, or to a point where A v = b: these points follow the nodes."""
-    path(W, h, node, lane)
+    rate = 1 / h
+    for s in range(DIMENSION):
+        a = COORDINATE[s]
+        last = W[INCREMENT + (DEGREE - 1) * DIMENSION + a, lane]
+        q = real(0)
+        v = last
+        for k in range(1, DEGREE):
+            bend = W[INCREMENT + (k - 1) * DIMENSION + a, lane] - POINTS[k] * last
+            q += BASIS[node, k] * bend
+            v += BASIS_SLOPE[node, k] * bend
+        q += PLACES[node] * last
+        if TRACED and AT_POINT[node] > 0:  # the same number, without a sum
+            q = W[INCREMENT + (AT_POINT[node] - 1) * DIMENSION + a, lane]
+        W[NODE_POSITION + s, lane] = W[POSITION + a, lane] + q
+        W[NODE_VELOCITY + s, lane] = rate * v
     if TIMED:
         time_at_node(W, h, t, node, lane)
 
@@ -23,17 +38,10 @@ def at_node(W, h, t, node, lane):
 def time_at_node(W, h, t, node, lane):
     """Keep the time and the inputs at a node."""
     if not AUTONOMOUS:
-        node_time(W, t + PLACES[node] * h, lane)
+        W[NODE_TIME, lane] = t + PLACES[node] * h
     if DRIVEN and node < NODES:
-        node_inputs(W, node, lane)
-
-
-@compiled
-def at_point(W, h, t, point, lane):
-    """Go to a control point of the path."""
-    control_point(W, point, lane)
-    if ROLLING and not AUTONOMOUS:
-        node_time(W, t + POINTS[point] * h, lane)
+        for k in range(INPUTS):
+            W[NODE_INPUT + k, lane] = W[INPUT + k * INPUT_STRIDE + node, lane]
 
 
 @compiled
@@ -51,16 +59,19 @@ def factor(W, lane):
 
 @compiled
 def factor_at_start(W, t, lane):
-    """Go to the start of the path and factorise M there."""
+    """Go to the start of the path and factorise M there; a constant M is kept, too."""
     go_to_start(W, t, lane)
     mass(W, lane)
+    if SEPARABLE:
+        copy(W, NODE_L_VV, MASS, MASS - NODE_L_VV, lane)
     factor(W, lane)
 
 
 @compiled
 def solve_velocity(W, lane):
     """Solve for the velocity, with these factors."""
-    momentum_to_solve(W, lane)
+    for s in range(DIMENSION):
+        W[NODE_VELOCITY + s, lane] = W[MOMENTUM + COORDINATE[s], lane] - W[NODE_L_V + s, lane]
     if HELD:
         solve_allowed(W, lane)
     else:
@@ -73,7 +84,7 @@ def solve_allowed(W, lane):
     if ROLLING:
         hold_velocities(W, lane)
     else:
-        allow_no_change(W, lane)
+        clear(W, CURVATURE, CONSTRAINTS, lane)
     solve_held(W, lane)
 
 
@@ -95,58 +106,62 @@ def step_equations(W, h, t, lane):
         weigh_node(W, h, node, lane)
         keep_node(W, node, lane)
     assemble_residual(W, h, lane)
-    assemble_nodes(W, h, lane)
-    if HELD:
-        for point in range(DEGREE + 1 if HOLONOMIC > 0 else DEGREE):
-            at_point(W, h, t, point, lane)
-            constrain(W, lane)
-            assemble_constraint(W, h, point, lane)
-    if ROLLING:
-        for node in range(NODES, NODES + DEGREE):
-            at_node(W, h, t, node, lane)
-            rates(W, lane)
-            assemble_rates(W, h, node, lane)
-
-
-@compiled
-def keep_node(W, node, lane):
-    """Keep the derivatives of F and P at a node."""
-    keep_jet(W, node, lane)
-    if DRAGGED:
-        keep_drag(W, node, lane)
-
-
-@compiled
-def assemble_nodes(W, h, lane):
-    """Assemble what the nodes contribute to the Jacobian."""
-    if CLEARED > 0:
-        clear_matrix(W, lane, CLEARED)
     assemble_entries(W, h, DIMENSION, EQUATION_ROW_STEP, EQUATION_STRIDE, lane)
+    if HELD:
+        assemble_constraints(W, h, t, 0, lane)
 
 
 @compiled
 def constant_mass_equations(W, h, t, lane):
     """Residual and Jacobian of a system whose M is constant; X_d may be none of the unknowns."""
-    clear_matrix(W, lane, SOLVE_ENTRIES)
+    clear(W, JACOBIAN, SOLVE_ENTRIES, lane)
     inertia(W, h, lane)
+    size, square = NODE_L_QV - NODE_L_QQ, h * h
     for node in FORCE_NODES:
         at_node(W, h, t, node, lane)
         forces(W, lane)
-        assemble_forces(W, h, node, lane)
+        for s in range(DIMENSION):
+            force = h * (h * WEIGHTS[node] * W[NODE_L_Q + s, lane])
+            W[ROW + s, lane] += force - PLACES[node] * force
+            for k in range(1, DEGREE):
+                W[ROW + k * DIMENSION + s, lane] += BASIS[node, k] * force
+        for row in range(BLOCKS):
+            for s in range(DIMENSION):
+                i = row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP
+                for column in range(BLOCKS):
+                    slope = square * (TEST_FORCE[node, row] * BASIS[node, SOLVE_COLUMNS[column]])
+                    entry = JACOBIAN + i * SOLVE_STRIDE + SOLVE_OFFSET + column * SOLVE_ROW_STEP
+                    for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+                        W[entry + b * SOLVE_PLACE_STEP, lane] += (
+                            slope * W[NODE_L_QQ + s * NODE_STRIDE + b + NODE_OFFSET, lane]
+                        )
         if FOLLOWS:
-            keep_slopes(W, node, lane)
-    combine_rows(W, lane)
+            copy(W, NODE_L_QQ, STEP_QQ + node * size, size, lane)
+    for row in range(BLOCKS):
+        for s in range(DIMENSION):
+            value = TEST_START[row] * W[ROW + s, lane]
+            for k in range(1, DEGREE):
+                value += TEST_ROWS[row, k] * W[ROW + k * DIMENSION + s, lane]
+            W[RESIDUAL + row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP, lane] = value
 
 
 @compiled
 def find_straight_path(W, h, t, lane):
-    """Find X_d of a path without other control points: a velocity at which q0 starts."""
-    clear_momentum(W, lane)
+    """Find X_d of a path without other control points, h M^-1 times what p0 becomes."""
+    clear(W, RESIDUAL, DIMENSION, lane)
     for node in FORCE_NODES:
         at_node(W, h, t, node, lane)
         gradient(W, lane)
-        accumulate_start(W, h, node, lane)
-    end_path(W, h, lane)
+        weight = h * WEIGHTS[node]
+        for s in range(DIMENSION):
+            force = weight * W[NODE_L_Q + s, lane]
+            W[RESIDUAL + COORDINATE[s], lane] += force - PLACES[node] * force
+    for s in range(DIMENSION):
+        a = COORDINATE[s]
+        W[NODE_VELOCITY + s, lane] = W[RESIDUAL + a, lane] + W[MOMENTUM + a, lane]
+    solve_mass(W, lane)
+    for a in range(DIMENSION):
+        W[INCREMENT + (DEGREE - 1) * DIMENSION + a, lane] = h * W[VELOCITY + a, lane]
 
 
 @compiled
@@ -168,13 +183,13 @@ def correct(W, h, t, lane):
         stiffen(W, h, lane)
     if IN_PAIRS:
         solve_in_pairs(W, lane)
-    if HELD and NEWTON_IN_ORDER:
+    if NEWTON_IN_ORDER:
         factor_in_order(W, JACOBIAN + SOLVE_OFFSET, SOLVE_UNKNOWNS, SOLVE_STRIDE, lane)
         solve_in_order(W, JACOBIAN + SOLVE_OFFSET, RESIDUAL, SOLVE_UNKNOWNS, SOLVE_STRIDE, lane)
     if not IN_PAIRS and not NEWTON_IN_ORDER:
         solve_pivoted(W, lane)
     if HELD:
-        part_rows(W, RESIDUAL, lane)
+        reorder_rows(W, RESIDUAL, 1, lane)
     if FOLLOWS:
         correct_end(W, h, lane)
 
@@ -186,8 +201,7 @@ def solve_linear_step(W, h, t, lane):
     A second one finds their last digits. It takes away what rounding does to the factors, which
     would be the same in all steps and add up.
     """
-    for row in range(UNKNOWNS):
-        W[INCREMENT + row, lane] = real(0)
+    clear(W, INCREMENT, UNKNOWNS, lane)
     for _ in range(2):
         correct(W, h, t, lane)
         for row in range(BLOCKS):
@@ -200,21 +214,33 @@ def solve_linear_step(W, h, t, lane):
 @compiled
 def find_impulse(W, h, t, lane):
     """Find p1 - p0 = h sum_i b_i F_i, which takes the place of the residual."""
-    clear_momentum(W, lane)
-    if HELD:
-        for point in range(DEGREE):
-            at_point(W, h, t, point, lane)
-            constraint_slopes(W, lane)
-            add_pull(W, lane)
-        divide_pulls(W, h, lane)
+    begin_impulse(W, h, t, lane)
     for node in range(NODES):
         at_node(W, h, t, node, lane)
         if TRACED and AT_POINT[node] == DEGREE:  # where M is needed, too
             path_end(W, lane)
         gradient(W, lane)
         if DAMPED:
-            grow_force(W, node, lane)
+            multiply(W, NODE_L_Q, DIMENSION, W[GROWTH + node, lane], lane)
         accumulate(W, h, node, lane)
+
+
+@compiled
+def begin_impulse(W, h, t, lane):
+    """Begin p1 - p0 with the pull -Phi^T mu of constraints at control points, if there are any."""
+    clear(W, RESIDUAL, DIMENSION, lane)
+    if HELD:
+        for point in range(DEGREE):
+            at_point(W, h, t, point, lane)
+            constraint_slopes(W, lane)
+            for s in range(DIMENSION):
+                i = HELD_PLACE[s]
+                row = CONSTRAINT_QQ + i * HELD_STRIDE + HELD_OFFSET
+                for j in range(max(0, i - HELD_BAND), min(HELD_PLACES, i + HELD_BAND + 1)):
+                    if CONSTRAINT_AT[j] >= 0:
+                        pull = W[row + j, lane] * W[MULTIPLIER + CONSTRAINT_AT[j], lane]
+                        W[RESIDUAL + COORDINATE[s], lane] -= pull
+        multiply(W, RESIDUAL, DIMENSION, 1 / h, lane)
 
 
 @compiled
@@ -223,30 +249,41 @@ def find_allowed_impulse(W, h, t, lane):
     find_impulse(W, h, t, lane)
     path_end(W, lane)
     if not AUTONOMOUS:
-        node_time(W, t + h, lane)
+        W[NODE_TIME, lane] = t + h
     mass(W, lane)
     factor(W, lane)
-    momentum_at_end(W, lane)
+    for s in range(DIMENSION):
+        a = COORDINATE[s]
+        p = W[MOMENTUM + a, lane] + (W[RESIDUAL + a, lane] + W[MOMENTUM_LOW + a, lane])
+        W[NODE_VELOCITY + s, lane] = p - W[NODE_L_V + s, lane]
     solve_allowed(W, lane)
     take_momentum(W, lane)
+    if CARRIED:
+        copy(W, MULTIPLIER, TAKEN, CONSTRAINTS, lane)
 
 
 @compiled
 def find_pivots(W, lane):
     """Find pivots of M + 10 w Phi^T Phi, positive if M is definite for what constraints allow."""
     border_mass(W, lane)
-    for c in range(CONSTRAINTS):
-        W[CONSTRAINT_WEIGHT + c, lane] *= 10
+    multiply(W, CONSTRAINT_WEIGHT, CONSTRAINTS, 10, lane)
     weigh_constraints(W, lane)
     factor_symmetric(W, HELD + HELD_OFFSET, DIMENSION, DIMENSION - 1, HELD_STRIDE, lane)
 
 
 @compiled
 def find_allowed_velocity(W, t, lane):
-    """Find phi and the velocity at a state; its slopes and factors serve multipliers, too."""
+    """Find phi, the least change of q, in M, that takes it to zero, and the velocity at a state.
+
+    The slopes of constraints and their factors serve multipliers, too.
+    """
     factor_at_start(W, t, lane)
     constrain(W, lane)
-    change_to_constraints(W, lane)
+    clear(W, NODE_VELOCITY, DIMENSION, lane)
+    for c in range(CONSTRAINTS):
+        W[CURVATURE + c, lane] = -W[CONSTRAINT + c, lane]
+    solve_held(W, lane)
+    copy(W, VELOCITY, HELD_CHANGE, DIMENSION, lane)
     solve_velocity(W, lane)
 
 
@@ -254,7 +291,7 @@ def find_allowed_velocity(W, t, lane):
 def find_multipliers(W, lane):
     """Find multipliers for this velocity; accelerations take the place of velocities."""
     pushes(W, lane)
-    push_to_solve(W, lane)
+    copy(W, RESIDUAL, NODE_VELOCITY, DIMENSION, lane)
     solve_held(W, lane)
     constraint_forces(W, lane)
 
@@ -262,23 +299,15 @@ def find_multipliers(W, lane):
 @kernel
 def start(W, h, t, lane):
     """Begin at (q, p) with increments of constant velocity, or with the force there."""
-    go_to_start(W, t, lane)
-    mass(W, lane)
-    if SEPARABLE:
-        keep_mass(W, lane)
-    factor(W, lane)
-    if PIVOTS and HELD:
-        scale_pivots(W, HELD, lane)
-    if PIVOTS and not HELD:
-        scale_pivots(W, NODE_L_VV, lane)
+    factor_at_start(W, t, lane)
+    if PIVOTS:
+        scale_pivots(W, lane)
     solve_velocity(W, lane)
     if COMPOSED:
         go_to_start(W, t, lane)
         gradient(W, lane)
     elif ITERATED:
         straight_path(W, h, lane)
-        if HELD:
-            clear_multipliers(W, lane)
 
 
 @kernel
@@ -307,17 +336,20 @@ def newton(W, h, t, lane):
 def newton_pivoted(W, h, t, lane):
     """One Newton iteration with row pivoting, where the fixed order of elimination fails."""
     if W[ACTIVE, lane] != 0:
-        step_equations(W, h, t, lane)
         if FOLLOWING:  # what is left then is the iteration of the reduced equations
-            solve_following(W, lane)
-            step_equations(W, h, t, lane)
+            solve_following(W, h, t, lane)
+        step_equations(W, h, t, lane)
         if HELD:
             join_equations(W, lane)
         solve_pivoted(W, lane)
         if HELD:
-            part_rows(W, RESIDUAL, lane)
+            reorder_rows(W, RESIDUAL, 1, lane)
         if FOLLOWING:
-            clear_following(W, lane)
+            for row in range(BLOCKS):
+                for s in range(DIMENSION):
+                    if FOLLOWING[s] != 0:
+                        W[RESIDUAL + row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP, lane] = real(0)
+                        W[INCREMENT + row * DIMENSION + s, lane] = real(0)
         apply_correction(W, lane)
 
 
@@ -326,7 +358,6 @@ def apply_correction(W, lane):
     """Apply the correction that stands in the place of the residual, and judge it."""
     update_increments(W, lane)
     if HELD:
-        update_multipliers(W, lane)
         check_rounding(W, lane)
     check_convergence(W, lane)
 
@@ -351,17 +382,11 @@ def advance(W, h, t, lane):
         close_step(W, lane)
         if not SEPARABLE and not HELD:
             factor_at_start(W, t + h, lane)
-        if PIVOTS and HELD:
-            compare_pivots(W, HELD, lane)
-        if PIVOTS and not HELD:
-            compare_pivots(W, NODE_L_VV, lane)
+        if PIVOTS:
+            W[MASS_PIVOT, lane] = least_pivot(W, lane)
         if ITERATED:
             if not HELD:
                 solve_velocity(W, lane)
-            if CARRIED:
-                keep_taken(W, lane)
-            if HELD:
-                carry_multipliers(W, lane)
             predict(W, h, lane)
             if HELD:
                 expect_rounding(W, lane)
@@ -374,9 +399,7 @@ def advance(W, h, t, lane):
 def compose(W, h, t, lane):
     """Take a step of kicks, and drifts between them."""
     if TRACED:
-        go_to_start(W, t, lane)
-        mass(W, lane)
-        factor_mass(W, lane)
+        factor_at_start(W, t, lane)
     if not ALIKE:  # a force at the start of a step is not that at the end of the one before
         go_to_start(W, t, lane)
         gradient(W, lane)
@@ -417,24 +440,33 @@ def multipliers(W, h, t, lane):
 
 @kernel
 def work(W, h, t, lane):
-    """Add the work of forces in the step that was taken, and the integral of dL/dt."""
+    """Add the work of forces in the step that was taken, and the integral of dL/dt.
+
+    Velocity constraints work, too: by their multipliers, times b in CURVATURE.
+    """
     if W[ACTIVE, lane] != 0:
         exchange_steps(W, lane)
         if FOLLOWING:
-            step_equations(W, h, t, lane)
-            solve_following(W, lane)
+            solve_following(W, h, t, lane)
         for node in range(NODES):
             at_node(W, h, t, node, lane)
             node_power(W, lane)
-            add_work(W, h, node, lane)
+            for k in range(NODE_POWERS):
+                W[WORK_LOW + k, lane] += h * WEIGHTS[node] * W[POWER + k, lane]
         if CARRIED:
             for point in range(DEGREE):
                 at_point(W, h, t, point, lane)
                 hold_velocities(W, lane)
-                add_carried(W, h, lane)
+                for c in range(HOLONOMIC, CONSTRAINTS):
+                    pull = W[MULTIPLIER + c, lane] / h
+                    W[WORK_LOW + CARRIED, lane] -= pull * W[CURVATURE + c, lane]
         exchange_steps(W, lane)
         if CARRIED:
             go_to_start(W, t + h, lane)
             hold_velocities(W, lane)
-            add_carried_end(W, lane)
-        sum_work(W, lane)
+            for c in range(HOLONOMIC, CONSTRAINTS):
+                W[WORK_LOW + CARRIED, lane] -= W[TAKEN + c, lane] * W[CURVATURE + c, lane]
+        for k in range(NODE_POWERS):
+            change = W[WORK_LOW + k, lane]
+            W[WORK_LOW + k, lane] = real(0)
+            add_exactly(W, WORK + k, WORK_LOW + k, change, lane)

@@ -5,6 +5,13 @@ behind the other; behind them each has room for the right side of its equations,
 and for dp1 - dp0. The last VARIED of them belong to the parameters and inputs that are varied. At
 the solution S dX = -(R_q dq0 + R_p dp0 + R_a da), and then dq1 = dq0 + dX_d,
 dp1 = dp0 + E_q dq0 + E_X dX + E_a da.
+
+With constraints, rows of multipliers, which are h mu, follow those of increments. The end of the
+step is projected: M v + Phi^T nu = p - a, Phi v = 0, and p = M v + a. So, with P = L_v,
+
+    M dv + Phi^T dnu = dp - Hess(nu.phi) dq - P_q dq,    Phi dv = -(v.phi_qq) dq,
+
+and what is left of the momentum changes by M dv + P_q dq.
 """
 
 
@@ -15,23 +22,22 @@ def tangent(W, h, t, lane):
         exchange_steps(W, lane)
         if BY_COLUMNS:
             differentiate_end(W, h, t, lane)
-            for variation in range(int(W[TANGENTS, lane])):
-                first = variation * 2 * DIMENSION
-                move_variation(W, h, t, first, lane)
-                if VARIED_BY:
-                    vary_end(W, first, parameter_of(W, variation, lane), lane)
         else:
             if FOLLOWING:
-                step_equations(W, h, t, lane)
-                solve_following(W, lane)
-            for node in range(NODES):
-                differentiate_node(W, h, t, node, lane)
-            assemble_derivatives(W, h, t, lane)
+                solve_following(W, h, t, lane)
+            differentiate_step(W, h, t, 0, lane)
             factor_equations(W, lane)
-            for variation in range(int(W[TANGENTS, lane])):
+        count = int(W[TANGENTS, lane])
+        for variation in range(count):
+            if BY_COLUMNS:
+                dq = variation * 2 * DIMENSION
+                move_variation(W, h, t, dq, lane)
+                if VARIED_BY:
+                    vary_end(W, dq, variation - count + VARIED, lane)
+            else:
                 dq = TANGENT + variation * 2 * DIMENSION
                 room = work_row_of(W, variation, lane)
-                begin_variation(W, h, dq, room, parameter_of(W, variation, lane), lane)
+                begin_variation(W, h, dq, room, variation - count + VARIED, lane)
                 solve_factored(W, room, lane)
                 close_variation(W, h, dq, room, lane)
         if HELD:
@@ -50,7 +56,7 @@ def condense(W, h, lane):
     The displacement q0 of all points follows X_d, as if it were one more control point. The
     result [[S, R], [E_X, E_q]] gives S dX_d + R dq0 + dp0 = 0 and dp1 - dp0 = E_X dX_d + E_q dq0.
     """
-    assemble_nodes(W, h, lane)
+    assemble_entries(W, h, DIMENSION, EQUATION_ROW_STEP, EQUATION_STRIDE, lane)
     if VARIED_BY:
         condense_parameters(W, h, lane)
     last = UNKNOWNS - 2 * DIMENSION
@@ -78,8 +84,7 @@ def condense_parameters(W, h, lane):
     """Put derivatives by parameters beside the others."""
     room = JACOBIAN + UNKNOWNS * EQUATION_STRIDE
     for parameter in range(VARIED):
-        for row in range(UNKNOWNS + DIMENSION):
-            W[room + row, lane] = real(0)
+        clear(W, room, UNKNOWNS + DIMENSION, lane)
         add_parameter(W, h, room, parameter, lane)
         for row in range(UNKNOWNS):
             here = JACOBIAN + row * EQUATION_STRIDE + UNKNOWNS + parameter
@@ -138,33 +143,31 @@ def work_row_of(W, variation, lane):
 
 
 @compiled
-def parameter_of(W, variation, lane):
-    """Return the index among the varied parameters; negative for any other variation."""
-    return variation - int(W[TANGENTS, lane]) + VARIED
-
-
-@compiled
 def begin_variation(W, h, dq, room, parameter, lane):
     """Find the right side -(R_q dq0 + R_p dp0 + R_a da), and E_q dq0 + E_a da of dp1 - dp0."""
-    for row in range(DEGREE * DIMENSION, UNKNOWNS):
-        W[room + row, lane] = real(0)
+    clear(W, room + DEGREE * DIMENSION, UNKNOWNS - DEGREE * DIMENSION, lane)
     for s in range(DIMENSION):
-        impulse = real(0)
-        for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
-            slope = W[END_SLOPES + s * NODE_STRIDE + b + NODE_OFFSET, lane]
-            impulse += slope * W[dq + COORDINATE[b], lane]
+        impulse = add_product(W, real(0), END_SLOPES, s, 0, dq, lane)
         W[room + UNKNOWNS + COORDINATE[s], lane] = impulse
         for row in range(DEGREE):
-            first = START_SLOPES + row * (NODE_L_QV - NODE_L_QQ) + s * NODE_STRIDE + NODE_OFFSET
+            first = START_SLOPES + row * (NODE_L_QV - NODE_L_QQ)
             start = W[dq + DIMENSION + COORDINATE[s], lane] if ROW_ORDER[row] == 0 else real(0)
-            for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
-                start += W[first + b, lane] * W[dq + COORDINATE[b], lane]
+            start = add_product(W, start, first, s, 0, dq, lane)
             W[room + row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP, lane] = -start
     if VARIED_BY:
         add_parameter(W, h, room, parameter, lane)
     if HELD:
         for point in range(DEGREE + 1):
             vary_constraint(W, h, point, dq, room, parameter, lane)
+
+
+@compiled
+def add_product(W, total, first, s, turned, x, lane):
+    """Add to a number the row of a matrix at a node times a vector, or its column if ``turned``."""
+    for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+        place = b * NODE_STRIDE + s if turned > 0 else s * NODE_STRIDE + b
+        total += W[first + place + NODE_OFFSET, lane] * W[x + COORDINATE[b], lane]
+    return total
 
 
 @compiled
@@ -183,9 +186,9 @@ def add_parameter(W, h, room, parameter, lane):
             for entry in range(P_A_FROM[parameter], P_A_FROM[parameter + 1]):
                 slope = W[STEP_P_A + node * P_A_FROM[VARIED] + entry, lane]
                 momentum = WEIGHTS[node] * slope
+                s = P_A_PLACE[entry]
                 for row in range(DEGREE):
-                    here = room + row * EQUATION_ROW_STEP
-                    here += P_A_PLACE[entry] * EQUATION_PLACE_STEP
+                    here = room + row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
                     W[here, lane] -= BASIS_SLOPE[node, ROW_ORDER[row]] * momentum
 
 
@@ -208,3 +211,139 @@ def close_variation(W, h, dq, room, lane):
         W[dq + DIMENSION + COORDINATE[s], lane] += impulse
         if DAMPED:
             W[dq + DIMENSION + COORDINATE[s], lane] /= W[GROWTH + NODES, lane]
+
+
+@compiled
+def project_variations(W, h, t, lane):
+    """Project the variations of p at the end of the step; velocities are found once more."""
+    find_velocity(W, t + h, lane)
+    jet(W, lane)
+    if VARIED_BY:
+        differentiate_state(W, h, 1, lane)
+    for constraint in range(CONSTRAINTS):
+        for c in range(CONSTRAINTS):
+            W[MULTIPLIER + c, lane] = real(1) if c == constraint else real(0)
+        differentiate_constraints(W, lane)
+        for variation in range(int(W[TANGENTS, lane])):
+            vary_curvature(W, constraint, variation, lane)
+    if CARRIED:
+        carried_slopes(W, lane)
+        if VARIED_BY:
+            carried_parameter_slopes(W, lane)
+        for variation in range(int(W[TANGENTS, lane])):
+            vary_carried(W, variation, lane)
+    for s in range(DIMENSION):  # what the projection has taken from p
+        a = COORDINATE[s]
+        before = W[PREVIOUS + 2 * DIMENSION + a, lane] + W[RESIDUAL + a, lane]
+        W[NODE_VELOCITY + s, lane] = before - W[MOMENTUM + a, lane]
+    clear(W, CURVATURE, CONSTRAINTS, lane)
+    solve_held(W, lane)
+    differentiate_constraints(W, lane)
+    for variation in range(int(W[TANGENTS, lane])):
+        project_variation(W, variation, lane)
+    solve_velocity(W, lane)
+
+
+@compiled
+def differentiate_constraints(W, lane):
+    """Evaluate phi and Phi^T lambda with their derivatives, by parameters too."""
+    constrain(W, lane)
+    if VARIED_BY:
+        constraint_parameter_slopes(W, lane)
+
+
+@compiled
+def times(W, first, i, turned, x, lane):
+    """Multiply a row of derivatives of Phi^T lambda by q, or of Phi, or a column, with a vector."""
+    total = real(0)
+    for b in range(DIMENSION):
+        j = HELD_PLACE[b]
+        if abs(i - j) <= HELD_BAND:
+            place = j * HELD_STRIDE + i if turned > 0 else i * HELD_STRIDE + j
+            total += W[first + place + HELD_OFFSET, lane] * W[x + COORDINATE[b], lane]
+    return total
+
+
+@compiled
+def vary_constraint(W, h, point, dq, room, parameter, lane):
+    """Add to the right side what changes of constraints at a control point and their pull."""
+    first = POINT_QQ + point * HELD_SIZE
+    if point < DEGREE:
+        for s in range(DIMENSION):
+            row = ROW_OF_POINT[point] * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
+            W[room + row, lane] += times(W, first, HELD_PLACE[s], 0, dq, lane) / h
+            if VARIED_BY and parameter >= 0:
+                pull = W[POINT_QA + (point * VARIED + parameter) * DIMENSION + s, lane] / h
+                W[room + row, lane] += pull
+                W[room + UNKNOWNS + COORDINATE[s], lane] -= pull
+    if point > 0:
+        for c in range(CONSTRAINTS):
+            row = room + DEGREE * DIMENSION + (point - 1) * CONSTRAINTS + c
+            W[row, lane] -= times(W, first, HELD_PLACE[DIMENSION + c], 0, dq, lane) / h
+            if VARIED_BY and parameter >= 0:
+                W[row, lane] -= (
+                    W[POINT_A + (point * VARIED + parameter) * CONSTRAINTS + c, lane] / h
+                )
+
+
+@compiled
+def vary_pull(W, h, point, dq, room, lane):
+    """Add to dp1 - dp0 what the pull of constraints at a control point changes by."""
+    column = COLUMN_OF_POINT[point]
+    first = POINT_QQ + point * HELD_SIZE
+    for s in range(DIMENSION):
+        i = HELD_PLACE[s]
+        row = first + i * HELD_STRIDE + HELD_OFFSET
+        pull = times(W, first, i, 0, dq, lane)
+        for b in range(DIMENSION):
+            if column >= 0 and abs(i - HELD_PLACE[b]) <= HELD_BAND:
+                moved = W[room + column * EQUATION_ROW_STEP + b * EQUATION_PLACE_STEP, lane]
+                pull += W[row + HELD_PLACE[b], lane] * moved
+        for c in range(CONSTRAINTS):
+            j = HELD_PLACE[DIMENSION + c]
+            if abs(i - j) <= HELD_BAND:
+                change = W[room + DEGREE * DIMENSION + point * CONSTRAINTS + c, lane]
+                pull += W[row + j, lane] * change
+        W[room + UNKNOWNS + COORDINATE[s], lane] -= pull / h
+
+
+@compiled
+def vary_curvature(W, constraint, variation, lane):
+    """Find -(v.phi_qq) dq of a constraint and what a parameter changes of -Phi v."""
+    dq = TANGENT + variation * 2 * DIMENSION
+    parameter = variation - int(W[TANGENTS, lane]) + VARIED
+    total = real(0)
+    for s in range(DIMENSION):
+        change = times(W, CONSTRAINT_QQ, HELD_PLACE[s], 0, dq, lane)
+        total -= W[VELOCITY + COORDINATE[s], lane] * change
+    if VARIED_BY and parameter >= 0:
+        for s in range(DIMENSION):
+            slope = W[CONSTRAINT_QA + parameter * DIMENSION + s, lane]
+            total -= W[VELOCITY + COORDINATE[s], lane] * slope
+    W[work_row_of(W, variation, lane) + DIMENSION + constraint, lane] = total
+
+
+@compiled
+def project_variation(W, variation, lane):
+    """Solve for dv with dp - Hess(nu.phi) dq - P_q dq, and let dp be M dv + P_q dq."""
+    dq = TANGENT + variation * 2 * DIMENSION
+    dp = dq + DIMENSION
+    parameter = variation - int(W[TANGENTS, lane]) + VARIED
+    for s in range(DIMENSION):
+        right = W[dp + COORDINATE[s], lane]
+        right -= times(W, CONSTRAINT_QQ, HELD_PLACE[s], 0, dq, lane)
+        right -= add_product(W, real(0), NODE_L_QV, s, 1, dq, lane)
+        W[NODE_VELOCITY + s, lane] = right
+    if VARIED_BY and parameter >= 0:
+        for s in range(DIMENSION):
+            W[NODE_VELOCITY + s, lane] -= W[CONSTRAINT_QA + parameter * DIMENSION + s, lane]
+        for row in range(P_A_FROM[parameter], P_A_FROM[parameter + 1]):
+            W[NODE_VELOCITY + P_A_PLACE[row], lane] -= W[NODE_P_A + row, lane]
+    copy(W, work_row_of(W, variation, lane) + DIMENSION, CURVATURE, CONSTRAINTS, lane)
+    solve_held(W, lane)
+    for s in range(DIMENSION):
+        change = add_product(W, real(0), NODE_L_QV, s, 1, dq, lane)
+        W[dp + COORDINATE[s], lane] = add_product(W, change, NODE_L_VV, s, 0, VELOCITY, lane)
+    if VARIED_BY and parameter >= 0:
+        for row in range(P_A_FROM[parameter], P_A_FROM[parameter + 1]):
+            W[dp + COORDINATE[P_A_PLACE[row]], lane] += W[NODE_P_A + row, lane]

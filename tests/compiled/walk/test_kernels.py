@@ -17,7 +17,7 @@ from symsimpson.discrete.reductions import read_exploit
 from symsimpson.module.binding import bind
 from symsimpson.module.interface import LOOKED_AT, PIVOTED
 from symsimpson.module.syntax import redefined
-from symsimpson.program import cache, compiled
+from symsimpson.program import cache, numbers
 from symsimpson.schemes.named import read_scheme
 from symsimpson.systems import EVERY
 from symsimpson.walk.trees import ARGUMENTS, read_text
@@ -197,16 +197,16 @@ def test_retimed_systems():
 def test_what_is_not_walked_is_compiled_by_numba_and_counted(monkeypatch, tmp_path):
     monkeypatch.setattr(cache, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(cache, "_results", {})
-    monkeypatch.setattr(compiled, "not_walked", [])
+    monkeypatch.setattr(numbers, "not_walked", [])
     walked_run = ss.compile(ss.systems.pendulum(), "midpoint").integrate(**START, h=0.1, steps=40)
-    assert compiled.not_walked == []
+    assert numbers.not_walked == []
 
     def refuse(*_):
         raise Refused("something new")
 
     monkeypatch.setattr(cache, "_results", {})
     monkeypatch.setattr(Walker, "_binary", refuse)
-    monkeypatch.setattr(compiled, "walker_digest", lambda: "another walker")
+    monkeypatch.setattr(numbers, "walker_digest", lambda: "another walker")
     run = ss.compile(ss.systems.pendulum(), "midpoint").integrate(**START, h=0.1, steps=40)
-    assert re.match(r"newton: line \d+: the kernel has something new: ", compiled.not_walked[0])
+    assert re.match(r"newton: line \d+: the kernel has something new: ", numbers.not_walked[0])
     assert np.abs(run.q - walked_run.q).max() < 1e-14

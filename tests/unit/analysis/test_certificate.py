@@ -79,9 +79,9 @@ def test_a_retimed_system_is_certified_in_its_own_time(name, rate, scheme):
 def test_a_time_by_the_ends_of_steps_fails_on_its_row():
     stepper = ss.compile(ss.systems.kepler_plane().retimed("encounters"), "simpson")
     lines = stepper.source.splitlines(keepends=True)
-    first, end = definitions(stepper.source)["pass_time"]
+    first, end = definitions(stepper.source)["clock"]
     wrong = "".join(lines[first:end]).replace("WEIGHTS[node]", "(0.0 if node == 1 else 0.5)")
-    text = redefined(stepper.source, {"pass_time": wrong})
+    text = redefined(stepper.source, {"clock": wrong})
     text = signed_anew(text)
     certificate = stepper_of(text, stepper.reference_state).certify()
     assert [check.name for check in certificate.checks if not check.passed] == ["time"]

@@ -111,7 +111,7 @@ def test_ends_of_paths_agree(scheme, monkeypatch):
     limited(monkeypatch, UNROLLED_UNKNOWNS=-1)
     stepper = ss.compile(system, scheme, exploit=("constant_mass", "sparse"))
     run = stepper.integrate(**given)
-    assert ("end_path(" if scheme == "lobatto2" else "correct_end(") in stepper.source
+    assert ("find_straight_path(" if scheme == "lobatto2" else "correct_end(") in stepper.source
     np.testing.assert_allclose(run.q, straight.q, rtol=0, atol=1e-14)
     np.testing.assert_allclose(run.p, straight.p, rtol=0, atol=1e-13)
 

@@ -30,7 +30,7 @@ def taken(monkeypatch):
         return run
 
     plain = short_runs.brief_run
-    monkeypatch.setattr("symsimpson.run.start.brief_run", counted)
+    monkeypatch.setattr("symsimpson.run.requested.brief_run", counted)
     return found
 
 

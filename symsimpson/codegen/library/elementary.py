@@ -1,4 +1,4 @@
-"""Sine and cosine without branches."""
+"""Functions of numbers: sine and cosine without branches, logarithms that do not overflow."""
 
 
 @compiled
@@ -29,3 +29,19 @@ def sincos(x):
     sine = -sine if quarter == -1.0 or abs(quarter) == 2.0 else sine
     cosine = -cosine if quarter >= 1.0 or quarter == -2.0 else cosine
     return sine, cosine
+
+
+@compiled
+def softplus(x):
+    """Return log(1 + exp(x))."""
+    small = exp(-abs(x))
+    return (x + abs(x)) / 2 + 2 * atanh(small / (2 + small))
+
+
+@compiled
+def logcosh(x):
+    """Return log(cosh(x)): near 0 by the tangent of the half angle."""
+    size, half = abs(x), tanh(x / 2)
+    small = exp(-2 * size)
+    far = size + (2 * atanh(small / (2 + small)) - log(real(2)))
+    return 2 * atanh(half * half) if size < 1 else far
