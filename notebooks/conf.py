@@ -55,7 +55,7 @@ def offer_notebook(app, name, source):
 
 def list_quantities(app, name, source):
     """Write the table of quantities where a page asks for it."""
-    from symsimpson.module.quantity import QUANTITIES
+    from symsimpson.text.quantity import QUANTITIES
 
     named = {"coordinates": "q1", "constraints": "rod"}
     lines = ["| name | attribute | quantity | in expressions |", "| --- | --- | --- | --- |"]

@@ -1,23 +1,26 @@
 # Every public name and where it lives: type checkers read this list, and so does the package.
 
 from . import systems as systems
-from .analysis.certificate import Certificate as Certificate
-from .analysis.choose import Choice as Choice
-from .analysis.choose import choose as choose
-from .analysis.operation_counts import StepCosts as StepCosts
-from .analysis.operation_counts import step_costs as step_costs
-from .analysis.to_error import integrate as integrate
 from .api.compiling import compile as compile
 from .api.compiling import generate as generate
 from .api.compiling import load as load
 from .api.compiling import resume as resume
 from .api.stepper import Stepper as Stepper
-from .bench.record import WorkPrecision as WorkPrecision
-from .bench.work_precision import work_precision as work_precision
-from .control.problem import OptimalControl as OptimalControl
-from .control.result import ControlResult as ControlResult
-from .control.result import ControlStatus as ControlStatus
-from .ensemble.ensemble import Ensemble as Ensemble
+from .declare.arms import Link as Link
+from .declare.arms import serial_arm as serial_arm
+from .declare.bodies import RigidBody as RigidBody
+from .declare.coordinates import approach as approach
+from .declare.coordinates import coordinates as coordinates
+from .declare.coordinates import momenta as momenta
+from .declare.coordinates import time as time
+from .declare.retimed import RetimedSystem as RetimedSystem
+from .declare.retimed import energy as energy
+from .declare.rotations import body_rates as body_rates
+from .declare.rotations import coincide as coincide
+from .declare.rotations import quaternion as quaternion
+from .declare.rotations import rotation_matrix as rotation_matrix
+from .declare.structure import Structure as Structure
+from .declare.system import MechanicalSystem as MechanicalSystem
 from .errors import ConstraintWarning as ConstraintWarning
 from .errors import ConvergenceError as ConvergenceError
 from .errors import GenerationError as GenerationError
@@ -32,21 +35,6 @@ from .errors import StaleKernelError as StaleKernelError
 from .errors import StorageError as StorageError
 from .errors import SymsimpsonError as SymsimpsonError
 from .errors import UnknownNameError as UnknownNameError
-from .mechanics.arms import Link as Link
-from .mechanics.arms import serial_arm as serial_arm
-from .mechanics.bodies import RigidBody as RigidBody
-from .mechanics.coordinates import approach as approach
-from .mechanics.coordinates import coordinates as coordinates
-from .mechanics.coordinates import momenta as momenta
-from .mechanics.coordinates import time as time
-from .mechanics.retimed import RetimedSystem as RetimedSystem
-from .mechanics.retimed import energy as energy
-from .mechanics.rotations import body_rates as body_rates
-from .mechanics.rotations import coincide as coincide
-from .mechanics.rotations import quaternion as quaternion
-from .mechanics.rotations import rotation_matrix as rotation_matrix
-from .mechanics.structure import Structure as Structure
-from .mechanics.system import MechanicalSystem as MechanicalSystem
 from .plotting.films import Animation as Animation
 from .program.cache import clear_cache as clear_cache
 from .program.configuration import show_config as show_config
@@ -63,6 +51,7 @@ from .results.sampled import Sampled as Sampled
 from .results.sampled import Saved as Saved
 from .results.states import States as States
 from .results.trajectory import Trajectory as Trajectory
+from .run.ensemble.ensemble import Ensemble as Ensemble
 from .run.loop import ControlLoop as ControlLoop
 from .schemes.composition import Composition as Composition
 from .schemes.composition import composition as composition
@@ -75,6 +64,17 @@ from .stepping.event import Change as Change
 from .stepping.event import Event as Event
 from .stepping.event import Impact as Impact
 from .stepping.event import Switch as Switch
+from .study.analysis.certificate import Certificate as Certificate
+from .study.analysis.choose import Choice as Choice
+from .study.analysis.choose import choose as choose
+from .study.analysis.operation_counts import StepCosts as StepCosts
+from .study.analysis.operation_counts import step_costs as step_costs
+from .study.analysis.to_error import integrate as integrate
+from .study.bench.record import WorkPrecision as WorkPrecision
+from .study.bench.work_precision import work_precision as work_precision
+from .study.control.problem import OptimalControl as OptimalControl
+from .study.control.result import ControlResult as ControlResult
+from .study.control.result import ControlStatus as ControlStatus
 from .support.derivation import Report as Report
 
 __version__: str

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import symsimpson as ss
-from symsimpson.bench.contenders import alternate
-from symsimpson.bench.contenders import in_heyoka
+from symsimpson.study.bench.contenders import alternate
+from symsimpson.study.bench.contenders import in_heyoka
 from symsimpson.reference import canonical
 
 REPEATS = 15

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 import symsimpson as ss
-from symsimpson.bench.contenders import Contender, alternate
-from symsimpson.bench.contenders import in_heyoka
-from symsimpson.ensemble.lanes import run_blocks
-from symsimpson.ensemble.members import read_task
-from symsimpson.ensemble.lanes import with_fastest_lanes
+from symsimpson.study.bench.contenders import Contender, alternate
+from symsimpson.study.bench.contenders import in_heyoka
+from symsimpson.run.ensemble.lanes import run_blocks
+from symsimpson.run.ensemble.members import read_task
+from symsimpson.run.ensemble.lanes import with_fastest_lanes
 from symsimpson.program.configuration import available_threads, lanes_for
 from symsimpson.reference import canonical
 from symsimpson.stepping.request import Request

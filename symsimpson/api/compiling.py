@@ -12,16 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from symsimpson.api.stepper import Stepper
-from symsimpson.codegen.emitted_names import NameTable
-from symsimpson.codegen.pipeline import derive
+from symsimpson.declare.declared import points_of
+from symsimpson.declare.retimed import RetimedSystem, extended
+from symsimpson.declare.system import MechanicalSystem
 from symsimpson.discrete.equations import check_differentiable
 from symsimpson.discrete.reductions import read_exploit
 from symsimpson.errors import GenerationError, StorageError
-from symsimpson.mechanics.declared import points_of
-from symsimpson.mechanics.retimed import RetimedSystem, extended
-from symsimpson.mechanics.system import MechanicalSystem
-from symsimpson.module.header import check_interface
-from symsimpson.module.interface import INTERFACE
+from symsimpson.lower.emitted_names import NameTable
+from symsimpson.lower.pipeline import derive
 from symsimpson.program.cache import kept_text
 from symsimpson.program.numbers import Numbers
 from symsimpson.program.program import Program, Tools, new_program, read_program
@@ -34,6 +32,8 @@ from symsimpson.support.derivation import Derivation
 from symsimpson.support.files import read_path, written_beside
 from symsimpson.support.names import in_a_row, spelled
 from symsimpson.support.progress import waiting
+from symsimpson.text.header import check_interface
+from symsimpson.text.interface import INTERFACE
 
 if TYPE_CHECKING:
     from symsimpson.stepping.event import Event
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 def _call(module: str, name: str, *given: Any, **named: Any) -> Any:
     """Call a function of the analysis, whose module is loaded by the first call."""
-    return getattr(import_module(f"symsimpson.analysis.{module}"), name)(*given, **named)
+    return getattr(import_module(f"symsimpson.study.analysis.{module}"), name)(*given, **named)
 
 
 LOG = logging.getLogger(__name__)

@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike
 
 from symsimpson.api.evaluator import Parameters
 from symsimpson.api.stepping import Stepping
-from symsimpson.derivatives.gradients import Wanted, gradient_of
-from symsimpson.derivatives.lyapunov import lyapunov
-from symsimpson.derivatives.step_equations import linearise
 from symsimpson.results.motion_derivatives import Chaos, Gradient, Linearisation
+from symsimpson.run.gradients import Wanted, gradient_of
+from symsimpson.run.lyapunov import lyapunov
 from symsimpson.run.requested import tangent_of_step
+from symsimpson.run.step_equations import linearise
 from symsimpson.stepping.request import Request, step_request
 from symsimpson.stepping.variations import read_varied
 from symsimpson.support.array_types import Reals

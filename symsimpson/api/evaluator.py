@@ -7,10 +7,10 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from symsimpson.derivatives.step_equations import At, evaluate_curvature, evaluate_equations
 from symsimpson.errors import InputError
 from symsimpson.program.observed import evaluate_energy
 from symsimpson.program.program import Program
+from symsimpson.run.step_equations import At, evaluate_curvature, evaluate_equations
 from symsimpson.support.array_types import Reals
 from symsimpson.support.calling import explaining
 

@@ -18,9 +18,9 @@ from symsimpson.support.calling import explaining
 from symsimpson.support.derivation import Report
 
 if TYPE_CHECKING:
-    from symsimpson.analysis.certificate import Certificate
     from symsimpson.results.events import Events
     from symsimpson.stepping.event import Event
+    from symsimpson.study.analysis.certificate import Certificate
 
 
 @explaining()
@@ -129,7 +129,7 @@ class Examining(Differentiating):
         >>> header.name, source.name, "int swing_step(" in header.read_text()
         ('swing.h', 'swing.c', True)
         """
-        from symsimpson.export.written import write_files
+        from symsimpson.targets.c.written import write_files
 
         return write_files(self.program, path)
 

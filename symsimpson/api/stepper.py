@@ -16,8 +16,8 @@ from symsimpson.stepping.request import Request
 from symsimpson.support.calling import explaining
 
 if TYPE_CHECKING:
-    from symsimpson.ensemble.ensemble import Ensemble
     from symsimpson.results.sampled import Sampled, Saved
+    from symsimpson.run.ensemble.ensemble import Ensemble
     from symsimpson.stepping.event import Event
     from symsimpson.stepping.options import RunOptions, SavedOptions, TimesOptions
 
@@ -281,7 +281,7 @@ class Stepper(Examining):
         >>> found.q.shape, bool(abs(found.reduced["lowest"][0] + 0.1) < 1e-3)
         ((30, 1), True)
         """
-        from symsimpson.ensemble.dispatch import run_ensemble
+        from symsimpson.run.ensemble.dispatch import run_ensemble
 
         begin = q0, v0, p0, h, t_end, steps, t0
         asked = parameters, inputs, every, tangents, sensitivities

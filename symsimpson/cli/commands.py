@@ -49,7 +49,7 @@ def export(options: argparse.Namespace) -> int:
 
 def check(options: argparse.Namespace) -> int:
     """Compare generated modules of the catalogue with fresh ones."""
-    from symsimpson.codegen.pipeline import source
+    from symsimpson.lower.pipeline import source
     from symsimpson.systems import CATALOGUE
 
     directory = Path(options.directory)
@@ -112,7 +112,7 @@ def certify(options: argparse.Namespace) -> int:
 
 def choose(options: argparse.Namespace) -> int:
     """Print the fastest scheme and step size for a given error."""
-    from symsimpson.analysis.choose import choose as chosen
+    from symsimpson.study.analysis.choose import choose as chosen
 
     system = find(options.system, options.retimed)
     print(
@@ -129,9 +129,9 @@ def choose(options: argparse.Namespace) -> int:
 
 def stress(options: argparse.Namespace) -> int:
     """Run a system for long, and at large steps."""
-    from symsimpson.analysis.stability import stress as stressed
-    from symsimpson.analysis.stability import stress_standard
     from symsimpson.api.compiling import compile as compile_system
+    from symsimpson.study.analysis.stability import stress as stressed
+    from symsimpson.study.analysis.stability import stress_standard
 
     if options.system is None:
         lines = stress_standard(options.scheme)
@@ -145,8 +145,8 @@ def stress(options: argparse.Namespace) -> int:
 
 def bench(options: argparse.Namespace) -> int:
     """Measure run time against error."""
-    from symsimpson.bench.record import WorkPrecision
-    from symsimpson.bench.work_precision import work_precision
+    from symsimpson.study.bench.record import WorkPrecision
+    from symsimpson.study.bench.work_precision import work_precision
 
     if options.plot:  # before hours of measurements
         check_figure("plot", options.plot)

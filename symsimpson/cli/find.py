@@ -15,7 +15,7 @@ from symsimpson.support.files import check_folder
 from symsimpson.support.names import did_you_mean
 
 if TYPE_CHECKING:
-    from symsimpson.mechanics.system import MechanicalSystem
+    from symsimpson.declare.system import MechanicalSystem
 
 
 #: Kinds of files that figures go to.
@@ -60,7 +60,7 @@ def find(name: str, rate: str | None = None) -> MechanicalSystem:
 
 def named(name: str) -> MechanicalSystem:
     """Return a system of the catalogue or of file:attribute."""
-    from symsimpson.mechanics.system import MechanicalSystem
+    from symsimpson.declare.system import MechanicalSystem
     from symsimpson.systems import CATALOGUE, EVERY
 
     if name in EVERY:

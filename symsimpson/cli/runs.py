@@ -18,7 +18,7 @@ from symsimpson.support.names import counted
 
 if TYPE_CHECKING:
     from symsimpson.api.stepper import Stepper
-    from symsimpson.mechanics.system import MechanicalSystem
+    from symsimpson.declare.system import MechanicalSystem
     from symsimpson.results.trajectory import Trajectory
 
 

@@ -9,6 +9,11 @@ from typing import Any
 
 import sympy as sp
 
+from symsimpson.declare.checks import spell
+from symsimpson.declare.plain import Plain
+from symsimpson.declare.retimed import RetimedSystem
+from symsimpson.declare.structure import decay_rates, forces_at_rest
+from symsimpson.declare.system import MechanicalSystem
 from symsimpson.discrete.combined_rows import elimination_order
 from symsimpson.discrete.jet import Cost, Jet, Key, derive_jet, written_as_jet
 from symsimpson.discrete.reductions import (
@@ -25,11 +30,6 @@ from symsimpson.discrete.reductions import (
 from symsimpson.errors import SchemeError
 from symsimpson.graph.nodes import ZERO, Value
 from symsimpson.graph.read import Reader
-from symsimpson.mechanics.checks import spell
-from symsimpson.mechanics.plain import Plain
-from symsimpson.mechanics.retimed import RetimedSystem
-from symsimpson.mechanics.structure import decay_rates, forces_at_rest
-from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.scheme import Scheme
 

@@ -13,12 +13,12 @@ from typing import Any
 
 import sympy as sp
 
+from symsimpson.declare.plain import Plain
+from symsimpson.declare.quadratic import quadratic_form
 from symsimpson.graph.derive import Derivatives
 from symsimpson.graph.nodes import ONE, ZERO, Exact, Graph, Value, exact, scaled
 from symsimpson.graph.read import tree_size
 from symsimpson.graph.rebuild import rebuilt
-from symsimpson.mechanics.plain import Plain
-from symsimpson.mechanics.quadratic import quadratic_form
 
 #: Terms of more nodes than this, written as trees, are written with what they share.
 LARGE_TREE = 10_000

@@ -10,6 +10,9 @@ from typing import NamedTuple
 
 import sympy as sp
 
+from symsimpson.declare.constraints import accelerations
+from symsimpson.declare.plain import Plain
+from symsimpson.declare.structure import kinetic
 from symsimpson.discrete.angles import halved, summed
 from symsimpson.graph.derive import Derivatives, gradient
 from symsimpson.graph.lines import Program
@@ -17,9 +20,6 @@ from symsimpson.graph.merge import merged
 from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.graph.share import share
-from symsimpson.mechanics.constraints import accelerations
-from symsimpson.mechanics.plain import Plain
-from symsimpson.mechanics.structure import kinetic
 from symsimpson.support.derivation import timed
 
 #: Where the first ways give more operations than this, no others are tried.

@@ -15,11 +15,11 @@ from typing import ClassVar
 
 import sympy as sp
 
+from symsimpson.declare.plain import Plain
+from symsimpson.declare.structure import MOST_AFFINE, Structure, Subsystem
 from symsimpson.discrete.combined_rows import Table, annihilating, elimination_order, shear_factors
 from symsimpson.errors import GenerationError
 from symsimpson.graph.read import tree_size
-from symsimpson.mechanics.plain import Plain
-from symsimpson.mechanics.structure import MOST_AFFINE, Structure, Subsystem
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.names import did_you_mean

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from symsimpson.declare.plain import Plain
+from symsimpson.declare.retimed import Retiming
 from symsimpson.discrete.jet import Jet, Key, written_as_jet
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import Graph, Value
 from symsimpson.graph.rebuild import rebuilt
-from symsimpson.mechanics.plain import Plain
-from symsimpson.mechanics.retimed import Retiming
 
 
 def derive_original_terms(retiming: Retiming) -> Jet:

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from symsimpson.declare.declared import points_of
 from symsimpson.errors import InputError
-from symsimpson.mechanics.declared import points_of
 from symsimpson.support.array_types import Floats
 from symsimpson.support.names import spelled
 

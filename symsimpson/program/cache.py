@@ -29,12 +29,12 @@ import numpy as np
 from filelock import FileLock, Timeout
 
 from symsimpson.errors import GenerationError, StorageError, SymsimpsonError
-from symsimpson.module.header import digest
 from symsimpson.support.calling import warn
 from symsimpson.support.derivation import Derivation
 from symsimpson.support.files import written_beside
 from symsimpson.support.interpreter import rarely_collected, undisturbed
 from symsimpson.support.progress import waiting
+from symsimpson.text.header import digest
 
 Result = TypeVar("Result")
 LOG = logging.getLogger(__name__)
@@ -422,7 +422,7 @@ def kept(
 
 
 #: What the generator is made of.
-GENERATOR = ("graph", "mechanics", "schemes", "discrete", "codegen", "module")
+GENERATOR = ("graph", "declare", "schemes", "discrete", "text", "lower")
 #: A derivation that took less, in seconds, is as soon done again as read.
 BRIEF = 0.1
 

@@ -20,15 +20,15 @@ from mpmath.libmp import from_man_exp, from_pickable, to_pickable
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.module.binding import bind, bind_arb, bind_mpmath
-from symsimpson.module.header import Header
-from symsimpson.module.interface import KERNELS
-from symsimpson.module.workspace_layout import scratch
 from symsimpson.program.driver import KernelSets, driver_text
 from symsimpson.program.input_values import whole_number
 from symsimpson.program.numbers import Numbers
 from symsimpson.support.array_types import Reals
 from symsimpson.support.extras import library
+from symsimpson.targets.binding import bind, bind_arb, bind_mpmath
+from symsimpson.text.header import Header
+from symsimpson.text.interface import KERNELS
+from symsimpson.text.workspace_layout import scratch
 
 FEWEST, MOST = 15, 10_000
 #: With more digits, quadratic convergence is worth its price; with few unknowns, always.

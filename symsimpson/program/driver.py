@@ -12,11 +12,17 @@ from typing import Any
 
 from numba import njit
 
-from symsimpson.driver.solving import DRIVER_OPTIONS
-from symsimpson.driver.steps import SIGNATURES
 from symsimpson.errors import InputError
-from symsimpson.module.header import Header
-from symsimpson.module.interface import (
+from symsimpson.program.cache import compiled
+from symsimpson.program.configuration import vector_bits
+from symsimpson.program.recorders import Recorder
+from symsimpson.support.interpreter import compiles_late
+from symsimpson.targets.llvm.intrinsics import read_functions, stub, walker_digest, walking_function
+from symsimpson.targets.llvm.trees import Text
+from symsimpson.text.driver.solving import DRIVER_OPTIONS
+from symsimpson.text.driver.steps import SIGNATURES
+from symsimpson.text.header import Header
+from symsimpson.text.interface import (
     EXPLICIT,
     KERNEL_SETS,
     NEWTON,
@@ -26,13 +32,7 @@ from symsimpson.module.interface import (
     WITH_PIVOTS,
     constants,
 )
-from symsimpson.module.syntax import outline, redefined
-from symsimpson.program.cache import compiled
-from symsimpson.program.configuration import vector_bits
-from symsimpson.program.workspace import Recorder
-from symsimpson.support.interpreter import compiles_late
-from symsimpson.walk.intrinsics import read_functions, stub, walker_digest, walking_function
-from symsimpson.walk.trees import Text
+from symsimpson.text.syntax import outline, redefined
 
 #: The modules that are compiled as one text, in this order.
 PARTS = (
@@ -59,7 +59,7 @@ TOGETHER = (
 def _files() -> tuple[str, ...]:
     """Return the texts that the driver is made of, what modules and it agree on first."""
     agreed = "\n".join(f"{name} = {value}" for name, value in constants().items())
-    folder = resources.files("symsimpson.driver")
+    folder = resources.files("symsimpson.text.driver")
     return agreed, *(folder.joinpath(f"{part}.py").read_text("utf-8") for part in PARTS)
 
 
@@ -122,7 +122,7 @@ def driver(
 def signatures() -> Mapping[str, Any]:
     """Return what is called from Python, and with what."""
     for part in PARTS:  # each adds its own
-        import_module(f"symsimpson.driver.{part}")
+        import_module(f"symsimpson.text.driver.{part}")
     return SIGNATURES
 
 

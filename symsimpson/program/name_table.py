@@ -9,9 +9,9 @@ from itertools import chain
 from typing import Any
 
 from symsimpson.errors import ModelWarning
-from symsimpson.module.header import Header
 from symsimpson.support.calling import warn
 from symsimpson.support.names import Named, spelled
+from symsimpson.text.header import Header
 
 
 class Names:

@@ -16,14 +16,14 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from symsimpson.errors import GenerationError
-from symsimpson.module.header import Header
-from symsimpson.module.syntax import outline, redefined
 from symsimpson.program.cache import compiled, location
 from symsimpson.program.configuration import vector_bits
 from symsimpson.program.driver import KernelSets, driver
 from symsimpson.support.array_types import Reals
 from symsimpson.support.literals import float_literals
-from symsimpson.walk.intrinsics import stubs, walker_digest, walking
+from symsimpson.targets.llvm.intrinsics import stubs, walker_digest, walking
+from symsimpson.text.header import Header
+from symsimpson.text.syntax import outline, redefined
 
 #: Kernels that the walker refused in this process, and why: numba compiled them as they stand.
 not_walked: list[str] = []
@@ -237,3 +237,16 @@ class Numbers:
 
 
 FLOAT64 = Numbers()
+#: Inputs of a system without any: by member, step, node and number.
+NO_INPUTS = np.zeros((1, 1, 1, 0))
+
+
+def workspace(header: Header, numbers: Numbers, parameters: Reals, more: int = 0) -> Reals:
+    """Make the workspace of one lane, with the parameters in it and so many further rows.
+
+    The last row is the driver's: what the terms of forces add to positions, over h^4.
+    """
+    W = numbers.zeros((header.rows + more + 1, 1))
+    first = header.layout["PARAMETER"]
+    W[first : first + parameters.size, 0] = parameters
+    return W

@@ -12,14 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from symsimpson.errors import InputError
-from symsimpson.module.header import Header
-from symsimpson.module.interface import MET, WATCHED, ZERO
-from symsimpson.module.quantity import OBSERVABLE, VECTORS
 from symsimpson.program.input_values import read_array
+from symsimpson.program.numbers import NO_INPUTS, workspace
 from symsimpson.program.program import Program
 from symsimpson.program.reader import OF_MATH, Reader
-from symsimpson.program.workspace import NO_INPUTS, Recorder, workspace
+from symsimpson.program.recorders import Recorder
 from symsimpson.support.array_types import Reals
+from symsimpson.text.header import Header
+from symsimpson.text.interface import MET, WATCHED, ZERO
+from symsimpson.text.quantity import OBSERVABLE, VECTORS
 
 #: Ways to reduce values over the steps of a run, in the order of their numbers; then what
 #: variations of a motion tell, which are no values of states; then how often an event acted.

@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 
 from symsimpson.errors import InputError
-from symsimpson.module.header import Header, read_header
-from symsimpson.module.syntax import check_structure
 from symsimpson.program.driver import KernelSets
 from symsimpson.program.input_values import read_parameters
 from symsimpson.program.name_table import Names
@@ -19,6 +17,8 @@ from symsimpson.program.numbers import FLOAT64, Numbers
 from symsimpson.support.array_types import Reals
 from symsimpson.support.derivation import Derivation, Report
 from symsimpson.support.names import spelled
+from symsimpson.text.header import Header, read_header
+from symsimpson.text.syntax import check_structure
 
 
 @dataclass(frozen=True)

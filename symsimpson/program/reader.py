@@ -12,9 +12,9 @@ from keyword import iskeyword
 from typing import Any
 
 from symsimpson.errors import InputError
-from symsimpson.module.quantity import OBSERVABLE, QUANTITIES, VECTORS
 from symsimpson.program.program import Program
 from symsimpson.support.names import counted, did_you_mean, spelled
+from symsimpson.text.quantity import OBSERVABLE, QUANTITIES, VECTORS
 
 #: Functions of ``math`` that an expression may have in it.
 OF_MATH = "acos, asin, atan, atan2, cos, cosh, exp, log, sin, sinh, sqrt, tan, tanh"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from symsimpson.module import interface
+from symsimpson.text import interface
 
 
 class Status(IntEnum):

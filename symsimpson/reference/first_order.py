@@ -8,13 +8,13 @@ from typing import Any
 
 import sympy as sp
 
+from symsimpson.declare.constraints import accelerations
+from symsimpson.declare.plain import Plain
+from symsimpson.declare.system import MechanicalSystem
 from symsimpson.graph.lines import Program
 from symsimpson.graph.nodes import UNIT, ZERO, Value
 from symsimpson.graph.read import line_written, number
 from symsimpson.graph.share import share
-from symsimpson.mechanics.constraints import accelerations
-from symsimpson.mechanics.plain import Plain
-from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.support.literals import float_literals
 
 Definition = tuple[sp.Symbol, sp.Expr]

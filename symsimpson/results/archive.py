@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from symsimpson.errors import InputError, StaleKernelError, StorageError, SymsimpsonError
+from symsimpson.program.numbers import NO_INPUTS
 from symsimpson.program.program import Program, read_program
+from symsimpson.program.recorders import NAMED
 from symsimpson.program.status import Status
-from symsimpson.program.workspace import NAMED, NO_INPUTS
 from symsimpson.results.records import Record
 from symsimpson.results.saving import EVENTS, RECORDED, digest_of
 from symsimpson.results.tables import TABLES, check_kind

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.program.numbers import workspace
 from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
-from symsimpson.program.workspace import driver_layout, work, workspace
+from symsimpson.program.recorders import driver_layout, work
 from symsimpson.results.states import States, Stored
 from symsimpson.stepping.driving import inputs_there, since
 from symsimpson.stepping.run import FALLBACK_STRETCH

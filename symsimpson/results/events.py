@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.module.interface import ZERO
 from symsimpson.program.input_values import whole_number
 from symsimpson.program.observed import Observed, read_expression, refuse_constant, watching
 from symsimpson.program.program import Program
@@ -20,6 +19,7 @@ from symsimpson.results.states import States, Stored
 from symsimpson.results.tables import Variable
 from symsimpson.support.array_types import Floats
 from symsimpson.support.names import did_you_mean, spelled
+from symsimpson.text.interface import ZERO
 
 Zeros = tuple[Observed, int]
 #: Angles that differ by this are one.

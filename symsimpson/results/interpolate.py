@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import ConvergenceError, InputError
 from symsimpson.program.input_values import read_array
+from symsimpson.program.numbers import workspace
 from symsimpson.program.status import Status
-from symsimpson.program.workspace import workspace
 from symsimpson.results.states import Stored
 from symsimpson.stepping.arrival import states_at
 from symsimpson.stepping.driving import at_places, places, since

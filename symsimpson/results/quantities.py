@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, UnknownNameError
-from symsimpson.module.quantity import QUANTITIES, SCALARS, VECTORS, slopes_of
 from symsimpson.program.program import Program
 from symsimpson.results.tables import Variable, attribute_name, variable_of
 from symsimpson.support.names import did_you_mean, public_names, shortened, spelled
+from symsimpson.text.quantity import QUANTITIES, SCALARS, VECTORS, slopes_of
 
 
 class Quantities:

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from symsimpson.errors import InputError
+from symsimpson.program.numbers import workspace
 from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
-from symsimpson.program.workspace import Recorder, driver_layout, workspace
+from symsimpson.program.recorders import Recorder, driver_layout
 from symsimpson.results.states import Stored
 from symsimpson.stepping.variations import varied_program
 from symsimpson.support.array_types import Reals

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.program.numbers import NO_INPUTS
 from symsimpson.program.program import Program
-from symsimpson.program.workspace import NO_INPUTS
 from symsimpson.results.outcome import Outcome
 from symsimpson.results.quantities import Quantities
 from symsimpson.results.tables import Tabular, Variable, attribute_name

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from symsimpson.errors import InputError
-from symsimpson.module.quantity import QUANTITIES, VECTORS
 from symsimpson.program.program import Program
 from symsimpson.support.array_types import Reals
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
 from symsimpson.support.files import check_folder, read_path, written_beside
+from symsimpson.text.quantity import QUANTITIES, VECTORS
 
 #: Tables: what is written cannot be opened as a run again.
 TABLES = (".npz", ".csv", ".parquet")

@@ -20,7 +20,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from symsimpson.errors import InputError, StorageError
-from symsimpson.module.header import digest
 from symsimpson.program.program import Program
 from symsimpson.run.ended import Keeper
 from symsimpson.stepping.run import KeptStates, Run
@@ -28,6 +27,7 @@ from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import warn
 from symsimpson.support.interpreter import undisturbed
+from symsimpson.text.header import digest
 
 #: The first line of a file: what it is, its version and the digest of what follows.
 MAGIC, VERSION = "symsimpson checkpoint", 2

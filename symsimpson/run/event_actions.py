@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.driver.impacts import STILL
 from symsimpson.errors import InputError, ModelError
 from symsimpson.program.observed import watching
 from symsimpson.program.program import Program
@@ -18,6 +17,7 @@ from symsimpson.stepping.run_events import RunEvents
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Floats, State
 from symsimpson.support.names import speed_of_approach
+from symsimpson.text.driver.impacts import STILL
 
 #: So many impacts at one time are taken one after the other.
 MOST_MAPS = 500

@@ -11,9 +11,6 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from symsimpson.driver.impacts import EVENT, IMPULSE, STATES_OF, STEP_OF, TIME_OF
-from symsimpson.module.binding import bind
-from symsimpson.module.interface import ZERO
 from symsimpson.program.driver import driver_text
 from symsimpson.program.observed import FADED, observer
 from symsimpson.program.program import Program
@@ -25,6 +22,9 @@ from symsimpson.stepping.parts import Parts
 from symsimpson.stepping.run_events import RunEvents
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Floats, State
+from symsimpson.targets.binding import bind
+from symsimpson.text.driver.impacts import EVENT, IMPULSE, STATES_OF, STEP_OF, TIME_OF
+from symsimpson.text.interface import ZERO
 
 #: In these parts of a step, or of its rest, expressions are looked at that are zero at both ends.
 #: Forces are taken on their own side of a kink up to these parts of a step from it.

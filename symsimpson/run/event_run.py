@@ -8,13 +8,10 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from symsimpson.driver.impacts import NOTHING, TOGETHER
 from symsimpson.errors import InputError
-from symsimpson.module.interface import ARRIVED, MET, RECORDERS, WATCHED
-from symsimpson.module.workspace_layout import DRIVER_LAYOUT
 from symsimpson.program.observed import OF_EVENTS, Reduction
+from symsimpson.program.recorders import Recorder
 from symsimpson.program.status import Status
-from symsimpson.program.workspace import Recorder
 from symsimpson.results.records import Record
 from symsimpson.run.event_actions import EventActions
 from symsimpson.run.event_locator import LOST, EventLocator, Sides, plain_restitution
@@ -23,6 +20,9 @@ from symsimpson.stepping.parts import LEAST, Parts
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.run_events import RunEvents
 from symsimpson.support.array_types import Floats, Reals
+from symsimpson.text.driver.impacts import NOTHING, TOGETHER
+from symsimpson.text.interface import ARRIVED, MET, RECORDERS, WATCHED
+from symsimpson.text.workspace_layout import DRIVER_LAYOUT
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from symsimpson.errors import InputError, ResolutionWarning
-from symsimpson.module.quantity import velocities_by
 from symsimpson.program.input_values import MOST_STEPS
 from symsimpson.program.numbers import NOTHING
 from symsimpson.program.observed import evaluate
@@ -26,6 +25,7 @@ from symsimpson.support.array_types import Reals
 from symsimpson.support.calling import explaining, warn
 from symsimpson.support.interpreter import undisturbed
 from symsimpson.support.names import counted
+from symsimpson.text.quantity import velocities_by
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program

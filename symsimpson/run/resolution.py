@@ -16,13 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.module.interface import STANDING
 from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program, new_program
 from symsimpson.results.energies import parts_of_work, rough_parts
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.stepping.run import KeptStates, Run
 from symsimpson.support.array_types import Floats, Ints, Reals
+from symsimpson.text.interface import STANDING
 
 #: So many states of a run are looked at, in blocks of which the median counts.
 SAMPLES, BLOCKS = 64, 8

@@ -18,7 +18,7 @@ from symsimpson.errors import ResolutionWarning
 from symsimpson.program.digits import read_precision
 from symsimpson.program.observed import observing_kernel, watching
 from symsimpson.program.program import Program
-from symsimpson.program.workspace import tangents
+from symsimpson.program.recorders import tangents
 from symsimpson.run.event_maps import EventMaps, read_restitution
 from symsimpson.stepping.driving import since
 from symsimpson.stepping.event import Impact

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from symsimpson.program.input_values import MOST_STEPS, read_vector
-from symsimpson.program.numbers import FLOAT64
+from symsimpson.program.numbers import FLOAT64, NO_INPUTS, workspace
 from symsimpson.program.program import Program
+from symsimpson.program.recorders import driver_layout, with_clock
 from symsimpson.program.status import Status
-from symsimpson.program.workspace import NO_INPUTS, driver_layout, with_clock, workspace
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.resolution import (
     LIMIT,

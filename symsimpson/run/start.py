@@ -10,7 +10,7 @@ import numpy as np
 from symsimpson.errors import InputError
 from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
-from symsimpson.program.workspace import Recorder
+from symsimpson.program.recorders import Recorder
 from symsimpson.run.resolution import real_energies
 from symsimpson.stepping.inputs import refused_start
 from symsimpson.stepping.recording import recorders_of

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import ConstraintWarning, ResolutionWarning
-from symsimpson.module.quantity import slopes_of
 from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
@@ -20,6 +19,7 @@ from symsimpson.stepping.request import Request
 from symsimpson.stepping.run import KeptStates, Run
 from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.calling import warn
+from symsimpson.text.quantity import slopes_of
 
 #: Failures of a step that a singular point of the coordinates may explain, or constraints.
 UNSOLVED = (

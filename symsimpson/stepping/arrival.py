@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.program.numbers import Numbers
+from symsimpson.program.numbers import NO_INPUTS, Numbers, workspace
 from symsimpson.program.observed import Reduction, watching
 from symsimpson.program.program import Program
+from symsimpson.program.recorders import with_clock
 from symsimpson.program.status import Status
-from symsimpson.program.workspace import NO_INPUTS, with_clock, workspace
 from symsimpson.stepping.run import Run
 from symsimpson.support.array_types import Ints, Reals
 

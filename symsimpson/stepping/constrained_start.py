@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, ModelError
-from symsimpson.module.quantity import slopes_of
 from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
 from symsimpson.support.array_types import Reals
 from symsimpson.support.lengths import bending_length
 from symsimpson.support.names import constraint_called
+from symsimpson.text.quantity import slopes_of
 
 #: Starts that miss constraints by more than this, relative to their slopes and to q, are refused,
 #: whatever the unit of q. Velocities are held against v, or what the forces make of rest. Each

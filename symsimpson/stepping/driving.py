@@ -18,7 +18,7 @@ from symsimpson.program.input_values import (
     read_number,
     values_at,
 )
-from symsimpson.program.workspace import NO_INPUTS
+from symsimpson.program.numbers import NO_INPUTS
 from symsimpson.stepping.inputs import read_step
 from symsimpson.support.array_types import Reals
 from symsimpson.support.calling import explained

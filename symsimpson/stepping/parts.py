@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from symsimpson.program.numbers import workspace
 from symsimpson.program.program import Program
+from symsimpson.program.recorders import work
 from symsimpson.program.status import Status
-from symsimpson.program.workspace import work, workspace
 from symsimpson.stepping.driving import at_places, places
 from symsimpson.stepping.run import Run
 from symsimpson.support.array_types import Floats

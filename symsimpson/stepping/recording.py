@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from symsimpson.errors import InputError
-from symsimpson.module.header import Header
 from symsimpson.program.observed import Reduction, observers
 from symsimpson.program.program import Program
-from symsimpson.program.workspace import NAMED, Recorder, tangents
+from symsimpson.program.recorders import NAMED, Recorder, tangents
 from symsimpson.support.names import did_you_mean
+from symsimpson.text.header import Header
 
 
 def read_record(program: Program, given: Any) -> tuple[str, ...]:

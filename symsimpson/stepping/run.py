@@ -12,23 +12,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from symsimpson.module.header import Header
-from symsimpson.module.interface import ARRIVED, RATE_NOT_POSITIVE
-from symsimpson.program.numbers import NOTHING
+from symsimpson.program.numbers import NO_INPUTS, NOTHING, workspace
 from symsimpson.program.observed import Reduction
 from symsimpson.program.program import Program
+from symsimpson.program.recorders import Recorder, driver_layout, split, with_clock
 from symsimpson.program.status import Status
-from symsimpson.program.workspace import (
-    NO_INPUTS,
-    Recorder,
-    driver_layout,
-    split,
-    with_clock,
-    workspace,
-)
 from symsimpson.support.array_types import Floats, Ints, Reals
 from symsimpson.support.interpreter import listening
 from symsimpson.support.progress import Watcher
+from symsimpson.text.header import Header
+from symsimpson.text.interface import ARRIVED, RATE_NOT_POSITIVE
 
 
 class KeptStates(NamedTuple):

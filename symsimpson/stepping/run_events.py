@@ -8,15 +8,15 @@ from functools import partial
 from typing import Any
 
 from symsimpson.errors import InputError
-from symsimpson.module.header import Header
 from symsimpson.program.observed import Observed, read_expression, refuse_constant, watchers
 from symsimpson.program.program import Program
-from symsimpson.program.workspace import Recorder
+from symsimpson.program.recorders import Recorder
 from symsimpson.stepping.event import CHANGED, Change, Event, Impact
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.variations import STEP
 from symsimpson.support.array_types import Reals
 from symsimpson.support.names import speed_of_approach, spelled
+from symsimpson.text.header import Header
 
 #: Events that a program remembers: reading them takes SymPy milliseconds.
 MOST_KNOWN = 64

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
-from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.declare.system import MechanicalSystem
 
 State = Mapping[str, Any]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sympy as sp
 
-from symsimpson.mechanics.coordinates import coordinates
+from symsimpson.declare.coordinates import coordinates
 from symsimpson.systems.entry import CatalogueSystem
 
 

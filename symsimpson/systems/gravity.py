@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import sympy as sp
 
+from symsimpson.declare.coordinates import coordinates
 from symsimpson.errors import ModelError
-from symsimpson.mechanics.coordinates import coordinates
 from symsimpson.systems.entry import CatalogueSystem
 
 

@@ -6,8 +6,8 @@ import math
 
 import sympy as sp
 
+from symsimpson.declare.coordinates import coordinates
 from symsimpson.errors import ModelError
-from symsimpson.mechanics.coordinates import coordinates
 from symsimpson.systems.entry import CatalogueSystem
 
 

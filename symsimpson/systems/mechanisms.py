@@ -9,9 +9,9 @@ from itertools import accumulate
 import mpmath
 import sympy as sp
 
+from symsimpson.declare.arms import Link, arm_energies
+from symsimpson.declare.coordinates import coordinates
 from symsimpson.errors import ModelError
-from symsimpson.mechanics.arms import Link, arm_energies
-from symsimpson.mechanics.coordinates import coordinates
 from symsimpson.systems.entry import CatalogueSystem
 
 

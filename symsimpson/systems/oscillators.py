@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sympy as sp
 
-from symsimpson.mechanics.coordinates import coordinates, time
+from symsimpson.declare.coordinates import coordinates, time
 from symsimpson.systems.entry import CatalogueSystem
 
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import sympy as sp
 
+from symsimpson.declare.coordinates import coordinates, time
 from symsimpson.errors import ModelError
-from symsimpson.mechanics.coordinates import coordinates, time
 from symsimpson.systems.entry import CatalogueSystem
 
 

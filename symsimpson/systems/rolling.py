@@ -7,7 +7,7 @@ from typing import Any
 
 import sympy as sp
 
-from symsimpson.mechanics.coordinates import coordinates
+from symsimpson.declare.coordinates import coordinates
 from symsimpson.systems.entry import CatalogueSystem
 
 

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from symsimpson.mechanics.bodies import RigidBody
-from symsimpson.mechanics.coordinates import coordinates
-from symsimpson.mechanics.rotations import coincide
-from symsimpson.mechanics.system import Positions
+from symsimpson.declare.bodies import RigidBody
+from symsimpson.declare.coordinates import coordinates
+from symsimpson.declare.rotations import coincide
+from symsimpson.declare.system import Positions
 from symsimpson.systems.entry import CatalogueSystem, State
 
 

@@ -8,11 +8,11 @@ from support.forms import limited
 from support.random_systems import random_state, random_system
 from support.workspace import begin, state, take_step
 
-from symsimpson.codegen import module_kernels
-from symsimpson.codegen.emit import emit
 from symsimpson.discrete.equations import discretise
-from symsimpson.module.binding import bind_float
+from symsimpson.lower import module_kernels
+from symsimpson.lower.emit import emit
 from symsimpson.schemes.scheme import MIDPOINT, SIMPSON, galerkin
+from symsimpson.targets.binding import bind_float
 
 pytestmark = pytest.mark.slow
 

@@ -9,7 +9,7 @@ from support.cases import sweep
 from support.forms import limited
 
 import symsimpson as ss
-from symsimpson.codegen.pipeline import source
+from symsimpson.lower.pipeline import source
 from symsimpson.schemes.composition import COMPOSITIONS
 
 HENON = ss.systems.henon_heiles()
@@ -139,7 +139,7 @@ def test_certificate():
 @pytest.mark.slow
 def test_linear_limits():
     """Where the trace of a step of the linear oscillator leaves [-2, 2]."""
-    from symsimpson.analysis.stability.standard_problems import linear_limits, theory_limits
+    from symsimpson.study.analysis.stability.standard_problems import linear_limits, theory_limits
 
     for name in ("suzuki4", "blanes_moan4", "kahan_li6"):
         theory, seen = theory_limits(name, 6.0), linear_limits(name, 6.0)

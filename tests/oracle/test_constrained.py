@@ -9,7 +9,7 @@ from support.cases import sweep
 from support.index_one import motion
 
 import symsimpson as ss
-from symsimpson.analysis.precise import Precise
+from symsimpson.study.analysis.precise import Precise
 
 #: The end, and the steps to it that the order is seen from.
 PROBLEMS = {"four_bar": ("0.4", 20), "quaternion_top": ("0.4", 8), "jointed_bodies": ("0.1", 2)}

@@ -6,7 +6,7 @@ from support.forms import limited
 
 import symsimpson as ss
 from symsimpson.api.stepper import Stepper
-from symsimpson.codegen import pipeline
+from symsimpson.lower import pipeline
 from symsimpson.program.program import new_program
 
 pytestmark = pytest.mark.slow

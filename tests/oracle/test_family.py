@@ -10,12 +10,12 @@ from support.oracle import nodes_and_weights
 from support.workspace import new_workspace
 
 import symsimpson as ss
-from symsimpson.codegen.pipeline import source
-from symsimpson.module.binding import bind_float, bind_mpmath
+from symsimpson.lower.pipeline import source
 from symsimpson.program.digits import MOST_BY_STAGES
 from symsimpson.reference import canonical
 from symsimpson.schemes.named import read_scheme
 from symsimpson.stepping.run import Run
+from symsimpson.targets.binding import bind_float, bind_mpmath
 
 PENDULUM, TOP = ss.systems.double_pendulum(), ss.systems.lagrange_top()
 

@@ -6,10 +6,10 @@ from support.cases import sweep
 from support.workspace import begin, state, take_step
 
 import symsimpson as ss
-from symsimpson.analysis.precise import Precise
-from symsimpson.codegen.pipeline import source
-from symsimpson.module.binding import bind_complex, bind_float
+from symsimpson.lower.pipeline import source
 from symsimpson.schemes.composition import COMPOSITIONS
+from symsimpson.study.analysis.precise import Precise
+from symsimpson.targets.binding import bind_complex, bind_float
 
 PENDULUM = ss.systems.double_pendulum()
 TOP = ss.systems.lagrange_top()

@@ -11,8 +11,8 @@ import pytest
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.analysis.order import observed_orders
 from symsimpson.reference import ExactTop, canonical, reduced_top, rk4, second_order
+from symsimpson.study.analysis.order import observed_orders
 
 GRAVITY, TURN = 9.81, 2 * math.pi
 TOY = {"m_top": 0.1, "g": GRAVITY, "l": 0.15, "I": 0.00233, "I3": 0.000125}

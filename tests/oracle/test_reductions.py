@@ -9,9 +9,9 @@ from support.random_systems import random_state, structured_system
 from support.workspace import begin, block, new_workspace, state, take_step
 
 import symsimpson as ss
-from symsimpson.codegen.counting import cost
-from symsimpson.codegen.pipeline import source
-from symsimpson.module.binding import bind_float, bind_mpmath
+from symsimpson.lower.pipeline import source
+from symsimpson.targets.binding import bind_float, bind_mpmath
+from symsimpson.targets.counting import cost
 
 STEPS = 200
 SCHEMES = ("simpson", "midpoint")

@@ -5,8 +5,8 @@ import pytest
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.bench.contenders import in_heyoka
 from symsimpson.reference import canonical
+from symsimpson.study.bench.contenders import in_heyoka
 
 START = ([0.8, 1.0], [0.05, -0.02])
 

@@ -6,8 +6,8 @@ from support.cases import sweep
 from support.workspace import new_workspace, state
 
 import symsimpson as ss
-from symsimpson.codegen.pipeline import derive
-from symsimpson.module.binding import bind_complex, bind_float
+from symsimpson.lower.pipeline import derive
+from symsimpson.targets.binding import bind_complex, bind_float
 
 H, STEPS, TINY = 0.02, 2, 1e-30
 

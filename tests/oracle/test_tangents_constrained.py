@@ -6,7 +6,7 @@ from support.cases import sweep
 from support.tangents import carried, check_adjoint, check_parameters
 
 import symsimpson as ss
-from symsimpson.analysis.precise import Precise
+from symsimpson.study.analysis.precise import Precise
 
 H, STEPS, DIGITS = 0.01, 2, 30
 #: Its whole motion takes 0.03 s.

@@ -7,7 +7,7 @@ from support.rolling import allowed_state, carried_by_time
 from support.tangents import carried, check_adjoint, check_parameters
 
 import symsimpson as ss
-from symsimpson.analysis.precise import Precise
+from symsimpson.study.analysis.precise import Precise
 
 pytestmark = pytest.mark.plain
 H, STEPS, DIGITS = 0.05, 2, 30

@@ -11,7 +11,9 @@ MODULES = sorted(".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts
 
 
 #: Examples that need what the quick tests do without.
-NEEDED = dict.fromkeys(("symsimpson.control.problem", "symsimpson.control.result"), "casadi")
+NEEDED = dict.fromkeys(
+    ("symsimpson.study.control.problem", "symsimpson.study.control.result"), "casadi"
+)
 
 
 @pytest.mark.parametrize("name", MODULES)

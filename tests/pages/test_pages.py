@@ -23,7 +23,7 @@ PAGES = [
     "symsimpson/ARCHITECTURE.md",
     ".github/CONTRIBUTING.md",
     ".github/SECURITY.md",
-    "symsimpson/codegen/PARTS.md",
+    "symsimpson/lower/PARTS.md",
 ]
 
 #: Pages of prose and commands.
@@ -34,7 +34,7 @@ WITHOUT_CODE = [
 
 
 @pytest.mark.parametrize(
-    "page", sweep(["README.md", "symsimpson/codegen/PARTS.md", "notebooks/coming_from.md", *GUIDE])
+    "page", sweep(["README.md", "symsimpson/lower/PARTS.md", "notebooks/coming_from.md", *GUIDE])
 )
 @pytest.mark.filterwarnings("ignore::symsimpson.StabilityWarning")
 def test_python_on_a_page_runs(page, tmp_path, monkeypatch, caplog):

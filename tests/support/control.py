@@ -7,10 +7,10 @@ def check_derivatives(problem, scheme, steps=3):
     """Compare those of all rows by all unknowns; patterns miss nothing."""
     from scipy import sparse
 
-    from symsimpson.control.layout import Layout
-    from symsimpson.control.problem_parts import read_grid
-    from symsimpson.control.solution import initial_point
     from symsimpson.schemes.named import read_scheme
+    from symsimpson.study.control.layout import Layout
+    from symsimpson.study.control.problem_parts import read_grid
+    from symsimpson.study.control.solution import initial_point
 
     grid = read_grid(steps, len(problem.reading.phases))
     layout = Layout(problem.reading, read_scheme(scheme), grid)

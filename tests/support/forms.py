@@ -1,7 +1,7 @@
 """Make modules in another form than their size asks for."""
 
 from symsimpson.api import compiling as api
-from symsimpson.codegen import forms, module_kernels, pipeline
+from symsimpson.lower import forms, module_kernels, pipeline
 
 
 def limited(monkeypatch, **limits):

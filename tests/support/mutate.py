@@ -21,12 +21,12 @@ from itertools import pairwise
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-FOLDERS = ("discrete", "schemes", "codegen")
+FOLDERS = ("discrete", "schemes", "lower")
 #: Of these files all tests that are fast or plain, by folders of tests and of tests/unit.
 FILES = """
-codegen/coefficients codegen/counting codegen/emit codegen/expression codegen/forms_and_bindings
-codegen/held codegen/looped_stages codegen/lower codegen/printer codegen/sincos codegen/storage
-codegen/turning codegen/untrusted_names derivatives/gradients derivatives/linearised discrete/angles
+lower/coefficients lower/counting lower/emit lower/expression lower/forms_and_bindings
+lower/held lower/looped_stages lower/lower lower/printer lower/sincos lower/storage
+lower/turning lower/untrusted_names run/gradients run/linearised discrete/angles
 discrete/families discrete/jet discrete/reductions schemes/schemes stepping/held
 oracle/chains oracle/compositions oracle/conformal oracle/constrained_golden oracle/curvatures
 oracle/damped oracle/family oracle/forced_golden oracle/geometry oracle/reductions oracle/retimed
@@ -34,12 +34,12 @@ oracle/tangents_by_complex_steps oracle/tangents_golden
 """
 #: Other tests: a file, and what is taken of it; slow ones, too.
 SELECTION = """
-api/rolling_files bands_give_the_same_steps_and_derivatives codegen/affine what_is_not_affine
-codegen/forced_systems newton_solves_the_equations[0] reduced_and_general_steps_agree[0]
-codegen/forms_and_bindings loops_and_straight_lines_agree newton_converges_quadratically
-first_step_in_many_digits codegen/random_systems equations_agree_with_the_oracle[0]
+api/rolling_files bands_give_the_same_steps_and_derivatives lower/affine what_is_not_affine
+lower/forced_systems newton_solves_the_equations[0] reduced_and_general_steps_agree[0]
+lower/forms_and_bindings loops_and_straight_lines_agree newton_converges_quadratically
+first_step_in_many_digits lower/random_systems equations_agree_with_the_oracle[0]
 newton_solves_the_equations[0]
-cyclic_coordinates_follow_where_rows_are_pivoted[lagrange_top-simpson] derivatives/gradients
+cyclic_coordinates_follow_where_rows_are_pivoted[lagrange_top-simpson] run/gradients
 the_adjoint_is_the_transpose_of_the_tangent[lagrange_top-simpson]
 the_adjoint_is_the_transpose_of_the_tangent[fermi_pasta_ulam-gauss4]
 the_adjoint_is_the_transpose_of_the_tangent[kepler-lobatto6] run/retimed what_is_stored[5]

@@ -14,14 +14,14 @@ import llvmlite.binding as llvm
 from llvmlite import ir
 
 from support.places import DATA
-from symsimpson.codegen.pipeline import derive, source
 from symsimpson.errors import SchemeError
+from symsimpson.lower.pipeline import derive, source
 from symsimpson.systems import CATALOGUE, EVERY
-from symsimpson.walk.calls import Calls
-from symsimpson.walk.memory import Array, BlockBuilder
-from symsimpson.walk.trees import ARGUMENTS, read_text
-from symsimpson.walk.values import DOUBLE
-from symsimpson.walk.walker import Walker
+from symsimpson.targets.llvm.calls import Calls
+from symsimpson.targets.llvm.memory import Array, BlockBuilder
+from symsimpson.targets.llvm.trees import ARGUMENTS, read_text
+from symsimpson.targets.llvm.values import DOUBLE
+from symsimpson.targets.llvm.walker import Walker
 
 #: Instructions that are counted, and intrinsics by their names.
 COUNTED = re.compile(r"= (?:\w+ )*?(fadd|fsub|fmul|fdiv|call [^@]*@(?:llvm\.)?([a-z]+))")

@@ -11,10 +11,11 @@ from unittest.mock import MagicMock
 import numpy as np
 from numba.core import event
 
-from symsimpson.module.binding import MATH, bind
-from symsimpson.module.syntax import definitions, outline, redefined
 from symsimpson.program.driver import driver_text
 from symsimpson.program.numbers import Kernels, Numbers
+from symsimpson.targets.binding import bind
+from symsimpson.text.interface import MATH
+from symsimpson.text.syntax import definitions, outline, redefined
 
 #: Kernels by their address, which is none of the machine.
 _kernels = [None]

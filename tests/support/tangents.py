@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from symsimpson.analysis.precise import Precise
+from symsimpson.study.analysis.precise import Precise
 
 
 def carried(stepper, z, h, steps, **options):

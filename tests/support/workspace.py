@@ -10,7 +10,7 @@ from numba import cfunc
 
 from symsimpson.graph.evaluate import line_value
 from symsimpson.program.configuration import vector_bits
-from symsimpson.walk.intrinsics import stubs, walking
+from symsimpson.targets.llvm.intrinsics import stubs, walking
 
 TABLES = {
     "simpson": ("lobatto", 3, 2),

@@ -12,10 +12,10 @@ from support.workspace import begin, state, take_step
 from sympy.physics.mechanics import dynamicsymbols
 
 import symsimpson as ss
-from symsimpson.codegen.pipeline import source
-from symsimpson.module.binding import bind_complex, bind_float
-from symsimpson.module.header import read_header
-from symsimpson.module.syntax import check_structure
+from symsimpson.lower.pipeline import source
+from symsimpson.targets.binding import bind_complex, bind_float
+from symsimpson.text.header import read_header
+from symsimpson.text.syntax import check_structure
 
 #: The same examples each time; without a clock, which other work on the machine would trip.
 BUDGET = {"derandomize": True, "deadline": None, "suppress_health_check": list(HealthCheck)}

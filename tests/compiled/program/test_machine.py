@@ -8,7 +8,7 @@ import pytest
 from support.workspace import walked
 
 import symsimpson as ss
-from symsimpson.codegen.pipeline import source
+from symsimpson.lower.pipeline import source
 from symsimpson.program.configuration import VARIABLE, vector_bits
 
 WIDE = llvm.get_host_cpu_features().get("avx512f", False)

@@ -5,9 +5,9 @@ import pytest
 from numba import njit
 
 import symsimpson as ss
-from symsimpson.driver import steps as text
 from symsimpson.program import driver as compiled
-from symsimpson.walk.intrinsics import read_functions, stub, walking_function
+from symsimpson.targets.llvm.intrinsics import read_functions, stub, walking_function
+from symsimpson.text.driver import steps as text
 
 
 def test_a_step_allocates_nothing():

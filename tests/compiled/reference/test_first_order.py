@@ -6,9 +6,9 @@ import pytest
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.analysis.order import observed_orders
 from symsimpson.reference import ExactTop, canonical, reduced_top, rk4, second_order, truth
 from symsimpson.reference.extrapolation import extrapolate
+from symsimpson.study.analysis.order import observed_orders
 
 LENGTH = "0.24849020288283338446611438352185703441293989488368"
 PENDULUM = {"l1": LENGTH, "l2": LENGTH, "g": "9.81"}

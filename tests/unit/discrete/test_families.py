@@ -9,10 +9,10 @@ import sympy as sp
 from support.chains import damped_chain
 
 import symsimpson as ss
+from symsimpson.declare.structure import _whole
 from symsimpson.discrete import families as made
 from symsimpson.discrete.bandwidth import neighbours, ordering
 from symsimpson.discrete.families import families
-from symsimpson.mechanics.structure import _whole
 
 
 def lagrangian(plain):

@@ -15,8 +15,8 @@ from support.workspace import begin, state, take_step
 
 import symsimpson as ss
 from symsimpson.cli.commands import SCHEMES
-from symsimpson.codegen.pipeline import source
-from symsimpson.module.binding import bind_float
+from symsimpson.lower.pipeline import source
+from symsimpson.targets.binding import bind_float
 
 SYSTEMS = {make().name: make for make in ss.systems.CATALOGUE.values()}
 PINNED = "1.14.0"
@@ -63,7 +63,7 @@ def test_same_bytes_for_every_hash_seed():
     """Of systems that are not among the committed ones, which have another seed each time."""
     code = textwrap.dedent("""
         import hashlib, symsimpson as ss
-        from symsimpson.codegen.pipeline import source
+        from symsimpson.lower.pipeline import source
         made = [source(ss.systems.fermi_pasta_ulam(8)), source(ss.systems.puma560(3), "midpoint"),
                 source(ss.systems.water(), "midpoint"), source(ss.systems.argon(), "gauss4"),
                 source(ss.systems.n_body(4), "kahan_li6")]

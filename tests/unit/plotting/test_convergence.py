@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from symsimpson.analysis.order import observed_orders
+from symsimpson.study.analysis.order import observed_orders
 
 
 def test_orders():

@@ -165,7 +165,7 @@ def hostile(text):
 
 
 def resigned(text, more):
-    from symsimpson.module.header import SIGNED, digest
+    from symsimpson.text.header import SIGNED, digest
 
     found = SIGNED.search(text)
     body = text[found.end() :] + more

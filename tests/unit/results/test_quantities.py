@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import symsimpson as ss
-from symsimpson.module.quantity import QUANTITIES, SCALARS
+from symsimpson.text.quantity import QUANTITIES, SCALARS
 
 SYSTEM = ss.systems.spherical_pendulum()
 

@@ -7,7 +7,7 @@ import pytest
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.module.quantity import SCALARS
+from symsimpson.text.quantity import SCALARS
 
 TOP, PENDULUM = ss.systems.lagrange_top(), ss.systems.double_pendulum()
 

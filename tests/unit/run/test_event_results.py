@@ -10,8 +10,8 @@ import sympy as sp
 from support.impacts import BALL, FALL, drop, floor, z
 
 import symsimpson as ss
-from symsimpson.ensemble import singles
 from symsimpson.run import chosen
+from symsimpson.run.ensemble import singles
 from symsimpson.run.event_actions import EventActions
 from symsimpson.run.event_run import EventRun
 

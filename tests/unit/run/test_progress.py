@@ -8,8 +8,8 @@ import pytest
 
 import symsimpson as ss
 from symsimpson.api import compiling as api
-from symsimpson.codegen.pipeline import derive
-from symsimpson.mechanics import system as system_module
+from symsimpson.declare import system as system_module
+from symsimpson.lower.pipeline import derive
 from symsimpson.program import cache
 from symsimpson.support import progress
 
@@ -74,7 +74,8 @@ def test_trials_of_a_choice_are_counted(told, monkeypatch):
     asked = {"q0": [1.0], "v0": [0.0], "t_end": 1.0, "error": 1e-3, "schemes": "midpoint"}
     motions = []
     monkeypatch.setattr(
-        "symsimpson.analysis.choose.verify", lambda motion, *given: motions.append(motion) or 1 / 0
+        "symsimpson.study.analysis.choose.verify",
+        lambda motion, *given: motions.append(motion) or 1 / 0,
     )
     with pytest.raises(ZeroDivisionError):
         ss.choose(ss.systems.pendulum(), **asked)

@@ -7,8 +7,8 @@ import pytest
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.analysis.stability import passages
 from symsimpson.run import short_runs
+from symsimpson.study.analysis.stability import passages
 
 KINDS = [
     ("double_pendulum", "simpson"),

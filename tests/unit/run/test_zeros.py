@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from symsimpson.driver import impacts
+from symsimpson.text.driver import impacts
 
 
 @pytest.fixture

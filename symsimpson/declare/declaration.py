@@ -1,0 +1,288 @@
+"""A declaration read into a graph, part by part, each with its checks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from types import MappingProxyType
+from typing import Any
+
+import sympy as sp
+from sympy.core.function import AppliedUndef
+
+from symsimpson.declare.bodies import warn_of_lengths
+from symsimpson.declare.checks import check_names, fail, spell
+from symsimpson.declare.constraints import (
+    check_held_mass,
+    check_number,
+    read_constraints,
+    read_velocity_constraints,
+    slopes,
+    warn_of_integrable,
+)
+from symsimpson.declare.coordinates import momenta
+from symsimpson.declare.declared import LARGE, Declared
+from symsimpson.declare.expression_checks import read_expression
+from symsimpson.declare.forces import check_used, read_forces
+from symsimpson.declare.plain import Plain, Symbols
+from symsimpson.declare.quadratic import (
+    QuadraticInVelocities,
+    check_degenerate,
+    check_mass_matrix,
+    polynomial,
+    quadratic_form,
+)
+from symsimpson.errors import ModelError
+from symsimpson.graph.findings import Findings
+from symsimpson.graph.nodes import ZERO, Value, scaled
+from symsimpson.graph.read import tree_size
+from symsimpson.support.names import did_you_mean, spelled
+from symsimpson.text.quantity import SCALARS
+
+Positions = Mapping[str, Sequence[Any]]
+NO_UNITS: Mapping[Any, str] = MappingProxyType({})
+
+
+def energies(
+    lagrangian: sp.Expr, parts: QuadraticInVelocities, symbols: Symbols
+) -> tuple[sp.Expr, sp.Expr, sp.Expr]:
+    """Return T, a.v and V of a Lagrangian; what would be a large tree is left as it is written."""
+    graph, restored = symbols.graph, symbols.restored
+    linear = restored(graph.add(graph.products(parts.a, symbols.numbers(symbols.v))))
+    potential: sp.Expr = -restored(parts.rest)
+    entries = sum(tree_size(graph, value) for value in parts.M.values())
+    if entries > LARGE:
+        return lagrangian - linear + potential, linear, potential
+    velocities = [symbols.back[x] for x in symbols.v]
+    terms = (
+        restored(value) * velocities[i] * velocities[j] / (2 if i == j else 1)
+        for (i, j), value in parts.M.items()
+    )
+    return sp.Add(*terms), linear, potential
+
+
+def read_energies(
+    name: str,
+    coordinates: tuple[AppliedUndef, ...],
+    parameters: Mapping[sp.Symbol, float],
+    given: Declared,
+) -> tuple[Plain, Positions, Mapping[str, sp.Expr]]:
+    """Check the energies and read them into a graph."""
+    refuse = partial(fail, name)
+    s = Symbols(coordinates, parameters, given.inputs)
+
+    def read(what: str, expression: Any, *allowed: Sequence[sp.Symbol]) -> Value:
+        places = [symbol for group in (*allowed, s.q, s.a) for symbol in group]
+        return read_expression(name, what, expression, s, s.known, places)
+
+    def read_timed(what: str, expression: Any) -> Value:
+        return read(what, expression, s.v, (s.t,))
+
+    kinetic = read_timed("kinetic energy", given.kinetic)
+    potential = read("potential", given.potential, (s.t,))
+    linear = read_timed("gyroscopic term", given.gyroscopic)
+    parts = polynomial(name, "kinetic energy", kinetic, s)
+    left = [*parts.a, parts.rest]
+    carried = any(s.graph.symbol(s.t.name)[1] in s.graph.nodes[n].symbols for _, n in left)
+    if carried:  # by a motion that is prescribed: these terms belong to a and to V
+        kinetic = quadratic_form(s.graph, parts.M, s.numbers(s.v))
+        potential = s.graph.add([potential, scaled(-1, parts.rest)])
+        linear = s.graph.add([linear, *s.graph.products(parts.a, s.numbers(s.v))])
+    elif not all(map(Findings(s.graph, left).vanishes, left)):
+        leftover = s.graph.add([*s.graph.products(parts.a, s.numbers(s.v)), parts.rest])
+        if not parts.M and not any(c for c, _ in parts.a):
+            raise refuse(
+                f"the kinetic energy {spell(given.kinetic)} contains no velocity.",
+                f"A velocity is the derivative of a coordinate: write {s.back[s.v[0]].expr}.diff() "
+                f"for that of {s.back[s.v[0]].expr}.",
+            )
+        there, moving = (s.graph.nodes[n].symbols for _, n in (leftover, kinetic))
+        places = zip(s.v, s.numbers(s.q), s.numbers(s.v), strict=True)
+        still = [s.back[v].expr for v, q, rate in places if q in there and rate not in moving]
+        meant = f"Did you mean {' or '.join(f'{x.func}.diff()' for x in still)}? " if still else ""
+        raise refuse(
+            f"the kinetic energy is not a quadratic form in the velocities: it contains "
+            f"{spell(s.restored(leftover))}.",
+            f"{meant}Move terms without velocities to the potential (with the opposite sign) and "
+            "linear ones to a Lagrangian: MechanicalSystem.from_lagrangian(name, L, ...).",
+        )
+    gyroscopic = polynomial(name, "gyroscopic term", linear, s)
+    constraints = read_constraints(name, given.constraints, s, read)
+
+    def read_moving(what: str, expression: Any) -> Value:
+        return read(what, expression, s.v, (s.t,), s.u)
+
+    rolling = read_velocity_constraints(
+        name, given.velocity_constraints, constraints, s, read_moving
+    )
+    of_positions = slopes(s.graph, constraints.values(), s.numbers(s.q))
+    rows = dict(zip(constraints, of_positions, strict=True))
+    rows |= {key: list(row[:-1]) for key, row in rolling.items()}
+    check_number(name, rows, s, driven=any(row[-1][0] for row in rolling.values()))
+    warn_of_integrable(name, rolling, of_positions, s)
+    if rows:
+        check_held_mass(name, parts.M, list(rows.values()), s)
+    else:
+        check_degenerate(name, QuadraticInVelocities(parts.M, gyroscopic.a, ZERO), s)
+        if not given.mass_checked:
+            check_mass_matrix(name, parts.M, s)
+    if gyroscopic.M or not Findings(s.graph, [gyroscopic.rest]).vanishes(gyroscopic.rest):
+        raise refuse(
+            f"the gyroscopic term {spell(given.gyroscopic)} is not linear in the velocities.",
+            "It must have the form a(q).v; put the rest into T or V.",
+        )
+
+    forces = read_forces(name, coordinates, given.forces, given.dissipation, s, read_moving)
+    check_used(name, given.inputs, s, forces)
+    positions = _read_positions(name, given, s, read)
+    pairs = zip(momenta(*coordinates), s.p, strict=True)
+    of_momenta = {user: s.graph.symbol(symbol.name) for user, symbol in pairs}
+    for both in s.known.keys() & of_momenta.keys() if given.invariants is not None else ():
+        raise refuse(
+            f"the parameter {both} is the symbol of a momentum, too.",
+            "An invariant could mean either. Give the parameter another name.",
+        )
+    watch = s.known | of_momenta
+    invariants: dict[str, sp.Expr] = {}
+    values: dict[str, Value] = {}
+    for key, quantity in _by_name(name, "invariants", given.invariants, "{'J': x**2}").items():
+        if not isinstance(key, str):
+            raise refuse(
+                f"the invariant's name {key!r} is not a string.",
+                "Write invariants={'angular momentum': ...}.",
+            )
+        values[key] = read_expression(
+            name, f"invariant {key!r}", quantity, s, watch, (*s.q, *s.v, *s.p, *s.a, s.t)
+        )
+        invariants[key] = sp.sympify(quantity)
+    plain = Plain(
+        graph=s.graph,
+        q=s.q,
+        v=s.v,
+        p=s.p,
+        parameters=s.a,
+        T=kinetic,
+        M=dict(parts.M),
+        a=gyroscopic.a,
+        V=potential,
+        invariants=MappingProxyType(values),
+        t=s.t,
+        forces=forces,
+        u=s.u,
+        constraints=constraints,
+        velocity_constraints=rolling,
+    )
+    warn_of_lengths(name, coordinates, [*given.constraints.values()] if given.constraints else [])
+    names = [q.func.__name__ for q in coordinates]
+    written_out = _momenta_written_out(plain, names)
+    check_names(name, names, (key for key in invariants if key not in written_out))
+    for key in (f"lambda_{key}" for key in rows):
+        taken = {*names, *(str(a) for a in parameters), *invariants}
+        # those of a list have numbers for names, which need not be found by them
+        if key in taken and not key.removeprefix("lambda_").isdigit():
+            raise refuse(
+                f"the multiplier of a constraint has the name {key!r}, and so has something else.",
+                f"run[{key!r}] could be either. Give the constraint another name.",
+            )
+    return plain, MappingProxyType(positions), MappingProxyType(invariants)
+
+
+def _momenta_written_out(plain: Plain, names: Sequence[str]) -> set[str]:
+    """List the invariants that have the name of a momentum and its value."""
+    graph, v, p = plain.graph, plain.numbers(plain.v), plain.numbers(plain.p)
+    keys = set()
+    for i, x in enumerate(names):
+        key = f"p_{x}"
+        if key in plain.invariants:
+            row = [plain.entry(i, j) for j in range(len(v))]
+            momentum = graph.add([plain.a[i], *graph.products(row, v)])
+            given: Value = plain.invariants[key]
+            findings = Findings(graph, [given, momentum, (1, p[i])])
+            if any(findings.equal(given, other) for other in (momentum, (1, p[i]))):
+                keys.add(key)
+    return keys
+
+
+def _by_name(name: str, what: str, given: Any, example: str) -> Mapping[Any, Any]:
+    """Return what is given by names; nothing for None."""
+    if given is not None and not isinstance(given, Mapping):
+        raise fail(
+            name,
+            f"the {what} are a {type(given).__name__}, not a mapping from names.",
+            f"Each has a name, by which runs tell it: {what}={example}.",
+        )
+    return given or {}
+
+
+def _read_positions(
+    name: str, given: Declared, symbols: Symbols, read: Callable[..., Value]
+) -> dict[str, tuple[Any, ...]]:
+    """Check what is to be drawn."""
+    positions: dict[str, tuple[Any, ...]] = {}
+    for key, point in _by_name(name, "positions", given.positions, "{'bob': (x, y)}").items():
+        nested = isinstance(point, (tuple, list))
+        body = nested and all(isinstance(x, (tuple, list, sp.MatrixBase)) for x in point)
+        corners = point if body else [point]
+        points: list[tuple[sp.Expr, ...]] = []
+        for corner in corners:
+            single = not isinstance(corner, (tuple, list, sp.MatrixBase))
+            components = (corner,) if single else tuple(corner)
+            if not 1 <= len(components) <= 3:
+                raise fail(
+                    name,
+                    f"position {key!r} has {len(components)} components.",
+                    "A point has one to three Cartesian components.",
+                )
+            for component in components:
+                read(f"position {key!r}", component, (symbols.t,))
+            points.append(tuple(sp.sympify(c) for c in components))
+        positions[str(key)] = tuple(points) if body else points[0]
+    return positions
+
+
+def read_units(
+    name: str, given: Mapping[Any, Any] | None, coordinates: Iterable[Any], others: Iterable[Any]
+) -> dict[str, str]:
+    """Read units by name, and add those of velocities.
+
+    ``given`` are units by names or symbols, ``others`` further quantities that a system has:
+    parameters, inputs, invariants, points. Raises ModelError if a name is none of these, or a unit
+    is no text.
+    """
+    names = [spelled(q) for q in coordinates]
+    known = [*names, *(f"{x}_{q}" for x in "vp" for q in names), *map(spelled, others), "t"]
+    known += [x.name for x in SCALARS]
+    units: dict[str, str] = {}
+    if given is not None and not isinstance(given, Mapping):
+        raise ModelError(
+            f"system '{name}': units is {type(given).__name__}, no mapping.\n"
+            "Units are labels: units={'x': 'm', 't': 's'}."
+        )
+    for key, unit in (given or {}).items():
+        quantity = spelled(key)
+        if quantity not in known:
+            raise ModelError(
+                f"system '{name}': units names {quantity!r}, which the system does not have."
+                f"{did_you_mean(quantity, known)}\n"
+                "Name coordinates, momenta and velocities (p_ and v_ before a coordinate), "
+                f"parameters, invariants, points, 't', {', '.join(x.name for x in SCALARS)}."
+            )
+        if quantity in units:
+            raise ModelError(
+                f"system '{name}': units gives {quantity} twice, by name and by symbol.\n"
+                "Give it once."
+            )
+        if not isinstance(unit, str):
+            raise ModelError(
+                f"system '{name}': the unit of {quantity} is {unit!r}, no text.\n"
+                "Units are labels: units={'x': 'm', 't': 's'}."
+            )
+        units[quantity] = unit
+    if "t" in units:
+        for q in names:
+            if q in units:
+                units.setdefault(f"v_{q}", f"{units[q]}/{units['t']}")
+    for scalar in SCALARS:
+        if scalar.like in units:
+            units.setdefault(scalar.name, units[scalar.like])
+    return units

@@ -1,0 +1,182 @@
+"""The declaration of a system: its expressions, its digest, the numbers that users give for it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from functools import cached_property, lru_cache
+from typing import Any, ClassVar, TypeAlias
+
+import numpy as np
+import sympy as sp
+from sympy.core.function import AppliedUndef
+
+from symsimpson.declare.coordinates import time
+from symsimpson.declare.plain import Plain, Symbols
+from symsimpson.errors import InputError
+from symsimpson.graph.read import tree_size
+from symsimpson.support.array_types import Floats, Reals
+from symsimpson.support.literals import float_literals
+from symsimpson.support.names import Named, is_masked, read_mapping, spelled
+
+Matrix: TypeAlias = sp.ImmutableDenseMatrix
+#: Parts of a Lagrangian with more nodes than this, as trees, are left as they are written.
+LARGE = 2000
+
+
+class Declared:
+    """Parts of a system as a user declared them; :class:`MechanicalSystem` describes them."""
+
+    name: str
+    coordinates: tuple[AppliedUndef, ...]
+    kinetic: sp.Expr
+    potential: sp.Expr
+    gyroscopic: sp.Expr
+    parameters: Mapping[sp.Symbol, float]
+    positions: Mapping[str, Any] | None
+    invariants: Mapping[str, sp.Expr] | None
+    forces: Mapping[Any, Any] | None
+    dissipation: sp.Expr | None
+    inputs: tuple[sp.Expr, ...]
+    constraints: Mapping[str, sp.Expr]
+    velocity_constraints: Mapping[str, sp.Expr]
+    units: Mapping[Any, str]
+    mass_checked: ClassVar[bool]
+    plain: Plain
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return len(self.coordinates)
+
+    @property
+    def lagrangian(self) -> sp.Expr:
+        """L = T + a.v - V in the user's own symbols."""
+        return self.kinetic + self.gyroscopic - self.potential
+
+    @cached_property
+    def mass_matrix(self) -> Matrix:
+        """M(q), n by n, in the user's own symbols: the Hessian of T in the velocities."""
+        back = Symbols(self.coordinates, self.parameters).back
+        return Matrix(self.plain.mass.xreplace(dict(back)))
+
+    @property
+    def too_large_for_sympy(self) -> bool:
+        """Whether T and V together exceed LARGE nodes: they are left out of SymPy's output."""
+        plain = self.plain
+        return sum(tree_size(plain.graph, value) for value in (plain.T, plain.V)) > LARGE
+
+
+def fingerprint(system: Declared) -> str:
+    """Return the SHA-256 over names and equations of a system, not over its parameters' values."""
+    plain = system.plain
+    forces = [value for force in plain.forces.values() for value in force]
+    values = [plain.T, *plain.energies, *plain.invariants.values(), *forces]
+    values += plain.held_values
+    nodes = plain.graph.reached(n for _, n in values)
+    place = {n: k for k, n in enumerate(nodes)}
+
+    def spelled(n: int) -> str:
+        kind, parts, _ = plain.graph.nodes[n]
+        match kind:
+            case "sum":
+                return str([(str(c), place[m]) for c, m in parts])
+            case "product":
+                return str([(place[m], str(e)) for m, e in parts])
+            case "function":
+                return str([parts[0], *((str(c), place[m]) for c, m in parts[1:])])
+        return str(parts)
+
+    content = [
+        system.name,
+        [str(q) for q in system.coordinates],
+        [sp.srepr(a) for a in system.parameters],
+        sorted(plain.M),
+        [(plain.graph.nodes[n].kind, spelled(n)) for n in nodes],
+        [(str(c), place[n]) for c, n in values],
+        list(plain.invariants),
+        *([list(plain.forces)] if plain.forces else []),
+        *([list(map(str, system.inputs))] if system.inputs else []),
+        *([["constraints", *plain.constraints]] if plain.constraints else []),
+        *([["of velocities", *rolling]] if (rolling := plain.velocity_constraints) else []),
+    ]
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+
+
+def read_vector(system: Declared, name: str, given: Any) -> Floats:
+    """Read a number for each coordinate, in order or by name; raises InputError."""
+    table = Named("coordinate", [spelled(q) for q in system.coordinates])
+    try:
+        ordered = table.in_order(name, given)
+        vector = np.array(None if is_masked(ordered) else ordered, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        vector = np.empty(0)
+    if vector.shape != (system.n,) or not np.isfinite(vector).all():
+        raise InputError(
+            f"{name} is {given!r}, not {system.n} finite numbers, one for each of "
+            f"{', '.join(table.shown)}."
+        )
+    return vector
+
+
+def read_values(
+    name: str, what: str, defaults: Mapping[Any, Any], given: Mapping[Any, Any] | None
+) -> list[float]:
+    """Read values by symbol or by name, in place of defaults, in their order; raises InputError."""
+    table = Named(what, [spelled(key) for key in defaults])
+    values = [float(x) for x in defaults.values()]
+    for place, value in table.by_place(read_mapping(name, given, what[0]), name).items():
+        try:
+            values[place] = np.nan if is_masked(value) else float(value)
+        except (TypeError, ValueError, OverflowError):
+            values[place] = np.nan
+        if not np.isfinite(values[place]):
+            raise InputError(
+                f"{name}: the {what} {table.shown[place]} is {value!r}, not a finite number.\n"
+                "Pass a number."
+            )
+    return values
+
+
+def points_of(system: Declared, t: Reals, q: Reals, values: Reals) -> dict[str, Floats]:
+    """Evaluate the positions that were declared with a system, at t of shape (...), q (..., n).
+
+    They are of shape (..., 2) or (..., 3) for a point, (..., corners, 2 or 3) for a body; there are
+    none if no positions were declared.
+    """
+    positions = system.positions or {}
+    columns = [np.asarray(x, dtype=np.float64) for x in (t, q, values)]
+    numbers = [columns[0], *(x[..., k] for x in columns[1:] for k in range(x.shape[-1]))]
+    shape = columns[1].shape[:-1]
+    points = {}
+    # by what is computed: systems are equal whatever points they declare
+    arguments = (time, *system.coordinates, *system.parameters)
+    places = _function(arguments, tuple(positions.values()))(*numbers) if positions else []
+    for (name, given), corners in zip(positions.items(), places, strict=True):
+        rows = [
+            np.stack([np.broadcast_to(axis, shape) for axis in corner], axis=-1)
+            for corner in corners
+        ]
+        single = not isinstance(given[0], tuple)
+        points[name] = np.asarray(rows[0] if single else np.stack(rows, axis=-2), dtype=np.float64)
+    return points
+
+
+@lru_cache(maxsize=64)
+def _function(arguments: tuple[sp.Basic, ...], positions: tuple[Any, ...]) -> Callable[..., Any]:
+    """Return a function of t, positions and parameters that gives all axes of all corners.
+
+    It is one for all points, of symbols that are names in Python: others would be replaced one by
+    one, in all expressions.
+    """
+    plain = {x: sp.Symbol(f"x_{k}") for k, x in enumerate(arguments)}
+    corners = [
+        [
+            [x.xreplace(plain) for x in corner]
+            for corner in (given if isinstance(given[0], tuple) else [given])
+        ]
+        for given in positions
+    ]
+    function: Callable[..., Any] = sp.lambdify([*plain.values()], float_literals(corners), "numpy")
+    return function

@@ -1,0 +1,274 @@
+"""Energies as polynomials in the velocities, and the mass matrix they hold."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import partial
+from typing import Any
+
+import mpmath
+import numpy as np
+import sympy as sp
+
+from symsimpson.declare.checks import fail, spell
+from symsimpson.declare.plain import Symbols
+from symsimpson.graph.derive import Derivatives, gradient
+from symsimpson.graph.evaluate import evaluated
+from symsimpson.graph.field import Arithmetic, Element
+from symsimpson.graph.findings import Findings
+from symsimpson.graph.nodes import ZERO, Exact, Graph, Value
+from symsimpson.graph.read import Reader, tree_size
+from symsimpson.graph.rebuild import fixed, rebuilt
+
+#: Second derivatives with more nodes than this are not simplified, and not shown.
+TOO_LONG = 400
+#: Points at which a mass matrix is looked at in doubles.
+SAMPLES = 3
+
+
+@dataclass(frozen=True)
+class QuadraticInVelocities:
+    """An energy v.M(q).v/2 + a(q).v + rest(q); M on and below its diagonal, without zeros."""
+
+    M: Mapping[tuple[int, int], Value]
+    a: tuple[Value, ...]
+    rest: Value
+
+
+def quadratic_form(graph: Graph, M: Mapping[tuple[int, int], Value], v: Sequence[int]) -> Value:
+    """Write v.M.v/2, of the entries of M on and below its diagonal."""
+    half = Fraction(1, 2)
+    return graph.add(
+        graph.multiply([value, (half if i == j else 1, v[i]), (1, v[j])])
+        for (i, j), value in M.items()
+    )
+
+
+def polynomial(system: str, what: str, energy: Value, symbols: Symbols) -> QuadraticInVelocities:
+    """Split an energy by its powers of the velocities; refuse what is not of degree two at most.
+
+    Raises ModelError if the second derivatives depend on a velocity, or there is no value at rest,
+    or nowhere.
+    """
+    graph, v = symbols.graph, symbols.numbers(symbols.v)
+    momenta = gradient(graph, energy, v)
+    try:
+        findings = Findings(graph, [energy, *momenta])
+    except ZeroDivisionError:
+        raise fail(
+            system,
+            f"the {what} divides by zero wherever it is looked at.",
+            "Look for a denominator that vanishes identically.",
+        ) from None
+    derivatives = Derivatives(graph)
+    affine = findings.affine(momenta, v)
+    entries: dict[tuple[int, int], Value] = {}
+    for i, momentum in enumerate(momenta):
+        for j in range(i + 1):
+            if v[j] not in graph.nodes[momentum[1]].symbols:
+                continue
+            entry = derivatives(momentum, v[j])
+            moving = sorted(graph.nodes[entry[1]].symbols & set(v))
+            if moving and affine[i]:
+                entry = fixed(graph, entry, moving) or entry
+            elif moving:
+                entry = _simplified(system, what, entry, (i, j), symbols)
+            entries[i, j] = entry
+    if entries:
+        findings = Findings(graph, list(entries.values()))
+        entries = {place: entry for place, entry in entries.items() if not findings.vanishes(entry)}
+    try:
+        *a, constant = rebuilt(graph, [*momenta, energy], dict.fromkeys(v, ZERO))
+    except ZeroDivisionError:
+        raise fail(
+            system,
+            f"the {what} has no value at rest: it divides by velocities.",
+            "Newton's equations follow from L = v.M(q).v/2 + a(q).v - V(q). "
+            "Write the velocities as a polynomial of degree two.",
+        ) from None
+    return QuadraticInVelocities(entries, tuple(a), constant)
+
+
+def _simplified(
+    system: str, what: str, entry: Value, place: tuple[int, int], symbols: Symbols
+) -> Value:
+    """Remove velocities that only seem to be in a second derivative, by SymPy.
+
+    Raises ModelError if they stay, or the expression is too long.
+    """
+    graph, moving = symbols.graph, set(symbols.numbers(symbols.v))
+    short = tree_size(graph, entry) <= TOO_LONG
+    rest = sp.simplify(symbols.restored(entry)) if short else None
+    if rest is not None:
+        value = Reader(graph, symbols.known)(rest)
+        if graph.nodes[value[1]].symbols.isdisjoint(moving):
+            return value
+    first, second = (spell(symbols.back[symbols.v[k]]) for k in sorted(place))
+    shown = f" is {spell(rest)}" if rest is not None else " depends on velocities"
+    raise fail(
+        system,
+        f"the {what} is not quadratic in the velocities: its second derivative by "
+        f"{first} and {second}{shown}.",
+        "Newton's equations follow from L = v.M(q).v/2 + a(q).v - V(q). "
+        "Write the velocities as a polynomial of degree two, without roots or "
+        "functions of them.",
+    )
+
+
+def check_degenerate(system: str, lagrangian: QuadraticInVelocities, symbols: Symbols) -> None:
+    """Refuse coordinates of whose velocities L has terms of first order, but none of second.
+
+    So are those that have no velocity in L, and stand in terms of first order of others. Raises
+    ModelError with the coordinate.
+    """
+    graph = symbols.graph
+    coupled = frozenset().union(*(graph.nodes[n].symbols for c, n in lagrangian.a if c))
+    massive = {i for place in lagrangian.M for i in place}
+    for i, x in enumerate(symbols.numbers(symbols.q)):
+        if i not in massive and (lagrangian.a[i][0] or x in coupled):
+            name = spell(symbols.back[symbols.q[i]])
+            raise fail(
+                system,
+                f"the Lagrangian is degenerate: it has no term quadratic in {name}', only ones "
+                "linear in the velocities.",
+                "Its equations of motion are of first order (point vortices, Lotka and Volterra's "
+                "equations, guiding centres), and such systems are not integrated here: they need "
+                f"another kind of step. If {name} has a mass, add its kinetic energy.",
+            )
+
+
+def check_mass_matrix(system: str, M: Mapping[tuple[int, int], Value], symbols: Symbols) -> None:
+    """Refuse a mass matrix that is singular for all q, or has an entry M_ii that is negative.
+
+    Whether it is positive definite depends on q, and is looked at where a run begins. Raises
+    ModelError with the coordinate that has no mass, where there is one.
+    """
+    refuse = partial(fail, system)
+    massive = {i for place in M for i in place}
+    for i, (q, v) in enumerate(zip(symbols.q, symbols.v, strict=True)):
+        name, velocity = spell(symbols.back[q]), spell(symbols.back[v])
+        if i not in massive:
+            raise refuse(
+                f"the kinetic energy does not depend on {velocity}, so the mass matrix has a "
+                "zero row.",
+                f"A variational step needs an invertible mass matrix. Give {name} a mass "
+                f"(T += m*{velocity}**2/2) or remove {name} from the coordinates. A derivative by "
+                f"another symbol t, with other assumptions, is 0: write {name}.diff(), or "
+                f"{name}.diff(symsimpson.time).",
+            )
+        if symbols.signs(M.get((i, i), ZERO)) == (-1, True):
+            raise refuse(
+                f"the kinetic energy is negative for every {velocity}: M is not positive definite.",
+                "Masses are positive. Look at the sign of that term in T, or at the sign that a "
+                "symbol was declared with.",
+            )
+    blocks = connected(len(symbols.q), M)
+    if all(_clearly_regular(M, symbols, blocks)) or all(
+        _regular(M, symbols, block) for block in blocks
+    ):
+        return
+    names = ", ".join(spell(symbols.back[q]) for q in symbols.q)
+    raise refuse(
+        "the mass matrix is singular for every configuration: its determinant is zero.",
+        "A variational step needs an invertible mass matrix: some combination of the velocities "
+        f"of {names} carries no kinetic energy. Give each body its own term, or use fewer "
+        "coordinates.",
+    )
+
+
+def connected(size: int, pairs: Iterable[tuple[int, int]]) -> list[list[int]]:
+    """Group 0..size-1 by the pairs that join them, in the order of their least members."""
+    group = list(range(size))
+
+    def root(i: int) -> int:
+        while group[i] != i:
+            group[i] = group[group[i]]
+            i = group[i]
+        return i
+
+    for i, j in pairs:
+        low, high = sorted((root(i), root(j)))
+        group[high] = low
+    groups: dict[int, list[int]] = {}
+    for i in range(size):
+        groups.setdefault(root(i), []).append(i)
+    return list(groups.values())
+
+
+def _clearly_regular(
+    M: Mapping[tuple[int, int], Value], symbols: Symbols, blocks: Sequence[Sequence[int]]
+) -> Iterable[bool]:
+    """Tell of blocks of M whether they are regular at a sample, in doubles; if not, it is open."""
+    for numbers in samples(symbols, list(M.values())):
+        matrix = np.zeros((len(symbols.q),) * 2)
+        for (i, j), number in zip(M, numbers, strict=True):
+            matrix[i, j] = matrix[j, i] = number
+        answers = [is_well_conditioned(matrix[np.ix_(block, block)]) for block in blocks]
+        if all(answers):
+            break
+    return answers
+
+
+def samples(symbols: Symbols, values: Sequence[Value]) -> Iterator[list[float]]:
+    """Evaluate values at a few random points, in doubles."""
+    generator = random.Random(20)  # the same points each time
+    everything = (*symbols.q, *symbols.v, *symbols.a, symbols.t, *symbols.u)
+    for _ in range(SAMPLES):
+        point = {
+            n: generator.uniform(0.3, 1) * (-1 if s.is_negative or s.is_nonpositive else 1)
+            for n, s in zip(symbols.numbers(everything), everything, strict=True)
+        }
+        node_values = evaluated(symbols.graph, [n for _, n in values], point, mpmath.fp)
+        yield [_double(c) * node_values[n] if c else 0.0 for c, n in values]
+
+
+def _double(number: Exact) -> float:
+    try:
+        return float(number)
+    except OverflowError:
+        return math.inf
+
+
+def is_well_conditioned(matrix: Any) -> bool:
+    """Return whether a matrix in doubles has full rank beyond doubt."""
+    # far from 1e16, where rounding hides a zero determinant
+    return bool(np.isfinite(matrix).all() and np.linalg.cond(matrix) < 1e8)
+
+
+def _regular(M: Mapping[tuple[int, int], Value], symbols: Symbols, block: Sequence[int]) -> bool:
+    """Return whether a block of M has full rank at random points of a prime field."""
+    matrix = [[M.get((max(i, j), min(i, j)), ZERO) for j in block] for i in block]
+    return rank(symbols.graph, matrix) == len(block)
+
+
+def rank(graph: Graph, matrix: Sequence[Sequence[Value]]) -> int:
+    """Return the rank of a matrix wherever it is largest, from random points of a field."""
+    values = [value for row in matrix for value in row]
+    return max(
+        _rank([[at[value] for value in row] for row in matrix], at.arithmetic)
+        for at in Findings(graph, values).points
+    )
+
+
+def _rank(rows: list[list[Element]], field: Arithmetic) -> int:
+    """Return the rank of a matrix over the field: Gauss's elimination."""
+    minus, done = field.prime - 1, 0
+    for k in range(len(rows[0])):
+        pivot = next((i for i in range(done, len(rows)) if rows[i][k]), None)
+        if pivot is None:
+            continue
+        rows[done], rows[pivot] = rows[pivot], rows[done]
+        over = field.times(minus, field.inverse(rows[done][k]))
+        for row in rows[done + 1 :]:
+            if row[k]:
+                factor = field.times(row[k], over)
+                for j in range(k, len(row)):
+                    row[j] = field.plus(row[j], field.times(factor, rows[done][j]))
+        done += 1
+        if done == len(rows):
+            break
+    return done

@@ -1,1 +1,0 @@
-"""Derivatives of runs, and what is found with them."""

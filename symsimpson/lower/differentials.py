@@ -1,0 +1,323 @@
+"""Kernels that differentiate a step, with the functions of the system that they call."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import accumulate, starmap
+from typing import Any
+
+import sympy as sp
+
+from symsimpson.discrete.reductions import Affine, Linear, Routh
+from symsimpson.lower.expression import Expression
+from symsimpson.lower.facts import solve_tables
+from symsimpson.lower.ir import Function, Kernel, Row, Store, stored
+from symsimpson.lower.levels import Level
+from symsimpson.lower.lower import Lowering
+from symsimpson.lower.specialise import kernel_from_text
+from symsimpson.lower.storage import LoopKernels
+from symsimpson.lower.traced_parts import TracedPart
+from symsimpson.text.interface import WITH_PIVOTS
+
+#: With more products than this, variations are solved for one by one.
+MOST_TERMS = 4000
+
+#: Derivatives by parameters, and where they stand.
+_BLOCKS = (("NODE_F_A", "F_a"), ("NODE_P_A", "P_a"))
+#: Second derivatives: the function, the block with its entries, and the tables of their variables.
+_CURVATURES = {
+    "node": ("node_curvature", "NODE_CURVATURE", "CURVATURE"),
+    "point": ("point_curvature", "POINT_CURVATURE", "POINT"),
+}
+DOCS = {
+    "parameter_slopes": "Derivatives of F and P by the parameters that are varied, at a node.",
+    "constraint_parameter_slopes": (
+        "Derivatives of phi and of Phi^T lambda by parameters, at a control point."
+    ),
+    "rate_parameter_slopes": (
+        "Derivatives of A v - b by the parameters that are varied, at a point."
+    ),
+    "carried_parameter_slopes": "Derivatives of b by the parameters that are varied, at a point.",
+    "cost_slopes": "The running cost and its derivatives, at a node.",
+    "node_curvature": "Second derivatives of alpha.F + beta.P + gamma g at a node.",
+    "point_curvature": "Second derivatives of nu.phi - alpha.Phi^T mu at a control point.",
+}
+
+
+def differentiating(
+    low: Lowering, loops: LoopKernels, facts: Mapping[str, object]
+) -> tuple[list[Function], list[Kernel], dict[str, object]]:
+    """Return the functions, kernels and tables that differentiate a step, if that is wanted.
+
+    They solve the equations of the step, linearised at the solution: this is the derivative of
+    whatever solved the step, as reduced parts have the same solution.
+    """
+    if low.equations.varied is None:
+        return [], [], {}
+    places = loops.storage.order
+    stores = _slopes(low, places) | _cost(low, places) | _curvatures(low)
+    functions = [
+        Function(name, DOCS[name], low.statements(some, (Level.ITERATION,)))
+        for name, some in stores.items()
+    ]
+    tables = _tables(low, loops)
+    if facts["BY_COLUMNS"]:
+        functions += _TracedEnd(low, facts, tables).functions()
+    return functions, [*_kernels(facts)], tables
+
+
+class _TracedEnd:
+    """Traces how a variation moves the end of a step, without inner control points.
+
+    This takes fewer operations than all columns of the derivative do.
+    """
+
+    def __init__(
+        self, low: Lowering, facts: Mapping[str, object], tables: Mapping[str, object]
+    ) -> None:
+        self._low, scheme, d = low, low.equations.scheme, low.equations.scheme.degree
+        routh, *_ = (*(x for x in low.equations.parts if isinstance(x, Routh)), None)
+        self._cyclic = cyclic = () if routh is None else routh.cyclic
+        self._order = [*(a for a in range(low.n) if a not in cyclic), *cyclic]
+        rows, columns = ((*range(1, d + 1),),) * 2 if d > 1 else ((0,), (1,))
+        tables = {
+            **tables,
+            **(solve_tables(routh, scheme) if routh is not None else {}),
+            **_slope_tables(low, self._order),
+            "OTHERS": low.n - len(cyclic),
+            "BASIS": tuple((*row, sp.S.One) for row in scheme.A),
+            "BASIS_SLOPE": tuple((*row, sp.S.Zero) for row in scheme.B),
+            "ROW_ORDER": (*rows, d + 1),
+            "COLUMN_ORDER": (*columns, d + 1),
+            "EQUATION_STRIDE": (d + 1) * low.n + len(low.varied),
+        }
+        known = {**facts, "TRACED": True, "SYMMETRIC": d > 1 and not low.equations.plain.forces}
+        if routh is not None:
+            known |= {"CYCLIC": len(cyclic), "EXTRA": len(routh.annihilator)}
+        names = ("cyclic_velocities", "differentiate_node", "condense", "move_end")
+        blocks = sizes(low, by_columns=True)
+        whole = low.of_all(low.equations.jet)
+        self._part = TracedPart(whole, self._order, names, known, tables, blocks, routh)
+
+    def functions(self) -> tuple[Function, Function]:
+        """Return the function that differentiates the end, and the one that moves a variation."""
+        low, early = self._low, (Level.STEP, Level.ITERATION)
+        self._condense()
+        size, count = 2 * low.n, len(low.varied)
+        units = ([int(k == j) for j in range(count)] for k in range(count))
+        ends = [x for unit in units for x in self._moved([0] * size, unit)]
+        kept = [Store(Row("DERIVATIVE", k), value) for k, value in enumerate(ends)]
+        rows = [Row("TANGENT", f"first + {k}") for k in range(size)]
+        hints = [f"d{p}{q}" for p in ("", "p_") for q in low.names.coordinates]
+        variation = [low.graph.fresh(hint, Level.LATE) for hint in hints]
+        low.rows |= dict(zip(variation, rows, strict=True))
+        moved = [Store(*x) for x in zip(rows, self._moved(variation, [0] * count), strict=True)]
+        needed = [s for s in low.needed(moved, (Level.LATE,)) if s not in low.rows]
+        between = [s for s in needed if Level.RUN < low.graph.level(s) < Level.LATE]
+        places = {s: Row("DERIVATIVE", len(ends) + k) for k, s in enumerate(between)}
+        doc = "Find what moves variations to the end of the step."
+        lines = low.statements([*kept, *(Store(places[s], s) for s in between)], early)
+        first = Function("differentiate_end", doc, lines, ("W", "h", "t", "lane"))
+        low.rows |= places
+        doc = "Carry a variation to the end of the step."
+        lines = low.statements(moved, (Level.LATE,))
+        for symbol in between:
+            del low.rows[symbol]
+        return first, Function("move_variation", doc, lines, ("W", "h", "t", "first", "lane"))
+
+    def _condense(self) -> None:
+        """Differentiate all nodes, and eliminate the inner control points."""
+        low, part, names = self._low, self._part, self._part.trace.names
+        part.begin()
+        names["parameter_slopes"] = self._slopes
+        if self._cyclic:
+            part.run("cyclic_velocities", low.h, low.t, 0)
+        for node in range(low.equations.scheme.stages):
+            part.run("differentiate_node", low.h, low.t, node)
+        names["JACOBIAN"] = first = names["CONDENSED"]
+        names["DEGREE"] += 1
+        end, names["UNKNOWNS"] = names["UNKNOWNS"] - low.n, names["UNKNOWNS"] + low.n
+        names["CONDENSED_END"] = first + end * (names["EQUATION_STRIDE"] + 1)
+        part.run("condense", low.h)
+
+    def _slopes(self, W: Any, lane: int) -> None:
+        """Set the rows of the derivatives by parameters at the current node."""
+        low, part, section = self._low, self._part, self._part.trace.section
+        step = tuple(part.row("NODE_STEP", k) for k in range(3 * low.sized))
+        here, entry = replace(part.point(moving=True), step=step), low.slopes.entry
+        for block, what in _BLOCKS:
+            entries = _not_zero(low, self._order, what)
+            values = (partial(entry, here, section, what, self._order[s], by) for by, s in entries)
+            part.hold(block, values)
+
+    def _moved(self, variation: Sequence[Any], parameters: Sequence[int]) -> list[Expression]:
+        """Move a variation of the state and of parameters."""
+        part, n, define = self._part, self._low.n, self._low.graph.define
+        dq, dp = ([variation[first + a] for a in self._order] for first in (0, n))
+        part.hold("TANGENT", (*dq, *parameters, *dp))
+        part.run("move_end")
+        places = [*map(self._order.index, range(n))]
+        places += [n + len(parameters) + s for s in places]
+        return [define("moved", part.row("TANGENT", k), "end of the step") for k in places]
+
+
+def _kernels(facts: Mapping[str, object]) -> Iterable[Kernel]:
+    """Yield the kernels of tangent and adjoint, of a running cost, and of second derivatives."""
+    tangent = kernel_from_text("tangent", facts)
+    if facts["BY_COLUMNS"]:
+        yield replace(tangent, straight=True)
+        pivoted = kernel_from_text("tangent", {**facts, "BY_COLUMNS": False})
+        yield replace(pivoted, name=f"tangent{WITH_PIVOTS}")
+    else:
+        yield tangent
+    names = [
+        *(("momentum_slopes",) if facts["VARIED_BY"] else ()),
+        *("adjoint", "start_adjoint", "record"),
+        *(("step_cost", "running_cost") if facts["COSTED"] else ()),
+        *(("curvature",) if facts["SECOND"] else ()),
+    ]
+    yield from (kernel_from_text(name, facts) for name in names)
+
+
+def _slopes(low: Lowering, places: Sequence[int]) -> dict[str, list[Store]]:
+    """Return the derivatives by the parameters that are varied, which functions evaluate."""
+    varied, plain, here = low.varied, low.equations.plain, low.node
+    if not varied:
+        return {}
+    point = replace(here, suffix="c", multipliers=low.multipliers)
+
+    def by_parameters(*kinds: tuple[str, str, Sequence[int]]) -> list[Store]:
+        """Store derivatives, each kind with its block and the rows or constraints it has."""
+        return [
+            Store(Row(block, j * len(which) + k), low.slopes.entry(point, "slopes", what, c, name))
+            for j, name in enumerate(varied)
+            for block, what, which in kinds
+            for k, c in enumerate(which)
+        ]
+
+    stores = {
+        "parameter_slopes": [
+            Store(Row(block, k), low.slopes.entry(here, "slopes", what, places[s], name))
+            for block, what in _BLOCKS
+            for k, (name, s) in enumerate(_not_zero(low, places, what))
+        ]
+    }
+    count = range(len(low.multipliers))
+    rolling = range(len(plain.constraints), len(plain.held))
+    if count:
+        kinds = ("CONSTRAINT_A", "phi_a", count), ("CONSTRAINT_QA", "pull_a", places)
+        stores["constraint_parameter_slopes"] = by_parameters(*kinds)
+    if rolling:
+        stores["rate_parameter_slopes"] = by_parameters(("RATE_A", "rate_a", rolling))
+    if plain.carried:
+        stores["carried_parameter_slopes"] = by_parameters(("RATE_A", "b_a", rolling))
+    return stores
+
+
+def _cost(low: Lowering, places: Sequence[int]) -> dict[str, list[Store]]:
+    """Return a running cost and its derivatives, if there is one."""
+    if low.equations.cost is None:
+        return {}
+    keys: list[tuple[str, *tuple[int | str, ...]]] = [("g",)]
+    keys += [(what, a) for what in ("g_q", "g_v") for a in places]
+    keys += [("g_a", name) for name in low.varied]
+    here = low.node
+    values = (low.cost.entry(here, "cost", *key) for key in keys)
+    return {"cost_slopes": stored("NODE_COST", values)}
+
+
+def _curvatures(low: Lowering) -> dict[str, list[Store]]:
+    """Return the second derivatives at a node, and at a control point if there are constraints."""
+    here, stores = low.node, {}
+    v = tuple(low.step[0] * v for v in here.v or ())
+    t = here.t - low.step[1] * low.step[0] if low.sized and here.t is not None else here.t
+    for what, (name, block, _) in _CURVATURES.items() if low.equations.second else ():
+        if what == "point" and not low.multipliers:
+            continue
+        point = replace(
+            here, suffix=what, v=v, t=t, weights=low.weights, multipliers=low.multipliers
+        )
+        entry = partial(low.curvatures.entry, point, "curvatures", what)
+        stores[name] = stored(block, starmap(entry, low.curvatures.places(what)))
+    return stores
+
+
+def _tables(low: Lowering, loops: LoopKernels) -> dict[str, object]:
+    """Return what the loops must know."""
+    storage, degree = (loops.held or loops).storage, loops.degree
+    constants = {**storage.constants("TANGENT", degree), **storage.bounds("TANGENT", degree)}
+    tables = {
+        "VARIED": len(low.varied),
+        **{key: constants[key] for key in constants if not key.endswith("_STEP")},
+        "TANGENT_UNKNOWNS": storage.unknowns(degree),
+    }
+    tables |= _slope_tables(low, loops.storage.order)
+    if not low.equations.second:
+        return tables
+    count = len(low.multipliers)
+    first = (degree + 1) * low.n + degree * count
+    tables["VARIED_FROM"] = first
+    tables["HESSIAN_SIZE"] = first + len(low.varied) * low.equations.scheme.stages
+    for what, (_, _, prefix) in _CURVATURES.items():
+        pairs = low.curvatures.places(what)
+        if what == "node" or count:
+            tables[f"{prefix}_ROW"] = tuple(i for i, _ in pairs)
+            tables[f"{prefix}_COLUMN"] = tuple(j for _, j in pairs)
+    return tables
+
+
+def _slope_tables(low: Lowering, places: Sequence[int]) -> dict[str, object]:
+    """Return where the derivatives of F and P by parameters stand that are not zero.
+
+    Those by a parameter stand one after the other; their coordinates are given by place.
+    """
+    tables: dict[str, object] = {}
+    for block, what in _BLOCKS if low.varied else ():
+        rows, name = _not_zero(low, places, what), block.removeprefix("NODE_")
+        counts = (sum(parameter == varied for parameter, _ in rows) for varied in low.varied)
+        tables[f"{name}_FROM"] = (0, *accumulate(counts))
+        tables[f"{name}_PLACE"] = (*(s for _, s in rows), 0)
+    return tables
+
+
+def traces_end(low: Lowering) -> bool:
+    """Return whether the derivative of a small step is traced."""
+    equations = low.equations
+    n, size, stages = low.n, equations.unknowns.size, equations.scheme.stages
+    columns = 2 * n + len(low.varied)
+    few = columns * (size**2 + 2 * stages * n**2) + size**3 / 3 <= MOST_TERMS
+    # the derivatives of linear equations do not depend on the path
+    linear = () if low.varied else (Affine, Linear)
+    known = all(part.columns or isinstance(part, linear) for part in equations.parts)
+    alone = sum(isinstance(part, Routh) for part in equations.parts) < 2
+    return few and known and alone and not equations.plain.held
+
+
+def sizes(low: Lowering, *, by_columns: bool) -> dict[str, Any]:
+    """Return numbers that the sizes of what derivatives of a step have follow from."""
+    if low.equations.varied is None:
+        return {}
+    slopes = [1 + len(_not_zero(low, range(low.n), what)) for _, what in _BLOCKS]
+    places = [len(low.curvatures.places(x)) if low.equations.second else 0 for x in _CURVATURES]
+    return {
+        **dict(zip(("f_slopes", "p_slopes"), slopes, strict=True)),
+        **dict(zip(("curvatures", "point_curvatures"), places, strict=True)),
+        "differentiated": True,
+        "by_columns": by_columns,
+        "costly": low.equations.cost is not None,
+        "second": low.equations.second,
+        "sized": low.sized,
+        "varied": len(low.varied),
+    }
+
+
+def _not_zero(low: Lowering, places: Sequence[int], what: str) -> list[tuple[str, int]]:
+    """List the derivatives that do not vanish: by which parameter, and at which place."""
+    return [
+        (name, s)
+        for name in low.varied
+        for s, a in enumerate(places)
+        if not low.slopes.vanishes(what, a, name)
+    ]

@@ -1,0 +1,122 @@
+"""The whole way from a system to the text of a module, on one page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import lru_cache
+from typing import Any
+
+import sympy as sp
+
+from symsimpson.declare.expression_checks import read_expression
+from symsimpson.declare.plain import Symbols
+from symsimpson.declare.system import MechanicalSystem
+from symsimpson.discrete.equations import discretise
+from symsimpson.discrete.jet import Cost
+from symsimpson.discrete.reductions import read_exploit
+from symsimpson.errors import GenerationError
+from symsimpson.lower.emit import emit
+from symsimpson.lower.emitted_names import NameTable
+from symsimpson.lower.forms import unrolled
+from symsimpson.lower.module_kernels import lower
+from symsimpson.schemes.named import read_scheme
+from symsimpson.schemes.scheme import Scheme
+from symsimpson.support.derivation import LAGRANGIAN, Derivation, collecting, timed
+from symsimpson.support.interpreter import rarely_collected
+
+
+def source(
+    system: MechanicalSystem, scheme: str | Scheme = "simpson", exploit: str | Iterable[str] = "all"
+) -> str:
+    """Generate the text of a module; ``exploit`` names the findings that it makes use of."""
+    return derive(system, scheme, exploit).text
+
+
+def derive(
+    system: MechanicalSystem,
+    scheme: str | Scheme = "simpson",
+    exploit: str | Iterable[str] = "all",
+    varied: Iterable[str] | None = None,
+    running: Any = None,
+    *,
+    second: bool = False,
+) -> Derivation:
+    """Generate the module of a system and a scheme, and say what that took.
+
+    Parameters
+    ----------
+    system, scheme, exploit
+        As for :func:`source`.
+    varied : iterable of str, optional
+        Names of parameters and inputs: a step is then differentiated by these, and by q and p.
+    running : sympy.Expr or LAGRANGIAN, optional
+        A cost that is integrated along the path, in the user's symbols.
+    second : bool
+        Whether rows of a step are to be differentiated twice.
+    """
+    names = None if varied is None else tuple(varied)
+    return _derive(system, read_scheme(scheme), read_exploit(exploit), names, running, second)
+
+
+def _cost(system: MechanicalSystem, running: Any) -> Cost | None:
+    """Read a running cost g(t, q, v, u) in the user's symbols.
+
+    Raises ModelError if it contains something else.
+    """
+    if running is None:
+        return None
+    if isinstance(running, str) and running == LAGRANGIAN:
+        return Cost(system.plain.graph, system.plain.L)
+    symbols = Symbols(system.coordinates, system.parameters, system.inputs)
+    allowed = (*symbols.q, *symbols.v, *symbols.a, *symbols.u, symbols.t)
+    value = read_expression(system.name, "running cost", running, symbols, symbols.known, allowed)
+    return Cost(symbols.graph, value)
+
+
+def _varied(system: MechanicalSystem, names: Iterable[str]) -> tuple[sp.Symbol, ...]:
+    """Return the plain symbols of parameters and inputs, by the user's names or the module's.
+
+    Raises GenerationError if there is no such parameter or input.
+    """
+    plain, table = system.plain, NameTable(system)
+    symbols = (*plain.parameters, *plain.u)
+    users = [str(symbol) for symbol in (*system.parameters, *system.inputs)]
+    by_name = dict(zip((*table.parameters, *table.inputs), symbols, strict=True))
+    by_name = {"h": plain.step[0], "t": plain.t} | by_name | dict(zip(users, symbols, strict=True))
+    by_name |= {"(h)": plain.step[0], "(t)": plain.t}  # whatever parameters are called
+    for name in names:
+        if name not in by_name:
+            raise GenerationError(
+                f"derivatives names {name!r}, which is no parameter or input of {system.name}.\n"
+                f"It has {', '.join(users) or 'none'}, and steps have 'h' and 't'."
+            )
+    return tuple(by_name[name] for name in names)
+
+
+@lru_cache(maxsize=64)
+def _derive(
+    system: MechanicalSystem,
+    scheme: Scheme,
+    exploit: frozenset[str],
+    names: tuple[str, ...] | None,
+    running: Any,
+    second: bool,
+) -> Derivation:
+    varied = None if names is None else _varied(system, names)
+    cost = _cost(system, running)
+    with collecting() as seconds, rarely_collected():
+        # MechanicalSystem, Scheme -> DiscreteEquations -> Module of kernels -> text
+        equations = discretise(system, scheme, exploit, varied, cost, second=second)
+        if not unrolled(equations):  # in loops, forces damp
+            equations = discretise(
+                system, scheme, exploit - {"conformal"}, varied, cost, second=second
+            )
+        before = seconds.get("jet", 0.0)  # where its size is looked at above
+        with timed("text"):
+            module = lower(equations)
+            text = emit(equations, module)
+    jet = seconds.get("jet", 0.0)
+    stages = {**system.seconds, "jet": jet, "text": seconds["text"] - (jet - before)}
+    written_out = unrolled(equations)
+    operations = equations.jet.operations if written_out else None
+    return Derivation(text, stages, operations, written_out)

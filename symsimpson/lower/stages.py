@@ -1,0 +1,293 @@
+"""Kernels that iterate what the nodes of a step have: velocities, forces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import count
+from typing import Any
+
+from symsimpson.lower.expression import Expression
+from symsimpson.lower.ir import (
+    Assign,
+    Call,
+    Function,
+    Kernel,
+    Load,
+    Loop,
+    Row,
+    Section,
+    Statement,
+    Store,
+)
+from symsimpson.lower.levels import Level
+from symsimpson.lower.lower import Lowering
+from symsimpson.lower.specialise import kernel_from_text
+from symsimpson.lower.state_kernels import STATE, begun_pivots, least_pivot
+from symsimpson.lower.storage import node_stride
+from symsimpson.lower.terms_of_l import split_loads
+from symsimpson.lower.traced_parts import TracedPart
+
+#: An iteration with more operations a node than this is not written out.
+MOST_OPERATIONS = 3000
+KERNELS = ("start_stages", "iterate", "advance_stages")
+#: Functions that are traced, and what computes the first half of an iteration.
+TRACED = ("start_velocity", "end_velocity", "stage_force", "stage_velocity", "stage_ahead")
+FIRST = (Level.STEP, Level.ITERATION)
+#: Rows of a node that these read, and tables with a row for each node, by names of their values.
+READ = {"STAGE_STEP": "h_b", "STAGE_RATE": "rate", "STAGE_PLACE": "c_j"}
+TABLES = {"STAGE_MU": "mu_{}", "STAGE_NU": "nu_{}", "STAGE_AHEAD": "ahead_{}"}
+#: An angle of a node, its sine and its cosine, from which later iterations turn them.
+TURNED = ("STAGE_ANGLE", "STAGE_SINE", "STAGE_COSINE")
+#: What depends on forces of other nodes is known late.
+LATE = ("STAGE_NU", "STAGE_F")
+
+
+class _Node(int):
+    """The index of a node, behind all others: functions do the same at all nodes."""
+
+    def __str__(self) -> str:
+        return "j"
+
+
+@dataclass(frozen=True)
+class Stages:
+    """Kernels, functions of the system that they call, and what a module needs for them."""
+
+    kernels: tuple[Kernel, ...] = ()
+    functions: tuple[Function, ...] = ()
+    tables: dict[str, object] = field(default_factory=dict)
+    facts: dict[str, object] = field(default_factory=dict)
+    sizes: dict[str, Any] = field(default_factory=dict)
+
+
+def looped_stages(low: Lowering, known: Mapping[str, object]) -> Stages:
+    """Return the kernels of a large system with a constant M.
+
+    With 60 coordinates that all meet Newton's method takes ten to fifty times as long; but it does
+    not where its matrix is a band, nor where M would have to be factorised at each node (30 coupled
+    pendulums).
+    """
+    return _stages(low, range(low.n), {**known, "TURNED": False})
+
+
+def _stages(
+    low: Lowering,
+    forced: Sequence[int],
+    facts: dict[str, object],
+    functions: tuple[Function, ...] = (),
+    **sizes: Any,
+) -> Stages:
+    """Complete the kernels of a system, of which forces act on coordinates that are ``forced``."""
+    timed, stride = not low.equations.plain.autonomous, node_stride(low.equations.scheme)
+    unforced = tuple(a for a in range(low.n) if a not in forced)
+    facts |= {"UNFORCED": bool(unforced)}
+    return Stages(
+        tuple(kernel_from_text(name, facts) for name in KERNELS),
+        functions,
+        {"STRIDE": stride, "FORCED": tuple(forced), "UNFORCED": unforced},
+        facts,
+        {"staged": stride, "staged_times": timed, **sizes},
+    )
+
+
+def _over_nodes(name: str, doc: str, body: Sequence[Statement], *given: str) -> Function:
+    """Return a function that does this at all nodes; what is the same for all is loaded once."""
+    first, *rest = body
+    outside, inside = split_loads(first)
+    loop = Loop("node", "range(STRIDE if LANES == 1 else NODES)", (*inside, *rest))
+    return Function(name, doc, (*outside, loop), ("W", *(given or ("h", "t")), "lane"))
+
+
+class TracedStages:
+    """Traces what is done at a node."""
+
+    def __init__(self, low: Lowering, known: Mapping[str, object]) -> None:
+        self._low, self._known, self._scales = low, {**known}, len(low.scales)
+        self._stride, self._forced = node_stride(low.equations.scheme), low.template.forced
+        self._node = _Node(low.equations.scheme.stages)
+        self._order = [a for part in low.equations.parts for a in part.mass_order]
+        facts = {"TRACED": True, "CONSTANT_MASS": False, "GYROSCOPIC": False, "PIVOTS": False}
+        stride = self._node + 1
+        tables = {"STRIDE": stride, "INPUT_STRIDE": stride}
+        blocks = {"staged": stride, "stride": stride, "staged_times": True}
+        self._part = TracedPart(low, self._order, TRACED, {**known, **facts}, tables, blocks)
+        self._rows = self._symbols()
+
+    def stages(self) -> Stages | None:
+        """Return the kernels of a small system; None if those of a node would be too long."""
+        low, h, t = self._low, self._low.h, self._low.t
+        start, end = self._velocity("start_velocity", t), self._velocity("end_velocity", h, t)
+        self._run("stage_force", h, t, self._node)
+        forces = self._stores("STAGE_F", "dp_{}_j", self._forced, "forces")
+        self._trace("stage_velocity", h, t, self._node)
+        moves = self._stores("STAGE_V", "dq_{}_new", range(low.n), "velocities")
+        for block, name in (("STAGE_CORRECTION", "correction"), ("STAGE_SIZE", "size")):
+            value = low.graph.define(name, self._part.row(block, self._node), "velocities")
+            moves.append(Store(self._row(block), value))
+        pivot = self._row("STAGE_PIVOT")
+        forces += least_pivot(low, self._pivots(), pivot, "velocities", self._scales)
+        reached = [low.graph.definitions[s] for s in low.needed([*forces, *moves], Level)]
+        if sum(definition.operations for definition in reached) > MOST_OPERATIONS:
+            return None
+        early = [s for s in low.needed(moves, (Level.LATE,)) if s not in low.rows]
+        between = [s for s in early if Level.RUN < low.graph.level(s) < Level.LATE]
+        rows = {s: self._row("STAGE_HELD", k) for k, s in enumerate(between)}
+        opening = low.statements([*forces, *(Store(rows[s], s) for s in between)], FIRST)
+        low.rows |= rows
+        closing = low.statements(moves, (Level.LATE,))
+        for symbol in between:
+            del low.rows[symbol]
+        kept, turned, angles = self._turning(opening)
+        functions = [
+            Function("start_velocity", "Find the velocity at (q, p).", start, ("W", "t", "lane")),
+            _over_nodes("stage_forces", "Find forces at all nodes.", kept),
+            _over_nodes("stage_velocities", "Find velocities at all nodes.", closing),
+            self._ahead(),
+        ]
+        if angles:
+            doc = "Find forces, with sines and cosines turned by what angles change."
+            functions.append(_over_nodes("turned_forces", doc, turned))
+        if len(self._forced) < low.n:
+            doc = "Find the velocity at q1 of coordinates without a force."
+            functions.append(Function("end_velocity", doc, end, ("W", "h", "t", "lane")))
+        facts = {"PIVOTS": len(low.scales) > self._scales, "TURNED": angles > 0}
+        sizes = {"staged_values": len(between), "angles": angles}
+        return _stages(low, self._forced, {**self._known, **facts}, tuple(functions), **sizes)
+
+    def _velocity(self, function: str, *times: Expression) -> tuple[Statement, ...]:
+        """Find the velocity at the start of a run, or at q1 that of cyclic coordinates."""
+        low, at_start = self._low, function == "start_velocity"
+        self._run(function, *times)
+        stores = [
+            Store(Row(block, a), self._part.row(block, s))
+            for s, a in enumerate(self._order)
+            for block in ("VELOCITY", "MASS_DIAGONAL")
+            if at_start or a not in self._forced
+        ]
+        if at_start:
+            stores += begun_pivots(low, self._pivots(), "velocity", self._scales)
+        return low.statements(stores, STATE)
+
+    def _ahead(self) -> Function:
+        """Extrapolate to the nodes of the next step."""
+        self._run("stage_ahead", 0, self._node)
+        moves = self._stores("STAGE_Q", "dq_{}_ahead", range(self._low.n), "extrapolation")
+        moves = [Store(Row("STAGE_V", store.row.index), store.value) for store in moves]
+        lines = self._low.statements(moves, FIRST)
+        return _over_nodes("extrapolate_stages", "Begin the next step.", lines, "smooth")
+
+    def _run(self, function: str, *arguments: Any) -> None:
+        """Trace a function, at nodes whose rows hold symbols."""
+        self._part.begin()
+        for block, values in self._rows.items():
+            self._part.hold(block, values)
+        self._trace(function, *arguments)
+
+    def _trace(self, function: str, *arguments: Any) -> None:
+        """Trace a function; sums that wait for nothing stay apart from others."""
+        before = set(self._low.graph.passing)
+        self._part.trace.run(function, *arguments, 0)
+        self._low.graph.passing &= before
+
+    def _symbols(self) -> dict[str, list[Any]]:
+        """Return what rows of nodes hold in a trace, by blocks; the node at hand is the last."""
+        names, others = self._low.names, [0] * self._node
+        every, order = (*range(self._node), self._node), self._order
+
+        def at_hand(block: str, hints: Iterable[str]) -> list[Any]:
+            values = [self._symbol(block, k, hint, self._node) for k, hint in enumerate(hints)]
+            return [x for value in values for x in (*others, value)]
+
+        def of_all(block: str, hint: str) -> list[Any]:
+            hints = [hint.format(q) for q in names.coordinates]
+            return [self._symbol(block, a, f"{hints[a]}_{j!s}", j) for a in order for j in every]
+
+        rows = {block: at_hand(block, [hint]) for block, hint in READ.items()}
+        for block, hint in TABLES.items():
+            rows[block] = at_hand(block, [hint.format(j) for j in range(self._node)])
+        rows["INPUT"] = at_hand("INPUT", [f"{u}_j" for u in names.inputs])
+        return {
+            **rows,
+            "STAGE_V": of_all("STAGE_V", "dq_{}"),
+            "STAGE_F": of_all("STAGE_F", "dp_{}"),
+        }
+
+    def _symbol(self, block: str, k: int, hint: str, node: int) -> Any:
+        """Return a new symbol for the kth value of a node in a block; 0 where there is no force."""
+        if block == "STAGE_F" and (node == self._node or k not in self._forced):
+            return 0
+        level = Level.LATE if block in LATE else Level.ITERATION
+        symbol = self._low.graph.fresh(hint, level)
+        self._low.rows[symbol] = self._row(block, k, node)
+        return symbol
+
+    def _row(self, block: str, k: int = 0, node: int | None = None) -> Row:
+        """Return the row of the kth value of a node in a block, by default of that at hand."""
+        if node is not None and node < self._node:
+            return Row(block, k * self._stride + node)
+        table = ["smooth"] if block == "STAGE_AHEAD" else []
+        return Row(block, " + ".join([*table, *([str(k * self._stride)] if k else []), "node"]))
+
+    def _stores(
+        self, block: str, hint: str, coordinates: Iterable[int], section: str
+    ) -> list[Store]:
+        """Store what rows of the node hold, one for each of these coordinates."""
+        stores = []
+        for a in coordinates:
+            first = self._order.index(a) * (self._node + 1)
+            name = hint.format(self._low.names.coordinates[a])
+            value = self._part.row(block, first + self._node)
+            stores.append(Store(self._row(block, a), self._low.graph.define(name, value, section)))
+        return stores
+
+    def _pivots(self) -> list[Expression]:
+        """Return the pivots of M at the point at hand."""
+        n = self._low.n
+        return [self._part.row("NODE_L_VV", s * n + s) for s in range(n)]
+
+    def _turning(self, body: Iterable[Statement]) -> tuple[list[Statement], list[Statement], int]:
+        """Return statements that keep sines and cosines, others that turn these, and their number.
+
+        The latter turn them by what angles have changed since, and store how far.
+        """
+        fresh = self._low.graph.fresh
+        numbers, changes = count(), list[Expression]()
+
+        def keep(call: Call) -> list[Statement]:
+            number, (angle,) = next(numbers), call.values
+            rows = (self._row(block, number) for block in TURNED)
+            return [call, *map(Store, rows, (angle, *call.results))]
+
+        def turn(call: Call) -> list[Statement]:
+            (angle,) = call.values
+            hints = ("angle_before", "sine_before", "cosine_before", "turn")
+            *before, change = (fresh(hint, Level.ITERATION) for hint in hints)
+            rows = (self._row(block, len(changes)) for block in TURNED)
+            loads = [*map(Load, before, rows)]
+            changes.append(change)
+            turned = Call("turned", (*before[1:], change), call.results)
+            return [*loads, Assign(change, angle - before[0]), turned]
+
+        kept, turned = _with_angles(body, keep), _with_angles(body, turn)
+        if changes:
+            squares = self._low.graph.total(change**2 for change in changes)
+            turned.append(Store(Row("STAGE_TURN", "node"), squares))
+        return kept, turned, len(changes)
+
+
+def _with_angles(
+    body: Iterable[Statement], rewrite: Callable[[Call], list[Statement]]
+) -> list[Statement]:
+    """Return statements in which others stand for the calls that give a sine and a cosine."""
+    statements: list[Statement] = []
+    for statement in body:
+        match statement:
+            case Section():
+                inner = tuple(_with_angles(statement.body, rewrite))
+                statements.append(replace(statement, body=inner))
+            case Call("sincos"):
+                statements += rewrite(statement)
+            case _:
+                statements.append(statement)
+    return statements

@@ -1,1 +1,0 @@
-"""The contract of generated modules: their blocks of rows, their definitions, their arithmetic."""

@@ -1,0 +1,321 @@
+"""The request for an ensemble, read once, as tasks with arrays for their results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from symsimpson.errors import InputError
+from symsimpson.program.configuration import available_threads, lanes_for
+from symsimpson.program.input_values import read_array, read_parameters, whole_number
+from symsimpson.program.numbers import FLOAT64
+from symsimpson.program.observed import read_reductions
+from symsimpson.program.program import Program
+from symsimpson.program.recorders import Recorder, split, with_clock
+from symsimpson.program.status import Status
+from symsimpson.results.records import Record
+from symsimpson.run.ensemble.ensemble import Ensemble
+from symsimpson.stepping.constrained_start import project_start
+from symsimpson.stepping.driving import driven, read_driving
+from symsimpson.stepping.inputs import read_every, read_given, read_times, step_taken
+from symsimpson.stepping.recording import read_record, recorders_of
+from symsimpson.stepping.request import Request
+from symsimpson.stepping.run_events import check_variations, read_run_events
+from symsimpson.stepping.spec import RunSpec
+from symsimpson.stepping.variations import read_tangents
+from symsimpson.support.array_types import Floats, Ints
+from symsimpson.support.names import by_name
+from symsimpson.text.header import Header
+from symsimpson.text.interface import MET
+
+
+@dataclass(frozen=True)
+class Task(RunSpec):
+    """The task of an ensemble, checked; arrays have a row for each member."""
+
+    threads: int
+    progress: bool | None
+    lanes: int
+    retimed: bool = False
+
+    @property
+    def members(self) -> int:
+        """Number of members."""
+        return len(self.q0)
+
+    def inputs_of(self, member: Any) -> Floats | None:
+        """Return the inputs of a member as a run of its own takes them."""
+        inputs = self.inputs[min(member, len(self.inputs) - 1)]
+        return np.broadcast_to(inputs, (self.steps, *inputs.shape[1:])) if inputs.size else None
+
+    def of_member(self, member: Any, program: Program, **more: Any) -> Request:
+        """Return how a run of one member is asked for."""
+        names, header = program.parameters, program.header
+        values = dict(zip(names, self.parameters[member], strict=True))
+        return Request(
+            self.q0[member],
+            **{self.given: self.other0[member]},
+            h=self.h,
+            t_end=self.t_end,
+            steps=self.steps if self.t_end is None else None,
+            t0=self.t0,
+            parameters={name: values[name] for name in names if name not in header.from_start},
+            inputs=self.inputs_of(member),
+            events=self.run_events,
+            **more,
+        )
+
+    def recorded(self, header: Header) -> tuple[Recorder, ...]:
+        """Return the recorders that leave numbers beside each state, in their order."""
+        count = None if self.tangents is None else self.tangents.shape[1]
+        return with_clock(header, recorders_of(header, count, self.record, ()))
+
+    @property
+    def of_variations(self) -> bool:
+        """Whether variations of the motions are asked for."""
+        return any(r.of_variations for r in self.reductions)
+
+    @property
+    def times(self) -> Floats:
+        """Times of the stored states."""
+        stride, first = (self.every, 0) if self.every else (self.steps, 1)
+        count = np.arange(first, self.stored + first, dtype=np.float64)
+        return self.t0 + self.h * (count * stride)  # rounded as those of single runs are
+
+    def part(self, members: slice | Ints) -> Task:
+        """Return the task of some of the members."""
+        return replace(
+            self,
+            q0=np.ascontiguousarray(self.q0[members]),
+            other0=np.ascontiguousarray(self.other0[members]),
+            parameters=np.ascontiguousarray(self.parameters[members]),
+            inputs=self.inputs if len(self.inputs) == 1 else self.inputs[members],
+        )
+
+
+class Results:
+    """Arrays that threads fill, each its own rows; until then members count as interrupted."""
+
+    def __init__(self, task: Task, header: Header) -> None:
+        shape, self._recorders = (task.members, task.stored, header.n), task.recorded(header)
+        self.q, self.p = np.full(shape, np.nan), np.full(shape, np.nan)
+        # status, steps, iterations
+        self.codes = np.zeros((task.members, 3), dtype=np.int64)
+        self.codes[:, 0] = Status.INTERRUPTED
+        self.recorded = np.full(
+            (*shape[:2], sum(recorder.rows for recorder in self._recorders)), np.nan
+        )
+        #: Of a step that was taken last, in tau.
+        self.part = np.zeros(task.members)
+        #: When members came to their ends, where they are known to be run by themselves.
+        self.ended_at = np.full(task.members, np.nan)
+        #: Pairs of numbers of reductions; how small pivots of M were.
+        self.seen = np.full((task.members, 2 * len(task.reductions) + 1), np.nan)
+        #: What events did, by member.
+        self.records = dict[int, tuple[Record, ...]]()
+        self._task = task
+
+    def columns(self) -> dict[str, Any]:
+        """Return the arrays as an ensemble has them."""
+        task = self._task
+        status, steps, iterations = (column.copy() for column in self.codes.T)
+        status[status == MET] = Status.INTERRUPTED  # before it was run by itself
+        q, p = (self.q, self.p) if task.every else (self.q[:, 0], self.p[:, 0])
+        reduced = {r.name: self.seen[:, 2 * k] for k, r in enumerate(task.reductions)}
+        columns: dict[str, Any] = {
+            "q": q,
+            "p": p,
+            "status": status,
+            "steps": steps,
+            "newton_iterations": iterations,
+            "reduced": reduced,
+            "small_pivots": self.seen[:, -1],
+        }
+        recorded = self.recorded if task.every else self.recorded[:, 0]
+        columns["variations"], columns["recorded"] = split(self._recorders, recorded, q.shape[-1])
+        if task.run_events is not None:
+            whole_steps = task.t0 + task.h * steps
+            columns |= {"records": self.records, "event_names": task.run_events.names}
+            columns["ended_at"] = np.where(np.isnan(self.ended_at), whole_steps, self.ended_at)
+            if not task.every and not task.retimed:
+                columns["t"] = columns["ended_at"]
+        if task.retimed:
+            whole = task.every * np.arange(task.stored) if task.every else steps
+            t = recorded[..., 0]  # the clock is the first of recorders
+            tau = task.h * whole + (0 if task.every else self.part)
+            columns |= {"t": t, "tau": np.where(np.isfinite(t), tau, np.nan)}
+        return columns
+
+
+def ensemble_of(program: Program, task: Task, **columns: Any) -> Ensemble:
+    """Return what a task came to as an ensemble, with what it was asked for."""
+    if "t" not in columns:
+        columns["t"] = task.times
+    return Ensemble(
+        parameters=dict(zip(program.parameters, task.parameters.T, strict=True)),
+        initial={"q0": task.q0, task.given: task.other0},
+        program=program,
+        driven=driven(task.inputs, task.t0, task.h, task.steps),
+        _ahead=1.0 if task.h > 0 else -1.0,
+        note=task.note,
+        **columns,
+    )
+
+
+MOST_THREADS = 1024
+
+
+def read_task(
+    program: Program, request: Request, threads: int | None, progress: bool | None, *, on_disk: bool
+) -> Task:
+    """Read the arguments of ``ensemble``.
+
+    Raises InputError if they make no sense, or what is to be stored does not fit into memory.
+    """
+    if not program.numbers.compiled:
+        raise InputError(
+            "an ensemble runs in double precision, and this stepper has another precision.\n"
+            "Compile one without precision."
+        )
+    retimed = program.header.retimed
+    h, count, t0, end = read_times(request, FLOAT64, retimed=retimed)
+    how = "Pass initial velocities v0=... or initial momenta p0=..., of shape (K, n)."
+    second, other0 = read_given("an ensemble", how, request)
+    names = ("q0", second)
+    pairs = zip(names, (request.q0, other0), strict=True)
+    states = [_states(name, given, program) for name, given in pairs]
+    columns = _parameters(program, request.parameters, (request.events, request.reduce))
+    sizes = {name: len(rows) for name, rows in zip(names, states, strict=True) if rows.ndim == 2}
+    sizes |= {f"parameter {name}": x.size for name, x in columns.items() if x.ndim == 1}
+    driving = read_driving(program, request.inputs, h, count, t0, max(sizes.values(), default=1))
+    sizes |= {"inputs": len(driving)} if len(driving) > 1 else {}
+    members = max(sizes.values(), default=1)
+    for name, size in sizes.items():
+        if size != members:
+            raise InputError(
+                f"{name} has {size} members, another argument has {members}.\n"
+                "Give each argument one row for each member, or one for all."
+            )
+    stride, run_events = read_every(request.every), read_run_events(program, request)
+    reductions = read_reductions(program, request.reduce, run_events.names if run_events else ())
+    if run_events is not None and request.varied:
+        check_variations(program, driving)
+    workers = _threads(threads)
+    lanes = lanes_for(program.header.rows, members)
+    stored = count // stride + 1 if stride and end is None else 1
+    try:
+        values = np.empty((members, len(program.parameters)))
+        shape = (members, program.n)
+        q, other = (np.array(np.broadcast_to(x, shape), order="C") for x in states)
+        room = lanes if on_disk else members
+        np.empty((2, room, stored, program.n))  # is there room?
+    except (MemoryError, ValueError):
+        raise InputError(
+            f"{members} members with the states that every={request.every!r} stores do not fit "
+            "into memory.\nStore fewer: every=1000, or every=None for the last states only; or let "
+            "them go to disk: store='folder'."
+        ) from None
+    for k, name in enumerate(program.parameters):
+        values[:, k] = columns[name]
+    q, other = project_start(program, q, other, second, values, t0)
+    tangents = None
+    if request.carried is not None:  # behind them those of what is varied, which begin at 0
+        varied = len(program.header.varied_by or ())
+        tangents = np.pad(read_tangents(program, request.carried), ((0, 0), (0, varied)))
+    return Task(
+        q,
+        other,
+        second,
+        values,
+        h,
+        t0,
+        count,
+        stride,
+        driving,
+        workers,
+        progress,
+        lanes,
+        retimed,
+        tangents=tangents,
+        t_end=end,
+        record=read_record(program, request.record),
+        reductions=reductions,
+        run_events=run_events,
+        note=step_taken(request, h, count, FLOAT64),
+    )
+
+
+def _states(name: str, value: Any, program: Program) -> Floats:
+    names, value = program.names.coordinates, by_name(value)
+    if isinstance(value, Mapping):
+        rows = names.in_order(name, value)
+        columns = [
+            read_array(f"{name} of {q}", x, FLOAT64) for q, x in zip(names.shown, rows, strict=True)
+        ]
+        try:
+            value = np.stack(np.broadcast_arrays(*columns), axis=-1)
+        except ValueError:
+            sizes = ", ".join(f"{q} {x.shape}" for q, x in zip(names.shown, columns, strict=True))
+            raise InputError(
+                f"{name} has columns of different shapes: {sizes}.\n"
+                "Give each coordinate one number, or one for each member."
+            ) from None
+    states = read_array(name, value, FLOAT64)
+    n = len(names)
+    if states.ndim not in (1, 2) or states.shape[-1] != n or states.size == 0:
+        raise InputError(
+            f"{name} has shape {states.shape}, expected (K, {n}) or ({n},): one row for each "
+            f"member with a number for each of {', '.join(names.shown)}.\n"
+            "A single coordinate needs a column: x[:, None]."
+        )
+    if not np.isfinite(states).all():
+        row = int(np.argmin(np.isfinite(np.atleast_2d(states)).all(axis=1)))
+        raise InputError(
+            f"{name} is not finite for member {row}.\n"
+            "A run must begin at a finite state. Look where the number comes from."
+        )
+    return states
+
+
+def _parameters(
+    program: Program, given: Mapping[Any, Any] | None, beside: Any
+) -> dict[str, Floats]:
+    """Read parameter values, one or K of each."""
+    program.check_given(given)
+    names = program.names.parameters
+    columns = dict(zip(names.shown, (np.asarray(x) for x in program.defaults), strict=True))
+    if given is not None and not isinstance(given, Mapping):
+        raise InputError(
+            f"parameters is {type(given).__name__}, not a mapping.\nPass parameters={{'m': 1.0}}."
+        )
+    for place, value in names.by_place(given or {}).items():
+        key = names.shown[place]
+        column = read_array(f"parameter {key}", value, FLOAT64)
+        if column.ndim > 1 or column.size == 0:
+            raise InputError(
+                f"parameter {key} has shape {column.shape}, expected () or (K,).\n"
+                "Pass one number, or one for each member."
+            )
+        for extreme in (column.min(), column.max()):  # signs and names, as for a single run
+            read_parameters(names, program.header.signs, program.defaults, {key: extreme}, FLOAT64)
+        columns[key] = column
+    if program.names.idle:
+        places = enumerate(zip(columns.values(), program.defaults, strict=True))
+        changed = [i for i, (x, default) in places if (x != default).any()]
+        program.names.warn_of_idle(program.system, changed, beside)
+    return columns
+
+
+def _threads(threads: int | None) -> int:
+    if threads is None:
+        return available_threads()
+    number = whole_number(threads) or 0
+    if not 1 <= number <= MOST_THREADS:
+        raise InputError(
+            f"threads is {threads!r}, not a whole number from 1 to {MOST_THREADS}.\n"
+            "Leave it out to use all processors."
+        )
+    return number

@@ -1,0 +1,1 @@
+"""Studies of systems and steppers: certificates, optimal control, comparisons."""

@@ -1,0 +1,399 @@
+"""Programs that solve a problem, each to accuracies that can be chosen: our schemes and others.
+
+Solvers that call a right-hand side get one that numba compiled; what compiles itself does so before
+the clock starts.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import mul
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+import sympy as sp
+
+from symsimpson.api.compiling import compile as compile_system
+from symsimpson.declare.retimed import RetimedSystem
+from symsimpson.errors import InputError
+from symsimpson.reference import FirstOrder
+from symsimpson.reference.runge_kutta import compiled_rates, compiled_rk4
+from symsimpson.run.ended import uninterrupted
+from symsimpson.schemes.scheme import Scheme
+from symsimpson.study.analysis.stability.frequency import largest_frequency
+from symsimpson.study.bench.benchmark_problem import Problem
+from symsimpson.study.bench.dop853 import PIECE, make_dop853
+from symsimpson.support.array_types import Floats
+from symsimpson.support.names import in_a_row
+
+#: What a contender makes of a choice.
+Made = TypeVar("Made")
+
+#: Tolerances from coarse to fine.
+TOLERANCES = tuple(10.0 ** (-k / 2) for k in range(2, 31))
+COARSE = TOLERANCES[::2]
+#: Steps begin at this, times the fastest oscillation at the start.
+COARSEST = 8.0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The state at the end of one run, and the work that it took."""
+
+    q: Floats
+    p: Floats
+    evaluations: int
+
+
+@dataclass(frozen=True)
+class Contender(Generic[Made]):
+    """A program that solves a problem to an accuracy that can be chosen."""
+
+    name: str
+    what: str
+    choices: Sequence[float]  #: From coarse to fine; ``what`` says of what.
+    make: Callable[[float], Made]  #: Gives for a choice what runs it.
+
+
+#: A function without arguments that runs, and one that reads the outcome of what it returns.
+Runnable = tuple[Callable[[], Any], Callable[[Any], Outcome]]
+
+
+def numbers_of_steps(problem: Problem) -> list[int]:
+    """Return numbers of steps from coarse to fine; none leaves out an oscillation."""
+    values = problem.system.parameters.values()
+    turns = problem.t_end * largest_frequency(problem.system, problem.q0, values) / COARSEST
+    least = max(4, round(problem.t_end / 2), round(turns))
+    return [round(least * 2 ** (k / 4)) for k in range(80)]
+
+
+def alternate(jobs: Mapping[str, Callable[[], Any]], rounds: int) -> dict[str, list[float]]:
+    """Return seconds of jobs that run in turns: what disturbs the machine disturbs all of them."""
+    times: dict[str, list[float]] = {name: [] for name in jobs}
+    for _ in range(rounds):
+        for name, job in jobs.items():
+            begin = time.perf_counter()
+            job()
+            times[name].append(time.perf_counter() - begin)
+    return times
+
+
+def ours(
+    problem: Problem, scheme: str | Scheme, retimed: RetimedSystem | None = None
+) -> Contender[Runnable]:
+    """Return one of our schemes; it counts Newton iterations.
+
+    In the time of a retimed system, choices are numbers of steps as long as the first.
+    """
+    stepper = compile_system(retimed or problem.system, scheme)
+
+    def make(steps: float) -> Runnable:
+        count = int(steps)
+        h = problem.t_end / count
+        length = {"steps": count} if retimed is None else {"t_end": problem.t_end}
+
+        def run() -> Any:
+            start: dict[str, Any] = {"q0": problem.q0, "p0": problem.p0, "h": h, **length}
+            return uninterrupted(stepper.integrate(**start, every=None, on_failure="return"))
+
+        def read(trajectory: Any) -> Outcome:
+            failed = np.full(stepper.n, np.nan)
+            q, p = (trajectory.q[0], trajectory.p[0]) if trajectory.success else (failed, failed)
+            return Outcome(q, p, int(trajectory.newton_iterations.sum()))
+
+        return run, read
+
+    name, choices = stepper.scheme, numbers_of_steps(problem)
+    if retimed is not None:  # these adapt: fewer are enough
+        coarse = [round(choices[0] * 2 ** (k / 4)) for k in range(-8, 0)]
+        name, choices = f"{name} retimed", [count for count in coarse if count >= 4] + choices
+    return Contender(name, "steps", choices, make)
+
+
+#: A run of heyoka takes no more steps than this.
+MOST_STEPS = 200_000
+
+
+def _compiled(problem: Problem) -> tuple[Any, Floats, Floats, int]:
+    """Return the compiled right-hand side, parameters, the initial state and n."""
+    equations = problem.canonical
+    parameters = np.array(equations.values(None), dtype=np.float64)
+    start = np.array(equations.state(problem.q0, problem.p0))
+    return compiled_rates(equations), parameters, start, problem.system.n
+
+
+def _runge_kutta(problem: Problem) -> Iterator[Contender[Runnable]]:
+    """Explicit methods of our own, compiled with the right-hand side."""
+    rates, parameters, start, n = _compiled(problem)
+
+    def making(solve: Callable[[Floats, float], int]) -> Any:
+        def make(choice: float) -> Runnable:
+            def run() -> Any:
+                y = start.copy()
+                return y, solve(y, choice)
+
+            return run, lambda result: Outcome(result[0][:n], result[0][n : 2 * n], result[1])
+
+        return make
+
+    rk4, dop853 = compiled_rk4(problem.canonical), make_dop853(rates)
+    kept = np.empty((2, start.size))
+
+    def fixed(y: Floats, steps: float) -> int:
+        count = int(steps)
+        for first in range(0, count, PIECE):
+            some = min(PIECE, count - first)
+            rk4(y, parameters, problem.t_end / count, some, some, kept)
+        return 4 * count
+
+    def adaptive(y: Floats, tolerance: float) -> int:
+        progress = np.zeros(4)
+        while not (done := dop853(y, parameters, problem.t_end, tolerance, progress)):
+            pass
+        return int(done)
+
+    yield Contender("rk4", "steps", numbers_of_steps(problem), making(fixed))
+    yield Contender("dop853", "tolerance", TOLERANCES, making(adaptive))
+
+
+def _scipy(problem: Problem) -> Iterator[Contender[Runnable]]:
+    """SciPy's solvers with a compiled right-hand side."""
+    from scipy.integrate import solve_ivp
+
+    rates, parameters, start, n = _compiled(problem)
+
+    def right(t: float, y: Floats) -> Floats:
+        out = np.empty_like(y)
+        rates(y, parameters, out)
+        return out
+
+    for method in ("DOP853", "LSODA", "Radau"):
+
+        def make(tolerance: float, method: str = method) -> Runnable:
+            def run() -> Any:
+                return solve_ivp(
+                    right,
+                    (0.0, problem.t_end),
+                    start,
+                    method=method,
+                    rtol=max(tolerance, 2.3e-14),
+                    atol=tolerance,
+                )
+
+            def read(solution: Any) -> Outcome:
+                end = solution.y[:, -1] if solution.success else np.full(2 * n, np.nan)
+                return Outcome(end[:n], end[n : 2 * n], int(solution.nfev))
+
+            return run, read
+
+        choices = COARSE[:5] if method == "Radau" else COARSE  # of order five: too slow beyond
+        yield Contender(f"scipy {method}", "tolerance", choices, make)
+
+
+def _heyoka(problem: Problem) -> Iterator[Contender[Runnable]]:
+    """The Taylor method of heyoka, in both forms of the equations and both modes of compilation."""
+    import heyoka as hy
+
+    stepper, n = compile_system(problem.system, "simpson"), problem.system.n
+    # its tolerance is one for all variables: they are scaled where they differ by orders
+    units = problem.scale if np.ptp(np.log10(problem.scale)) > 2 else np.ones(2 * n)
+    forms = (
+        ("q, p", problem.canonical, problem.p0, units, lambda q, p: p),
+        (
+            "q, v",
+            problem.second_order,
+            problem.v0,
+            np.ones(2 * n),
+            lambda q, v: problem.momentum(stepper, q, v),
+        ),
+    )
+    for form, equations, other, scale, momentum in forms:
+        scale = np.array([*scale, *np.ones(len(equations.unknowns) - 2 * n)])
+        written = in_heyoka(hy, equations, scale)
+        start = np.array(equations.state(problem.q0, other)) / scale
+        for mode in ("", " compact"):
+
+            def make(
+                tolerance: float,
+                written: Any = written,
+                start: Floats = start,
+                compact: bool = bool(mode),
+                momentum: Callable[..., Any] = momentum,
+                scale: Floats = scale,
+            ) -> Runnable:
+                integrator = hy.taylor_adaptive(
+                    written, start.tolist(), tol=max(tolerance, 2.3e-16), compact_mode=compact
+                )
+
+                def run() -> Any:
+                    integrator.time = 0.0
+                    integrator.state[:] = start
+                    steps, limit = 0, hy.taylor_outcome.step_limit
+                    while steps < MOST_STEPS:
+                        outcome, *_, taken = integrator.propagate_until(
+                            problem.t_end, max_steps=PIECE
+                        )[:4]
+                        steps += taken
+                        if outcome != limit:
+                            break
+                    return steps
+
+                def read(steps: Any) -> Outcome:
+                    q, second = np.split((integrator.state * scale)[: 2 * n], 2)
+                    return Outcome(q, momentum(q, second), int(steps))
+
+                return run, read
+
+            yield Contender(f"heyoka{mode} ({form})", "tolerance", TOLERANCES, make)
+
+
+def in_heyoka(hy: Any, equations: FirstOrder, scale: Floats | None = None) -> list[tuple[Any, Any]]:
+    """Write y' = f(y) in heyoka's expressions, parameters as numbers, y in units of ``scale``."""
+    variables = [hy.make_vars(f"y_{i}") for i in range(len(equations.unknowns))]
+    units = [1.0] * len(variables) if scale is None else [float(x) for x in scale]
+    known: dict[Any, Any] = {
+        symbol: variable if unit == 1.0 else variable * unit
+        for symbol, variable, unit in zip(equations.unknowns, variables, units, strict=True)
+    }
+    known |= {symbol: hy.expression(float(value)) for symbol, value in equations.parameters.items()}
+
+    def written(value: sp.Expr) -> Any:
+        # heyoka reads no fractions that are not exact in binary
+        inexact = {x: sp.Float(x, 17) for x in value.atoms(sp.Rational) if x.q & (x.q - 1)}
+        value = value.xreplace(inexact)
+        # powers above the second in heyoka divide by their base, which may be zero
+        for power in sorted(value.atoms(sp.Pow), key=sp.count_ops):
+            if power not in named and power.exp.is_Integer and power.exp > 2:
+                base = hy.from_sympy(power.base.xreplace(named), known)
+                named[power] = sp.Dummy()
+                known[named[power]] = reduce(mul, [base] * int(power.exp))
+        return hy.from_sympy(value.xreplace(named), known)
+
+    named: dict[sp.Basic, sp.Basic] = {}
+    for symbol, value in equations.definitions:
+        known[symbol] = written(value)
+    rates = [written(rate) for rate in equations.rates]
+    rates = [rate if unit == 1.0 else rate / unit for rate, unit in zip(rates, units, strict=True)]
+    return list(zip(variables, rates, strict=True))
+
+
+def _numbalsoda(problem: Problem) -> Iterator[Contender[Runnable]]:
+    """The compiled LSODA and DOP853 of numbalsoda, with a compiled right-hand side."""
+    import numbalsoda
+    from numba import carray, cfunc  # type: ignore[attr-defined]
+
+    rates, parameters, start, n = _compiled(problem)
+    size, count = len(start), len(parameters)
+
+    @cfunc(numbalsoda.lsoda_sig)
+    def right(t, y, out, data):  # type: ignore[no-untyped-def]  # numba infers them
+        known = carray(data, (count + 1,))
+        known[count] += 1.0
+        rates(carray(y, (size,)), known, carray(out, (size,)))
+
+    address = right.address
+    times = np.array([0.0, problem.t_end])
+    for method in ("lsoda", "dop853"):
+        solve = getattr(numbalsoda, method)
+
+        def make(tolerance: float, solve: Any = solve) -> Runnable:
+            def run() -> Any:
+                data = np.array([*parameters, 0.0])
+                states, success = solve(
+                    address, start, times, data, max(tolerance, 1e-13), tolerance
+                )
+                return states[-1] if success else np.full(size, np.nan), data[count]
+
+            return run, lambda result: Outcome(result[0][:n], result[0][n : 2 * n], int(result[1]))
+
+        yield Contender(f"numbalsoda {method}", "tolerance", COARSE, make)
+
+
+def _diffrax(problem: Problem) -> Iterator[Contender[Runnable]]:
+    """The explicit method of order eight of diffrax, compiled once for all tolerances."""
+    import diffrax
+    import jax
+
+    rates, n = problem.canonical.function("jax"), problem.system.n
+    values = problem.canonical.values(None)
+    start = np.array(problem.canonical.state(problem.q0, problem.p0))
+
+    def solve(y: Any, tolerance: Any) -> Any:
+        term = diffrax.ODETerm(lambda t, y, _: jax.numpy.stack(rates(*y, *values)))
+        return diffrax.diffeqsolve(
+            term,
+            diffrax.Dopri8(),
+            0.0,
+            problem.t_end,
+            None,
+            y,
+            stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
+            saveat=diffrax.SaveAt(t1=True),
+            max_steps=None,
+            throw=False,
+            adjoint=diffrax.ForwardMode(),
+        )
+
+    with jax.enable_x64(True):
+        compiled = jax.jit(solve).lower(start, 1.0).compile()
+
+    def make(tolerance: float) -> Runnable:
+        with jax.enable_x64(True):
+            given = jax.numpy.asarray(start), jax.numpy.asarray(tolerance)
+
+        def run() -> Any:
+            solution = compiled(*given)
+            solution.ys.block_until_ready()
+            return solution
+
+        def read(solution: Any) -> Outcome:
+            end = np.asarray(solution.ys)[0]
+            return Outcome(end[:n], end[n : 2 * n], 13 * int(solution.stats["num_steps"]))
+
+        return run, read
+
+    yield Contender("diffrax Dopri8", "tolerance", COARSE, make)
+
+
+#: Other programs by name.
+PROGRAMS: dict[str, Callable[[Problem], Iterator[Contender[Runnable]]]] = {
+    "runge-kutta": _runge_kutta,
+    "scipy": _scipy,
+    "heyoka": _heyoka,
+    "numbalsoda": _numbalsoda,
+    "diffrax": _diffrax,
+}
+
+
+def read_peers(names: Any) -> list[str]:
+    """Return names of other programs, of which there are such; raises InputError."""
+    if names == "installed":
+        return list(PROGRAMS)
+    wanted = list(in_a_row(names))
+    for name in wanted:
+        if name not in PROGRAMS:
+            raise InputError(
+                f"there is no peer {name!r}.\nThere are {', '.join(PROGRAMS)}; () is none of them."
+            )
+    return wanted
+
+
+def peers(
+    problem: Problem, names: str | Sequence[str] = "installed"
+) -> Iterator[Contender[Runnable]]:
+    """Return the other programs: those named, or all that are installed.
+
+    Raises InputError if one is unknown, or named and not installed.
+    """
+    for name in read_peers(names):
+        try:
+            yield from PROGRAMS[name](problem)
+        except ImportError as error:
+            if names != "installed":
+                raise InputError(
+                    f"the peer {name!r} is not installed: {error}.\n"
+                    "Install it with pip install 'symsimpson[bench]', or leave it out."
+                ) from None

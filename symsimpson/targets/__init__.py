@@ -1,0 +1,1 @@
+"""What runs a kernel: LLVM, Python in many digits, C."""

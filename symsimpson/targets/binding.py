@@ -1,0 +1,224 @@
+"""Run a module's text in another arithmetic: plain floats, complex numbers, many digits.
+
+One text serves every arithmetic. Binding it means to leave out its imports and the definitions
+that name an arithmetic (``real``, ``compiled``, ``sincos``, ...) and to supply those from here.
+"""
+
+from __future__ import annotations
+
+import ast
+import cmath
+import math
+from collections.abc import Callable, Mapping
+from types import SimpleNamespace
+from typing import Any
+
+import mpmath
+import numpy as np
+
+from symsimpson.text.interface import MATH
+
+#: What a kernel calls to tell whether an iteration is done.
+_CHECKS = (
+    "check_convergence",
+    "check_rounding",
+    "expect_rounding",
+    "check_acceptance",
+    "check_stage_convergence",
+    "check_stage_acceptance",
+    "check_turns",
+)
+
+
+def bind(source: str | ast.Module, arithmetic: Mapping[str, Any]) -> SimpleNamespace:
+    """Execute a generated module with another arithmetic.
+
+    Parameters
+    ----------
+    source : str or ast.Module
+        Text of a module that symsimpson emitted, or its syntax; it is executed, so it must be
+        trusted.
+    arithmetic : mapping from str to object
+        Values for the names that it imports or that stand for its arithmetic.
+
+    Returns
+    -------
+    types.SimpleNamespace
+        The module's functions and constants; kernels take a workspace of shape (ROWS, LANES).
+    """
+    tree = ast.parse(source) if isinstance(source, str) else source
+    tree.body = [node for node in tree.body if not _replaced(node, arithmetic)]
+    if "raised" in arithmetic:
+        tree = ast.fix_missing_locations(_Operators(arithmetic).visit(tree))
+    namespace: dict[str, Any] = dict(arithmetic)
+    exec(compile(tree, "<generated module>", "exec"), namespace)
+    return SimpleNamespace(**{k: v for k, v in namespace.items() if not k.startswith("__")})
+
+
+def _replaced(node: ast.stmt, arithmetic: Mapping[str, Any]) -> bool:
+    match node:
+        case ast.ImportFrom() | ast.Import():
+            return True
+        case ast.FunctionDef(name=name) | ast.Assign(targets=[ast.Name(id=name)]):
+            return name in arithmetic
+    return False
+
+
+def plain_arithmetic(
+    functions: Mapping[str, Callable[..., Any]] | Callable[..., Any],
+    real: Callable[..., Any],
+    digits: int | None = None,
+) -> dict[str, Any]:
+    """Return the names that a module takes from its arithmetic; one function may stand for all.
+
+    With a number of digits the kernels check their iterations, by thresholds for so many.
+    """
+    named = dict.fromkeys([*MATH, "atan2"], functions) if callable(functions) else functions
+
+    def nothing(W: Any, lane: int) -> None:
+        """Leave it to the caller when to stop."""
+
+    checking: dict[str, Any] = dict.fromkeys(_CHECKS, nothing)
+    if digits is not None:
+        unit = real(10) ** -digits
+        checking = {
+            "NEGLIGIBLE": 4 * unit**2,
+            "OWN_NEGLIGIBLE": real(10) ** -(3 * digits // 2),
+            "OWN_ROUNDED": 1e8 * unit**4,
+            "STAGNATION": unit,
+            "ROUNDED": 1e4 * unit**2,
+            "LOST": unit**2,
+            "ROUNDING": unit**2,
+            "STALLED": 1e4 * unit**2,
+            "NOISE": 40 * unit**2,
+        }
+    return {
+        "pi": math.pi,
+        "FRESH": real(2) ** 60,  # sines and cosines are not turned: that is exact in doubles alone
+        **checking,
+        **named,
+        "real": real,
+        "array": np.array,
+        "carray": lambda workspace, shape: workspace,
+        "compiled": lambda function: function,
+    }
+
+
+def bind_float(source: str) -> SimpleNamespace:
+    """Bind to Python floats: the same operations as compiled, without a compiler."""
+    functions = {name: getattr(math, name) for name in [*MATH, "atan2"]}
+    return bind(source, plain_arithmetic(functions, float))
+
+
+def bind_complex(source: str) -> SimpleNamespace:
+    """Bind to complex numbers, for derivatives by a complex step."""
+    functions: dict[str, Any] = {
+        name: getattr(cmath, name) for name in MATH if hasattr(cmath, name)
+    }
+    functions["sincos"] = lambda x: (cmath.sin(x), cmath.cos(x))
+    return bind(source, plain_arithmetic(functions, float))
+
+
+def bind_mpmath(
+    source: str, context: Any = mpmath.mp, *, checking: bool = False
+) -> SimpleNamespace:
+    """Bind to mpmath at a context's working precision, in which the kernels must be called too."""
+    nan, not_real = context.nan, (context.mpc, complex)
+
+    def real_valued(function: Callable[..., Any]) -> Callable[..., Any]:
+        """Return NaN where there is no real value, as compiled code does."""
+
+        def evaluated(*arguments: Any) -> Any:
+            try:
+                value = function(*arguments)
+            except (ZeroDivisionError, ValueError):
+                return nan
+            return nan if isinstance(value, not_real) else value
+
+        return evaluated
+
+    def divide(a: Any, b: Any) -> Any:
+        return a / b if b else (a * context.inf if a == a else nan)
+
+    functions: dict[str, Any] = {
+        name: real_valued(getattr(context, name)) for name in (*MATH, "atan2")
+    }
+    functions["pi"] = +context.pi
+    functions |= {"EULER_GAMMA": +context.euler, "CATALAN": +context.catalan}
+    functions["TINY"] = context.mpf(2) ** (-4 * context.prec)
+    functions["sincos"] = lambda x: context.cos_sin(x)[::-1]
+    functions["raised"] = real_valued(lambda a, b: a**b)
+    functions["divided"] = divide
+    functions |= _tables(context.mpf, context.dps)
+    digits = context.dps if checking else None
+    return bind(source, plain_arithmetic(functions, context.mpf, digits))
+
+
+def bind_arb(source: str, *, checking: bool = False) -> SimpleNamespace:
+    """Bind to the balls of python-flint, at the working precision of ``flint.ctx``."""
+    from flint import arb, ctx
+
+    def method(name: str) -> Callable[[Any], Any]:
+        return lambda x: getattr(arb(x), name)()
+
+    functions: dict[str, Any] = {name: method(name) for name in MATH}
+    functions["pi"] = arb.pi()
+    functions |= {"EULER_GAMMA": arb.const_euler(), "CATALAN": arb.const_catalan()}
+    functions["TINY"] = arb(2) ** (-4 * ctx.prec)
+    functions["atan2"] = lambda y, x: arb.atan2(arb(y), arb(x))
+    functions["sincos"] = method("sin_cos")
+    functions["raised"] = _power
+    functions |= _tables(arb, ctx.dps)
+
+    def checked(function: Callable[..., Any]) -> Callable[..., Any]:
+        """Let checks see midpoints: no ball of rounding errors is smaller than another."""
+        if function.__name__ not in (*_CHECKS, "check_drift"):
+            return function
+
+        def on_midpoints(W: Any, lane: int) -> None:
+            column = W[:, lane]
+            column[:] = [value.mid() if type(value) is arb else value for value in column]
+            function(W, lane)
+
+        return on_midpoints
+
+    arithmetic = plain_arithmetic(functions, arb, ctx.dps if checking else None)
+    return bind(source, arithmetic | {"compiled": checked})
+
+
+def _tables(real: Callable[..., Any], digits: int) -> dict[str, Any]:
+    """Let a module make tables of its own with more digits than are asked for."""
+    scale = digits + 20
+
+    def number(units: int) -> Any:
+        return real(units) / real(10) ** scale
+
+    return {"DIGITS": scale, "ONE": 10**scale, "number": number, "on_grid": number}
+
+
+def _power(base: Any, exponent: Any) -> Any:
+    """Multiply where a ball around zero has no logarithm."""
+    if not isinstance(exponent, int) or exponent < 1:
+        return base**exponent
+    result = base
+    for _ in range(exponent - 1):
+        result = result * base
+    return result
+
+
+class _Operators(ast.NodeTransformer):
+    """Writes a**b as raised(a, b) and a/b as divided(a, b), where an arithmetic has these names.
+
+    No kernel has one of them: what stands in an arithmetic replaces what a module defines.
+    """
+
+    def __init__(self, arithmetic: Mapping[str, Any]) -> None:
+        named = {ast.Pow: "raised", ast.Div: "divided"}
+        self._named = {kind: name for kind, name in named.items() if name in arithmetic}
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+        self.generic_visit(node)
+        name = self._named.get(type(node.op))
+        if name is None:
+            return node
+        return ast.Call(ast.Name(name, ast.Load()), [node.left, node.right], [])

@@ -1,0 +1,306 @@
+"""Names of a function in C: kinds of numbers, lengths of arrays, where each is declared."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from symsimpson.errors import InputError
+from symsimpson.targets.c.single import Function
+
+#: Whole numbers and conditions, real numbers, rows of the workspace, a kernel, and a set of them.
+INT, REAL, POINTER, KERNEL, SET = "int", "double", "double *", "kernel *", "const kernels *"
+#: Functions of whole numbers, if these are.
+LIKE_ITS_ARGUMENTS = ("min", "max", "abs")
+
+
+@dataclass
+class Signature:
+    """Kinds of the arguments of a function and of what it returns: several numbers are a tuple."""
+
+    arguments: list[str]
+    returned: str | None = None
+    several: int = 0
+
+
+@dataclass
+class Kinds:
+    """Kinds of the names of functions, found by following calls."""
+
+    functions: Mapping[str, Function]
+    #: By function; ``names[function][name]`` is the kind of a local name.
+    signatures: dict[str, Signature] = field(default_factory=dict)
+    names: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    def follow(self, name: str, given: list[str]) -> Signature:
+        """Find the kinds in a function that is called with arguments of these kinds."""
+        function = self.functions[name]
+        signature = self.signatures.get(name)
+        if signature is not None:
+            joined = [_joined(a, b) for a, b in zip(signature.arguments, given, strict=True)]
+            if joined == signature.arguments:
+                return signature
+            given = joined
+        self.signatures[name] = Signature(given)
+        local = dict(zip(function.arguments, given, strict=True))
+        self.names[name] = local
+        while True:
+            before = dict(local)
+            for statement in function.body:
+                self._look(statement, name, local)
+            if local == before:
+                return self.signatures[name]
+
+    def _look(self, node: ast.stmt, name: str, local: dict[str, str]) -> None:
+        match node:
+            case ast.For(target=ast.Name(id=index), iter=over, body=body):
+                local[index] = INT
+                for argument in getattr(over, "args", ()):  # of a range; a table has none
+                    self.of(argument, name)
+                for statement in body:
+                    self._look(statement, name, local)
+            case ast.If(test=test, body=body, orelse=orelse):
+                self.of(test, name)
+                for statement in [*body, *orelse]:
+                    self._look(statement, name, local)
+            case ast.Assign(targets=[ast.Name(id=target)], value=value):
+                kind = self.of(value, name)
+                local[target] = _joined(local.get(target, kind), kind)
+            case ast.Assign(targets=[ast.Tuple(elts=targets)], value=value):
+                self.of(value, name)
+                local.update({ast.unparse(element): REAL for element in targets})
+            case ast.AugAssign(target=ast.Name(id=target), value=value):
+                local[target] = _joined(local[target], self.of(value, name))
+            case (
+                ast.Assign(targets=[place], value=value) | ast.AugAssign(target=place, value=value)
+            ):
+                self.of(place, name)
+                self.of(value, name)
+            case ast.Return(value=ast.Tuple(elts=values)):
+                self.signatures[name].several = len(values)
+            case ast.Return(value=ast.expr() as value):
+                before, kind = self.signatures[name].returned, self.of(value, name)
+                self.signatures[name].returned = _joined(before or kind, kind)
+            case ast.Expr(value=value):
+                self.of(value, name)
+
+    def of(self, node: ast.expr, name: str) -> str:
+        """Return the kind of an expression in a function."""
+        function = self.functions[name]
+        match node:
+            case ast.Constant(value=value):
+                return REAL if isinstance(value, float) else INT
+            case ast.Name(id=identifier) if identifier in self.names[name]:
+                return self.names[name][identifier]
+            case ast.Name(id=identifier):
+                value = constant_of(identifier, function)
+                return REAL if isinstance(value, float) else INT
+            case ast.Subscript(value=ast.Name(id="kernels"), slice=ast.Name(id=what)):
+                return INT if what == "MODE" else KERNEL
+            case ast.Subscript(value=value, slice=index):
+                self.of(index, name)
+                base = _base(value)
+                if base in self.names[name]:
+                    return REAL
+                table = np.asarray(constant_of(base, function))
+                return INT if table.dtype.kind == "i" else REAL
+            case ast.BinOp(left=left, right=right, op=op):
+                kinds = self.of(left, name), self.of(right, name)
+                return REAL if isinstance(op, ast.Div) else _joined(*kinds)
+            case ast.UnaryOp(operand=operand, op=op):
+                kind = self.of(operand, name)
+                return INT if isinstance(op, ast.Not) else kind
+            case ast.IfExp(test=test, body=body, orelse=orelse):
+                self.of(test, name)
+                return _joined(self.of(body, name), self.of(orelse, name))
+            case ast.Compare(left=left, comparators=others):
+                for operand in (left, *others):
+                    self.of(operand, name)
+                return INT
+            case ast.BoolOp(values=values) | ast.Tuple(elts=values):
+                for element in values:
+                    self.of(element, name)
+                return INT
+            case ast.Attribute(attr="inf"):
+                return REAL
+            case ast.Call():
+                return self._called(node, name)
+        raise InputError(f"a line of {name} has no counterpart in C: {ast.unparse(node)}.")
+
+    def _called(self, node: ast.Call, name: str) -> str:
+        given = [self.of(argument, name) for argument in node.args]
+        called = ast.unparse(node.func)
+        if called in self.functions and called != "sincos":
+            return self.follow(called, given).returned or "void"
+        if called in ("np.empty", "np.zeros"):
+            return POINTER
+        if called in LIKE_ITS_ARGUMENTS:
+            return INT if set(given) == {INT} else REAL
+        return INT if called == "int" else REAL
+
+
+def constant_of(name: str, function: Function) -> Any:
+    """Return the value of a constant that a function names."""
+    source = function.source
+    if name.startswith("at."):
+        return source.driver_layout[name[3:]]
+    return source.constants[name]
+
+
+def _base(node: ast.expr) -> str:
+    """Return the name of an array or a table, whatever indices follow it."""
+    while isinstance(node, ast.Subscript):
+        node = node.value
+    return ast.unparse(node)
+
+
+def _joined(a: str, b: str) -> str:
+    return REAL if {a, b} == {INT, REAL} else a
+
+
+def with_lengths(body: list[ast.stmt]) -> list[ast.stmt]:
+    """Let arrays have lengths that the compiler knows: names that have one value are that value."""
+    values: dict[str, list[ast.expr]] = {}
+    arrays = []
+    for x in (x for statement in body for x in ast.walk(statement)):
+        match x:
+            case ast.Assign(targets=[ast.Name(id=name)], value=value):
+                values.setdefault(name, []).append(value)
+                if ast.unparse(getattr(value, "func", value)) in ("np.empty", "np.zeros"):
+                    arrays.append(value)
+
+    def known(node: ast.expr) -> ast.expr:
+        match node:
+            case ast.Name(id=name) if len(values.get(name, ())) == 1:
+                return known(values[name][0])
+            case ast.BinOp(left=left, op=op, right=right):
+                return ast.BinOp(known(left), op, known(right))
+        return node
+
+    for call in arrays:
+        (shape,) = call.args  # type: ignore[attr-defined]
+        call.args = [known(getattr(shape, "elts", [shape])[0])]  # type: ignore[attr-defined]
+    return body
+
+
+def used(body: list[ast.stmt]) -> list[ast.stmt]:
+    """Leave out values that nothing reads, until none is left."""
+    while True:
+        read = {
+            x.id
+            for statement in body
+            for x in ast.walk(statement)
+            if isinstance(x, ast.Name) and isinstance(x.ctx, ast.Load)
+        }
+        pruned = _Unread(read)
+        body = [left for statement in body if (left := pruned.visit(statement)) is not None]
+        if not pruned.found:
+            return body
+
+
+class _Unread(ast.NodeTransformer):
+    """Takes away assignments of values to names that are not read."""
+
+    def __init__(self, read: set[str]) -> None:
+        self.read, self.found = read, False
+
+    def visit_Assign(self, node: ast.Assign) -> ast.stmt | None:
+        (target,) = node.targets
+        if isinstance(target, ast.Name) and target.id not in self.read:
+            self.found = True
+            return None
+        return node
+
+
+#: A place of a name: the blocks around it, from the outermost on, the statement, and whether it
+#: gets a value there.
+_Place = tuple[tuple[int, ...], int, bool]
+
+
+class Scopes:
+    """Where names are declared: as they first get a value, if all that use them stand there."""
+
+    def __init__(self, body: list[ast.stmt], arguments: set[str]) -> None:
+        self._places: dict[str, list[_Place]] = {}
+        self._visit(body, (), frozenset(arguments))
+        #: Of each name and statement that declares it, whether it has no other value later.
+        self.begins: dict[tuple[str, int], bool] = {}
+        self.stored = {k for k, x in self._places.items() if any(gets for *_, gets in x)}
+        #: Names and statements that give them a value which nothing reads.
+        self.unread: set[tuple[str, int]] = set()
+        #: Names that must be known before.
+        self.ahead = {name for name, places in self._places.items() if self._declared(name, places)}
+
+    def _declared(self, name: str, places: list[_Place]) -> bool:
+        """Declare a name where it first gets a value; return whether it must be known before."""
+        declarations = _beginnings(places, 0)
+        if declarations is not None:
+            for statement_id, fixed, read in declarations:
+                if read:
+                    self.begins[name, statement_id] = fixed
+                else:
+                    self.unread.add((name, statement_id))
+        return declarations is None
+
+    def _visit(self, body: list[ast.stmt], path: tuple[int, ...], bound: frozenset[str]) -> None:
+        for statement in body:
+            match statement:
+                case ast.For(target=ast.Name(id=index), iter=bounds, body=inner):
+                    self._read(bounds, path, statement, bound)
+                    self._visit(inner, (*path, id(statement)), bound | {index})
+                case ast.If(test=test, body=inner, orelse=orelse):
+                    self._read(test, path, statement, bound)
+                    self._visit(inner, (*path, id(statement)), bound)
+                    self._visit(orelse, (*path, -id(statement)), bound)
+                case ast.Assign(targets=[target], value=value):
+                    self._read(value, path, statement, bound)
+                    for to in target.elts if isinstance(target, ast.Tuple) else [target]:
+                        self._store(to, path, statement, bound)
+                case ast.AugAssign(target=target, value=value):
+                    self._read(value, path, statement, bound)
+                    self._read(target, path, statement, bound)
+                    self._store(target, path, statement, bound)
+                case _:
+                    self._read(statement, path, statement, bound)
+
+    def _read(
+        self, node: ast.AST, path: tuple[int, ...], at: ast.stmt, bound: frozenset[str]
+    ) -> None:
+        for x in ast.walk(node):
+            if isinstance(x, ast.Name) and x.id not in bound:
+                self._places.setdefault(x.id, []).append((path, id(at), False))
+
+    def _store(
+        self, target: ast.expr, path: tuple[int, ...], at: ast.stmt, bound: frozenset[str]
+    ) -> None:
+        if not isinstance(target, ast.Name):
+            self._read(target, path, at, bound)
+        elif target.id not in bound:
+            self._places.setdefault(target.id, []).append((path, id(at), True))
+
+
+def _beginnings(places: list[_Place], depth: int) -> list[tuple[int, bool, bool]] | None:
+    """Return the statements that declare a name, whether it has one value and is read behind them.
+
+    None where a name that is read may have got its value in another block.
+    """
+    while all(len(x) > depth and x[depth] == places[0][0][depth] for x, _, _ in places):
+        depth += 1
+    path, first, stores = places[0]
+    if len(path) == depth:
+        values = sum(gets for *_, gets in places)
+        return [(first, values == 1, values < len(places))] if stores else None
+    if any(len(x) == depth for x, _, _ in places):
+        return None
+    declarations = []
+    for _, some in groupby(places, key=lambda x: x[0][depth]):
+        inner = _beginnings(list(some), depth + 1)
+        if inner is None:
+            return None
+        declarations += inner
+    return declarations

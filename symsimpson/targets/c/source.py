@@ -1,0 +1,372 @@
+"""A module and what drives it as a file of C99 and its header: no allocation, no input or output.
+
+The functions are those of the module and of the driver, one for one, for one trajectory; what
+calls them for a step stands in ``step.c``. The C library is asked for functions of <math.h> alone.
+"""
+
+from __future__ import annotations
+
+import ast
+import itertools
+import re
+import textwrap
+import unicodedata
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import resources
+from string import Template
+from typing import Any
+
+import numpy as np
+
+from symsimpson.errors import InputError
+from symsimpson.program.driver import KernelSets, driver_text
+from symsimpson.program.program import Program
+from symsimpson.program.status import Status
+from symsimpson.stepping.run import FALLBACK_STRETCH, HOPELESS
+from symsimpson.targets.c.kinds import INT, KERNEL, POINTER, REAL, SET, Kinds
+from symsimpson.targets.c.single import Functions, Source
+from symsimpson.targets.c.statements import (
+    HELPERS,
+    WIDTH,
+    WORDS,
+    Expressions,
+    comment,
+    number,
+    written_function,
+)
+from symsimpson.targets.llvm.intrinsics import read_functions
+from symsimpson.targets.llvm.trees import Text, read_text
+from symsimpson.text.header import Header
+from symsimpson.text.interface import EXPLICIT, constants
+from symsimpson.text.syntax import syntax
+from symsimpson.text.workspace_layout import BLOCKS, DRIVER_LAYOUT
+
+#: Outcomes of runs that are no outcomes of a step.
+OF_RUNS = (
+    Status.INTERRUPTED,
+    Status.DIVERGED,
+    Status.SINGULAR_JACOBIAN,
+    Status.FILE_ERROR,
+    Status.RATE_NOT_POSITIVE,
+    Status.TOLERANCE_NOT_MET,
+)
+#: Copies of a workspace stand on the stack, of which programs have 8 MB.
+MOST_STACK = 2**22
+#: What other files see, behind the prefix.
+PUBLIC = ("state", "begin", "begin_moving", "step", "energy", "get")
+#: Functions whose names <math.h> or C itself may have.
+RENAMED = {"finite": "all_finite"}
+
+
+class _Sets(KernelSets):
+    """Sets of kernels by their names."""
+
+    location = "a file of C"
+
+    def compile_set(self, label: str, names: list[str], *, any_angle: bool) -> list[Any]:
+        return names
+
+    def pack(self, mode: int, kernels: list[Any]) -> Any:
+        return mode, tuple(x or "0" for x in kernels)
+
+    def address(self, name: str, *, any_angle: bool = False) -> Any:
+        return name
+
+    @property
+    def all(self) -> list[tuple[int, tuple[str, ...]]]:
+        """Sets to take steps with, each where the one before fails, without repetitions."""
+        return list(dict.fromkeys(map(self.set, self.fallbacks)))
+
+
+def written_c(program: Program, prefix: str) -> tuple[str, str]:
+    """Return the header and the source of a stepper in C.
+
+    ``prefix`` begins all names that other files see. Raises InputError if it computes with many
+    digits, keeps a time of its own, or is too large for loops of C.
+    """
+    header = program.header
+    if not program.numbers.compiled:
+        raise InputError(
+            "a stepper of many digits cannot be exported: C has double precision.\n"
+            "Export the stepper compiled without precision; its equations are the same."
+        )
+    if header.retimed:
+        raise InputError(
+            f"{header.system} keeps a time of its own, and steps in C have the size that they are "
+            "given.\nExport the system before retimed()."
+        )
+    if header.newton_unknowns and _stack(header) > MOST_STACK:
+        raise InputError(
+            f"a step of {header.system} would take {_stack(header) / 2**20:.0f} MB of stack in C.\n"
+            "Export an explicit scheme, as 'kahan_li8', where M is constant; or fewer coordinates."
+        )
+    return _Writer(program, prefix).files()
+
+
+def _stack(header: Header) -> int:
+    """Return the bytes of copies that are made of a workspace while a step is looked at."""
+    return 8 * (2 * header.rows + 9 * header.layout["UNKNOWNS"] + 64)
+
+
+@dataclass(frozen=True, eq=False)
+class _Writer:
+    """Writes the parts of the files."""
+
+    program: Program
+    prefix: str
+
+    @property
+    def _header(self) -> Header:
+        return self.program.header
+
+    @cached_property
+    def _sets(self) -> list[tuple[int, tuple[str, ...]]]:
+        return _Sets(self._header, by_stages=self._header.by_stages).all
+
+    @cached_property
+    def _driver(self) -> Text:
+        return read_functions(driver_text())
+
+    @cached_property
+    def _expressions(self) -> Expressions:
+        """Functions that a step calls, with the kinds of their numbers."""
+        text, driver = self.program.source, self._driver
+        driver_layout = dict(zip(DRIVER_LAYOUT, self._header.driver_layout.tolist(), strict=True))
+        module = read_text(text)
+        sources = [
+            Source(module.functions, module.constants, driver_layout, text.splitlines()),
+            Source(driver.functions, driver.constants, driver_layout, driver_text().splitlines()),
+        ]
+        functions = Functions(sources)
+        kinds = Kinds(functions)
+        taken = {*WORDS, *(f"{self.prefix}_{x}" for x in PUBLIC)}
+        names = {k: RENAMED.get(k, f"{k}_" if k in taken else k) for k in functions}
+        for kernel in self._kernels:
+            kinds.follow(kernel, [REAL, REAL, POINTER])
+        modes = {mode for mode, _ in self._sets}
+        kinds.follow("finite", [POINTER, INT, INT])
+        kinds.follow("begin", [SET, KERNEL, REAL, REAL, POINTER])
+        kinds.follow("change_to", [SET, INT, REAL, REAL, POINTER])
+        if EXPLICIT in modes:
+            for name in ("keep", "put_back"):
+                kinds.follow(name, [POINTER, INT, INT, POINTER])
+        else:
+            kinds.follow("take_one", [SET, REAL, REAL, POINTER])
+        return Expressions(kinds, names)
+
+    @cached_property
+    def _kernels(self) -> list[str]:
+        """Kernels that are called by their address, or from outside."""
+        called = [x for _, kernels in self._sets for x in kernels if x != "0"]
+        return list(dict.fromkeys([*called, "legendre", "energy"]))
+
+    def files(self) -> tuple[str, str]:
+        """Write the header and the source."""
+        write = self._expressions
+        functions = [
+            line
+            for name in _in_order(write.kinds)
+            for line in written_function(write.kinds.functions[name], write)
+        ]
+        step = self._filled("step.c").splitlines()
+        agreed = {**self._driver.constants, **constants(), **self._header.layout}
+        for name in re.findall(r"\b[A-Z][A-Z_]+\b", "\n".join(step)):  # constants that it names
+            if name in agreed:
+                write.constants.setdefault(name, agreed[name])
+        lines = [
+            *comment(self._said()),
+            "",
+            "#include <math.h>",
+            f'#include "{self.prefix}.h"',
+            "",
+            *self._constants(),
+            "typedef void kernel(double h, double t, double *W);",
+            "typedef struct {",
+            "    int mode;",
+            "    kernel *call[7];",
+            "} kernels;",
+            "",
+            *(HELPERS[name] for name in sorted(write.helpers)),
+            *functions,
+            *self._tables_of_kernels(),
+            *step,
+        ]
+        return self._filled("step.h"), "\n".join(lines) + "\n"
+
+    def _said(self) -> str:
+        """Return what the file says of itself."""
+        header = self._header
+        doc = syntax(self.program.source).body[0].value.value  # type: ignore[attr-defined]
+        about = re.sub("(?m)^(State|Parameters):", r"    \1:", doc.split("Kernels take")[0].strip())
+        return (
+            f"{about}\n\nWritten by symsimpson from the module of digest {header.digest[:16]}; "
+            "change the system, not this file. W is the workspace, blocks of rows; a lane is a "
+            "trajectory, of which there is one. Sums are compensated: -ffast-math would undo it."
+        )
+
+    def _faced(self) -> str:
+        """Return what the header says of itself."""
+        header = self._header
+        pairs = zip(header.parameters, header.defaults, strict=True)
+        parameters = ", ".join(f"{name} ({value:g})" for name, value in pairs) or "none"
+        return (
+            f"{header.system}: {header.scheme}, of order {header.order}. Written by symsimpson; "
+            "change the system, not this file.\n\n"
+            f"    Coordinates: {', '.join(header.coordinates)}\n"
+            f"    Parameters, with the values of the declaration: {parameters}\n"
+            f"    Inputs, held constant during a step: {', '.join(header.inputs) or 'none'}\n\n"
+            "Arrays q, v, p, parameters and inputs have this order; p are conjugate momenta dL/dv, "
+            "units are those of the declaration, angles are not wrapped. Nothing is allocated, and "
+            f"nothing is kept outside the state, of {8 * header.rows + 24} bytes: threads may each "
+            f"have one.{self._held()}"
+        )
+
+    def _held(self) -> str:
+        """Return what is said of constraints."""
+        names = self._header.constraints
+        if not names:
+            return ""
+        return (
+            f"\n\nThe start must satisfy the constraints {', '.join(names)}, and velocities or "
+            "momenta what follows from them; this is not checked here. In Python "
+            "system.consistent(q0, v0) finds such a start."
+        )
+
+    def _constants(self) -> Iterator[str]:
+        """Write blocks of the workspace in their order, then all other constants."""
+        values = self._expressions.constants
+        whole = {k: v for k, v in values.items() if isinstance(v, (int, np.integer))}
+        blocks = {k: whole.pop(k) for k in sorted(whole, key=whole.__getitem__) if k in BLOCKS}
+        yield "/* the workspace: first row of each block */"
+        yield "enum {"
+        for name, value in blocks.items():
+            line = f"    {name} = {value},"
+            yield f"{line:<36}/* {BLOCKS[name].doc} */"
+        yield f"    ROWS = {whole.pop('ROWS') + 1}"  # the last row is the driver's
+        yield "};"
+        yield ""
+        yield "/* sizes and strides, limits, outcomes */"
+        yield "enum {"
+        pairs = ", ".join(f"{name}~=~{number(x)}" for name, x in whole.items())
+        yield from (line.replace("~", " ") for line in _wrapped(pairs))
+        yield "};"
+        yield ""
+        for name, value in values.items():
+            if name in whole or name in blocks or name == "ROWS":
+                continue
+            table = np.asarray(value)
+            kind = "int" if table.dtype.kind == "i" else "double"
+            places = "".join(f"[{size}]" for size in table.shape)
+            line = f"static const {kind} {name}{places} = {_entries(table)};"
+            yield from textwrap.wrap(line, WIDTH, subsequent_indent="    ")
+        yield ""
+
+    def _places(self) -> Iterator[str]:
+        for kind in ("coordinates", "parameters", "inputs"):
+            first = f"    {self.prefix}_{kind[:-1]}".upper()
+            for place, name in enumerate(identifiers(getattr(self.program.names, kind).shown)):
+                yield f"{first}_{name} = {place}"
+
+    def _tables_of_kernels(self) -> Iterator[str]:
+        yield "/* sets of kernels, each for steps at which the one before fails */"
+        yield "static const kernels SETS[] = {"
+        for mode, names in self._sets:
+            yield f"    {{{mode}, {{0, {', '.join(names)}}}}},"
+        yield "};"
+        yield f"enum {{ NUMBER_OF_SETS = {len(self._sets)}, STRETCH = {FALLBACK_STRETCH} }};"
+        yield ""
+
+    def _filled(self, name: str) -> str:
+        """Fill in a text that stands beside this file, for the kind of steps that are taken."""
+        header = self._header
+        modes = {mode for mode, _ in self._sets}
+        explicit, n = EXPLICIT in modes, header.n
+        outcomes = [x for x in Status if x not in OF_RUNS]
+        text = resources.files("symsimpson.targets.c").joinpath(name).read_text("utf-8")
+        parts = {
+            "explicit": explicit,
+            "solved": not explicit,
+            "inputs": bool(header.inputs),
+            "free": not header.inputs,
+        }
+        for part, kept in parts.items():
+            replacement = r"\g<1>" if kept else ""
+            text = re.sub(
+                rf"^ *//if {part}\n(.*?)^ *//end {part}\n", replacement, text, flags=re.M | re.S
+            )
+        width = max(len(x.name) for x in outcomes)
+        return Template(text).substitute(
+            prefix=self.prefix,
+            PREFIX=self.prefix.upper(),
+            n=n,
+            parameters=len(header.parameters),
+            inputs=len(header.inputs),
+            rows=header.rows + 1,
+            stack=_stack(header),
+            hopeless="".join(
+                f"\n            || W[STATUS] == {x.name}" for x in HOPELESS if x not in OF_RUNS
+            ),
+            defaults=", ".join(map(number, header.defaults)) or "0.0",
+            said="\n".join(comment(self._faced())),
+            places=",\n".join(self._places()),
+            outcomes=",\n".join(
+                f"    {self.prefix.upper()}_{x.name:<{width}} = {x.value}" for x in outcomes
+            ),
+            meanings="\n".join(comment("\n".join(_meanings(outcomes)))),
+        )
+
+
+def identifiers(names: Sequence[str]) -> list[str]:
+    """Return the part of an identifier of C for each name; all parts differ."""
+    parts = {name: name for name in names if re.fullmatch(r"\w+", name, re.ASCII)}
+    for name in names:
+        letters = unicodedata.normalize("NFKD", name)
+        word = "".join(_in_ascii(x) for x in letters if not unicodedata.combining(x))
+        word = re.sub(r"\W+", "_", word, flags=re.ASCII)
+        different = itertools.chain([word], (f"{word}_{k}" for k in itertools.count(2)))
+        parts.setdefault(name, next(x for x in different if x not in parts.values()))
+    return [parts[name] for name in names]
+
+
+def _in_ascii(letter: str) -> str:
+    """Return a letter, or the last word of its name in Unicode, as "omega"."""
+    word = letter if letter.isascii() else unicodedata.name(letter, "unknown").split()[-1]
+    return word.lower() if letter.islower() else word
+
+
+def _meanings(outcomes: list[Status]) -> Iterator[str]:
+    """Give a sentence for each outcome, as lines that stay lines."""
+    yield "Outcomes of a call: 0, or why the step was not taken; q and p are then unchanged."
+    for outcome in outcomes[1:]:
+        yield f"  {outcome.name}: {outcome.message}"
+
+
+def _in_order(kinds: Kinds) -> Iterator[str]:
+    """Give functions behind those that they call."""
+    given: set[str] = set()
+
+    def reach(name: str) -> Iterator[str]:
+        if name in given:
+            return
+        given.add(name)
+        for statement in kinds.functions[name].body:
+            for x in ast.walk(statement):
+                if isinstance(x, ast.Name) and x.id in kinds.signatures:
+                    yield from reach(x.id)
+        yield name
+
+    for name in list(kinds.signatures):
+        yield from reach(name)
+
+
+def _entries(table: Any) -> str:
+    if table.ndim:
+        return f"{{{', '.join(map(_entries, table))}}}"
+    return number(table.item())
+
+
+def _wrapped(text: str) -> list[str]:
+    inner = " " * 4
+    return textwrap.wrap(text, WIDTH, initial_indent=inner, subsequent_indent=inner)

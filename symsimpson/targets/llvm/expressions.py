@@ -1,0 +1,390 @@
+"""Expressions of a text, with calls of its own functions, done with values."""
+
+from __future__ import annotations
+
+import ast
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from symsimpson.targets.llvm.calls import Calls
+from symsimpson.targets.llvm.control_flow import Loop, Slot
+from symsimpson.targets.llvm.memory import BYTE, Array, Range
+from symsimpson.targets.llvm.trees import Text, must_wait, used_once
+from symsimpson.targets.llvm.values import DOUBLE, INT, KNOWN, PrivateRow, Refused, known
+from symsimpson.targets.llvm.vectors import Item
+
+#: Names of a function that is being walked, with what they stand for.
+Env = dict[str, Any]
+#: A loop over constants with fewer operations in all its turns is walked turn by turn.
+FEW = 400
+COMPARED = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
+
+
+@dataclass(frozen=True)
+class Product:
+    """A product with a name that is used once: it may be rounded with the sum that it stands in."""
+
+    a: Any
+    b: Any
+
+
+@dataclass(frozen=True)
+class Ahead:
+    """Scratch named in the statements behind one of a block, and in what is left of itself."""
+
+    after: frozenset[str]
+    here: frozenset[str]
+
+
+class Frame:
+    """A function that is being walked: where it is left to, with what, and its loops."""
+
+    def __init__(self, function: ast.FunctionDef, mask: Any = None) -> None:
+        self.name, self.once, self.mask = function.name, used_once(function), mask
+        self.exit: Any = None
+        self.depth = 0
+        self.result: Any = None
+        self.slots: Any = None
+        self.loops: list[Loop] = []
+        self.freed: list[Any] = []
+
+
+class Expressions(ABC):
+    """Walks expressions of a text.
+
+    ``call`` makes a call, with a builder, of a function of ``math`` with values that are no
+    vectors. Loops of fewer operations in all than ``few`` are no loops; functions that stand
+    ``apart`` stay functions, where they are called with the same kinds of values.
+    """
+
+    def __init__(
+        self,
+        text: Text,
+        values: Calls,
+        call: Callable[[Any, Any, list[Any]], Any],
+        few: int = FEW,
+        apart: Mapping[str, Sequence[str]] = MappingProxyType({}),
+    ) -> None:
+        self._text, self._values, self._call, self._few = text, values, call, few
+        #: Functions that stay functions, and the attributes that they have for LLVM.
+        self._apart, self._made = apart, dict[Any, Any]()
+        self._width = 0
+        #: Functions that are walked for one lane after another.
+        self._alone: frozenset[str] = frozenset()
+        #: Whether all loops are unrolled.
+        self._straight = False
+        #: The lanes of a vector for which what is walked counts; None if all do.
+        self._mask: Any = None
+        #: Scratch of which each lane has rows of its own.
+        self._own: dict[str, PrivateRow] = {}
+        self._frames: list[Frame] = []
+        #: The statements that are being walked, each in one of the one before.
+        self._ahead: list[Ahead] = []
+        self._names: dict[ast.AST, frozenset[str]] = {}
+        #: Of each block, by its first statement: the scratch that is named from each one on.
+        self._behind: dict[ast.AST, list[frozenset[str]]] = {}
+        #: The statements of each block in an order in which some are done at once.
+        self._orders: dict[ast.AST, list[Item]] = {}
+
+    @abstractmethod
+    def _called(self, name: str, arguments: list[Any]) -> Any:
+        """Call a function by its name."""
+
+    @abstractmethod
+    def _library(self, function: Any, arguments: list[Any]) -> Any:
+        """Call a function of ``math``."""
+
+    @abstractmethod
+    def _numpy(self, name: str, kind: str, arguments: list[Any]) -> Any:
+        """Call a function of numpy."""
+
+    @abstractmethod
+    def _method(self, array: Array, name: str, arguments: list[Any]) -> Any:
+        """Call a method of an array."""
+
+    def _places(self, target: ast.expr, env: Env) -> Any:
+        """Return an array and places in it; None for a name."""
+        match target:
+            case ast.Name():
+                return None
+            case ast.Subscript(value=value, slice=ast.Tuple(elts=places)):
+                return self._value(value, env), [self._place(x, env) for x in places]
+            case ast.Subscript(value=value, slice=place):
+                return self._value(value, env), [self._place(place, env)]
+        raise Refused("an assignment to something else")
+
+    def _place(self, node: ast.expr, env: Env) -> Any:
+        match node:
+            case ast.Slice(lower=lower, upper=upper, step=None):
+                first = 0 if lower is None else self._value(lower, env)
+                return Range(first, None if upper is None else self._value(upper, env))
+        return self._value(node, env)
+
+    def _read(self, place: Any) -> Any:
+        """Return what stands in an array, a table or a list."""
+        source, places = place
+        if isinstance(source, Array):
+            return self._values.load(source, places, self._width)
+        if isinstance(source, list):
+            return source[places[0]]
+        return self._values.entry(source, places)
+
+    def _named(self, name: str, env: Env) -> Any:
+        if name in env:
+            value = env[name]
+            if isinstance(value, Product):
+                return self._values.multiply(value.a, value.b)
+            return self._values.read(value) if isinstance(value, Slot) else value
+        if name in self._own:
+            return self._own[name]
+        try:
+            return self._text.constants[name]
+        except KeyError:
+            raise Refused(f"{name}, which has no value here") from None
+
+    def _value(self, node: ast.expr, env: Env) -> Any:
+        values = self._values
+        match node:
+            case ast.Constant(value=value):
+                return value
+            case ast.Name(id=name):
+                return self._named(name, env)
+            case ast.BinOp(left=left, op=ast.Add() | ast.Sub() as op, right=right):
+                return self._sum(left, op, right, env)
+            case ast.BinOp(left=left, op=op, right=right):
+                return self._binary(op, self._value(left, env), self._value(right, env))
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                return values.negative(self._value(operand, env))
+            case ast.UnaryOp(op=ast.Not(), operand=operand):
+                return values.no(self._value(operand, env))
+            case ast.Subscript():
+                return self._read(self._places(node, env))
+            case ast.Attribute(value=ast.Name(id="np"), attr=name):
+                return getattr(np, name)
+            case ast.Attribute(value=value, attr="shape"):
+                return list(self._array(value, env).shape)
+            case ast.Attribute(value=value, attr="size"):
+                return self._array(value, env).size
+            case ast.Compare(left=left, ops=[ast.In()], comparators=[ast.Tuple(elts=parts)]):
+                a, truth = self._value(left, env), False
+                for part in parts:
+                    truth = values.either(truth, values.compare("==", a, self._value(part, env)))
+                return truth
+            case ast.Compare(left=left, ops=[op], comparators=[right]):
+                a, b = self._value(left, env), self._value(right, env)
+                return values.compare(COMPARED[type(op)], a, b)
+            case ast.BoolOp(op=op, values=parts):
+                return self._truths(parts, env, settles=isinstance(op, ast.Or))
+            case ast.IfExp(test=test, body=body, orelse=other):
+                return self._either(self._value(test, env), body, other, env)
+            case ast.Tuple(elts=parts):
+                return [self._value(part, env) for part in parts]
+            case ast.Call(func=ast.Name(id=name), args=arguments):
+                return self._called(name, [self._value(x, env) for x in arguments])
+            case ast.Call(func=ast.Attribute(value=ast.Name(id="np"), attr=name), args=arguments):
+                kind = next((ast.unparse(word.value) for word in node.keywords), "np.float64")
+                return self._numpy(name, kind, [self._value(x, env) for x in arguments])
+            case ast.Call(func=ast.Attribute(value=value, attr=name), args=arguments):
+                given = [self._value(x, env) for x in arguments]
+                return self._method(self._array(value, env), name, given)
+        raise Refused(f"an expression of type {type(node).__name__}")
+
+    def _sum(self, left: ast.expr, op: ast.operator, right: ast.expr, env: Env) -> Any:
+        """Return a sum or a difference, of which a product is rounded with the sum alone."""
+        values, minus = self._values, isinstance(op, ast.Sub)
+        if (product := self._factors(right, env)) is not None:
+            return self._with_product(self._value(left, env), product, minus=minus)
+        if (product := self._factors(left, env)) is None:
+            return self._binary(op, self._value(left, env), self._value(right, env))
+        c = self._value(right, env)
+        return values.fused(*product, values.negative(c) if minus else c)
+
+    def _with_product(self, c: Any, product: tuple[Any, Any], *, minus: bool) -> Any:
+        """Return c + a b or c - a b."""
+        a, b = product
+        return self._values.fused(self._values.negative(a) if minus else a, b, c)
+
+    def _factors(self, node: ast.expr, env: Env) -> tuple[Any, Any] | None:
+        """Return the factors of what is used nowhere else, a product or a square; else None."""
+        match node:
+            case ast.BinOp(left=left, op=ast.Mult(), right=right):
+                return self._value(left, env), self._value(right, env)
+            case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=2)):
+                base = self._value(left, env)
+                return base, base
+            case ast.Name(id=name) if isinstance(env.get(name), Product):
+                return env[name].a, env[name].b
+        return None
+
+    def _binary(self, op: ast.operator, a: Any, b: Any) -> Any:
+        values = self._values
+        match op:
+            case ast.Add():
+                return values.add(a, b)
+            case ast.Sub():
+                return values.subtract(a, b)
+            case ast.Mult():
+                return values.multiply(a, b)
+            case ast.Div():
+                return values.divide(a, b)
+            case ast.Pow() if isinstance(b, int):
+                return values.power(a, b)
+            case ast.Pow():
+                return self._library(math.pow, [a, b])
+            case ast.BitAnd():
+                return values.both(a, b)
+            case ast.BitOr():
+                return values.either(a, b)
+            case ast.FloorDiv():
+                return values.quotient(a, b)
+            case ast.Mod():
+                return values.remainder(a, b)
+        raise Refused(f"an operation of type {type(op).__name__}")
+
+    def _truths(self, parts: list[ast.expr], env: Env, *, settles: bool) -> Any:
+        """Return whether all are true, or one of them; what settles it is the last one asked."""
+        truth = self._value(parts[0], env)
+        for part in parts[1:]:
+            if known(truth):
+                if bool(truth) is settles:
+                    return truth
+                truth = self._value(part, env)
+                continue
+
+            rest = partial(self._value, part, env)
+            if self._width or not must_wait(part, self._text):
+                join = self._values.either if settles else self._values.both
+                truth = join(truth, rest())
+            elif settles:
+                truth = self._values.picked(truth, lambda: True, rest)
+            else:
+                truth = self._values.picked(truth, rest, lambda: False)
+        return truth
+
+    def _either(self, truth: Any, body: ast.expr, other: ast.expr, env: Env) -> Any:
+        if known(truth):
+            return self._value(body if truth else other, env)
+
+        first, second = partial(self._value, body, env), partial(self._value, other, env)
+        if not self._width and (must_wait(body, self._text) or must_wait(other, self._text)):
+            return self._values.picked(truth, first, second)
+        return self._values.choose(truth, first(), second())
+
+    def _array(self, node: ast.expr, env: Env) -> Array:
+        value = self._value(node, env)
+        if not isinstance(value, Array):
+            raise Refused("something else where an array is wanted")
+        return value
+
+
+#: Numbers of arrays that a function makes for itself.
+KINDS = {"np.float64": DOUBLE, "np.int64": INT, "np.bool_": BYTE}
+
+
+class Functions(Expressions):
+    """Walks calls."""
+
+    @abstractmethod
+    def _inside(
+        self, function: ast.FunctionDef, arguments: list[Any], *, last: bool = False
+    ) -> Any:
+        """Walk a function where it is called; it may be the last of a statement."""
+
+    def _called(self, name: str, arguments: list[Any]) -> Any:
+        values = self._values
+        if name in self._text.functions:
+            walk = self._outside if name in self._apart else self._inside
+            return walk(self._text.functions[name], arguments)
+        match name, arguments:
+            case (("real" | "float"), [value]):
+                return float(value) if isinstance(value, (str, *KNOWN)) else values.real(value)
+            case "int", [value]:
+                return values.truncate(value)
+            case "abs", [value]:
+                return values.absolute(value)
+            case (("min" | "max"), _):
+                return self._extreme("<" if name == "min" else ">", arguments)
+            case "len", [table]:
+                return table.size if isinstance(table, Array) else len(table)
+            case "call", [address, h, t, Array(pointer=workspace)]:
+                return values.call_at(address, [values.real(h), values.real(t), workspace])
+        function = self._text.constants.get(name)
+        original = getattr(getattr(function, "py_func", None), "__name__", None)
+        if original in self._text.functions:  # another name of a function
+            return self._called(str(original), arguments)
+        if function is None or not callable(function):
+            raise Refused(f"a call of {name}")
+        if all(known(x) for x in arguments):
+            return function(*arguments)
+        return values.root(arguments[0]) if name == "sqrt" else self._library(function, arguments)
+
+    def _library(self, function: Any, arguments: list[Any]) -> Any:
+        """Call a function of ``math``, lane by lane."""
+        values = self._values
+        if not self._width:
+            return self._call(self._values.builder, function, [values.real(x) for x in arguments])
+        spread = [values.spread(values.real(x), self._width) for x in arguments]
+        lanes = ([values.element(x, lane) for x in spread] for lane in range(self._width))
+        return values.joined([self._call(self._values.builder, function, x) for x in lanes])
+
+    def _numpy(self, name: str, kind: str, arguments: list[Any]) -> Any:
+        """Call a function of numpy."""
+        values = self._values
+        match name, arguments:
+            case (("zeros" | "empty" | "full"), [shape, *rest]):
+                sizes = shape if isinstance(shape, list) else [shape]
+                value = rest[0] if rest else None if name == "empty" else 0
+                return values.room(KINDS[kind], sizes, value, self._frames[-1].freed)
+            case "sqrt", [value]:
+                return values.root(value)
+            case "isnan", [value]:
+                return values.compare("!=", value, value)
+            case "log", [value]:
+                return self._library(math.log, [value])
+            case "int64", [value]:
+                return values.truncate(value)
+        raise Refused(f"a call of np.{name}")
+
+    def _method(self, array: Array, name: str, arguments: list[Any]) -> Any:
+        """Call a method of an array of one axis."""
+        values = self._values
+        match name, arguments:
+            case "copy", []:
+                freed = self._frames[-1].freed
+                copy = values.room(array.pointer.type.pointee, [array.size], None, freed)
+                values.each(
+                    array.size, lambda k: values.store(copy, [k], values.load(array, [k], 0), 0)
+                )
+                return copy
+            case "reshape", [1, -1]:
+                return Array(array.pointer, (1, array.size), (array.size, *array.strides))
+        raise Refused(f"a call of .{name}")
+
+    def _extreme(self, sign: str, arguments: list[Any]) -> Any:
+        extreme = arguments[0]
+        for value in arguments[1:]:
+            extreme = self._values.choose(
+                self._values.compare(sign, value, extreme), value, extreme
+            )
+        return extreme
+
+    def _outside(self, function: ast.FunctionDef, arguments: list[Any]) -> Any:
+        """Walk a function by itself, once for each kind of its arguments, and call it."""
+        values = self._values
+        key, given = values.packed(function.name, arguments)
+        if key not in self._made:
+            self._made[key] = values.apart(
+                function.name,
+                given,
+                lambda parameters: self._inside(function, values.unpacked(key, parameters)),
+                self._apart[function.name],
+            )
+        callee, results = self._made[key]
+        return values.call_apart(callee, given, results)

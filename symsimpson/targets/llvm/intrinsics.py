@@ -1,0 +1,219 @@
+"""Kernels as intrinsics of numba, with its module of LLVM, options, machine, cache."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+from collections.abc import Callable
+from functools import cache, lru_cache
+from importlib import resources
+from typing import Any
+
+from llvmlite import ir
+
+from symsimpson.errors import GenerationError
+from symsimpson.targets.llvm.calls import Calls
+from symsimpson.targets.llvm.memory import Array, BlockBuilder
+from symsimpson.targets.llvm.trees import ARGUMENTS, Text, read_text
+from symsimpson.targets.llvm.values import DOUBLE, INT, Refused
+from symsimpson.targets.llvm.walker import Walker
+
+#: Loops of fewer operations in all are no loops.
+FEW = 16
+#: Functions that are called rarely are made small: LLVM unrolls none of their loops, which takes it
+#: a fifth of the time.
+SMALL = ("noinline", "minsize", "optsize")
+
+
+@lru_cache(maxsize=4)  # functions of a text are made one after the other
+def read_functions(text: str) -> Text:
+    """Read a text of functions for numba, which is executed for its constants."""
+    functions = {
+        node.name: node
+        for node in ast.parse(text).body
+        if isinstance(node, ast.FunctionDef) and node.decorator_list
+    }
+    constants: dict[str, Any] = {}
+    exec(compile(text, "<functions for numba>", "exec"), constants)
+    return Text(functions, constants)
+
+
+def walking_function(text: Callable[[], Text], name: str, signature: Any, bits: int) -> Any:
+    """Return what a stub calls: its code is that of a function, walked when it is compiled.
+
+    ``text`` gives the functions, and is called when something is compiled; ``bits`` says how wide
+    vectors may be.
+    """
+    from numba import types
+
+    def code(context: Any, builder: Any, called: Any, arguments: list[Any]) -> Any:
+        # no fused products: times are what Python makes of the same steps
+        values = Calls(builder, ())
+        set.add(builder.function.attributes, wide(bits))
+        whole = text()
+        # what is called in each step stands in the loop
+        apart = {
+            k: SMALL if "RARE" in _options(node) else ()
+            for k, node in whole.functions.items()
+            if "INLINE" not in _options(node)
+        }
+        for attribute in apart[name]:
+            builder.function.attributes.add(attribute)
+        pairs = zip(called.args, arguments, strict=True)
+        given = [_argument(context, values, kind, argument) for kind, argument in pairs]
+        return_value = Walker(whole, values, library(context), FEW, apart).function(name, given)
+        if called.return_type == types.void:
+            return context.get_dummy_value()
+        result = called.return_type
+        return values.bit(return_value) if result == types.boolean else values.whole(return_value)
+
+    return called_by_stub(signature, code)
+
+
+def _options(node: ast.FunctionDef) -> str:
+    return ast.unparse(node.decorator_list[0]) if node.decorator_list else ""
+
+
+def _argument(context: Any, values: Calls, kind: Any, value: Any) -> Any:
+    """Return an argument of numba's: a number, an array, or a list of what stands in a tuple."""
+    from numba import types
+
+    if isinstance(kind, types.BaseTuple):
+        parts: Any = kind
+        return [
+            _argument(context, values, part, values.builder.extract_value(value, k))
+            for k, part in enumerate(parts.types)
+        ]
+    return _array(context, values, kind, value) if isinstance(kind, types.Array) else value
+
+
+def _array(context: Any, values: Calls, kind: Any, value: Any) -> Array:
+    """Return an array of numba's."""
+    builder = values.builder
+    array = context.make_array(kind)(context, builder, value)
+    shape = tuple(builder.extract_value(array.shape, k) for k in range(kind.ndim))
+    if kind.layout == "C":
+        return values.contiguous(array.data, shape)
+    size = ir.Constant(INT, kind.dtype.bitwidth // 8)
+    strides = (builder.extract_value(array.strides, k) for k in range(kind.ndim))
+    return Array(array.data, shape, tuple(builder.sdiv(stride, size) for stride in strides))
+
+
+@cache
+def walker_digest() -> str:
+    """Return a digest of the files of this package, which may make other code of the same text."""
+    files = sorted(resources.files("symsimpson.targets.llvm").iterdir(), key=lambda file: file.name)
+    content = b"".join(file.read_bytes() for file in files if file.name.endswith(".py"))
+    return hashlib.sha256(content).hexdigest()
+
+
+def stub(name: str, count: int) -> str:
+    """Return the text of a function with so many arguments that calls ``walk_<name>``."""
+    names = _names(count)
+    return f"def {name}({names}):\n    return walk_{name}({names})\n"
+
+
+def stubs(text: str, names: list[str]) -> str:
+    """Return a text with functions to compile in place of kernels, for the same signature."""
+    lines = [line for line in text.splitlines() if line.startswith(("SIGNATURE =", "OPTIONS ="))]
+    return "\n\n".join(["\n".join(lines), *(stub(name, len(ARGUMENTS)) for name in names)])
+
+
+def called_by_stub(signature: Any, code: Callable[..., Any]) -> Any:
+    """Return an intrinsic of numba with this signature and this generator of instructions."""
+    from numba.extending import intrinsic
+
+    namespace: dict[str, Any] = {"signature": signature, "code": code}
+    names = _names(len(signature.args))
+    exec(f"def walked(typing_context, {names}): return signature, code", namespace)
+    return intrinsic(namespace["walked"])
+
+
+def _names(count: int) -> str:
+    return ", ".join(f"a{k}" for k in range(count))
+
+
+def walking(text: str, name: str, lanes: int, bits: int) -> Any:
+    """Return an intrinsic of numba whose instructions are made of a kernel when it is compiled.
+
+    ``text`` is the module, and ``bits`` says how wide vectors may be.
+    """
+    from numba import types
+
+    def code(context: Any, builder: Any, signature: Any, arguments: list[Any]) -> Any:
+        set.add(builder.function.attributes, wide(bits))  # it is inlined there
+        callee = function(context, builder.module, read_text(text), name, lanes, bits)
+        builder.call(callee, arguments)
+        return context.get_dummy_value()
+
+    pointer: Any = types.CPointer  # which has no types of its own
+    signature = types.void(types.float64, types.float64, pointer(types.float64))
+    return called_by_stub(signature, code)
+
+
+def function(
+    context: Any, module: ir.Module, text: Text, name: str, lanes: int, bits: int
+) -> ir.Function:
+    """Write a kernel into a module of LLVM: lanes, or nodes, as one vector, or one by one."""
+    alone: frozenset[str] = frozenset()
+    while True:
+        try:
+            return _walked(context, module, text, name, lanes, bits, at_once=True, alone=alone)
+        except Refused as refused:  # lanes that go different ways, in all of it or a part
+            if lanes == 1 or refused.function in {"", name, *alone}:
+                break
+            alone |= {refused.function}
+    return _walked(context, module, text, name, lanes, bits, at_once=False)
+
+
+def library(context: Any) -> Callable[[Any, Any, list[Any]], Any]:
+    """Return a function that writes calls of functions of ``math`` as numba does."""
+    from numba import types
+
+    def call(builder: ir.IRBuilder, function: Any, arguments: list[Any]) -> Any:
+        kind = context.typing_context.resolve_value_type(function)
+        numbers = [types.float64] * len(arguments)
+        signature = kind.get_call_type(context.typing_context, numbers, {})
+        return context.get_function(kind, signature)(builder, arguments)
+
+    return call
+
+
+def wide(bits: int) -> str:
+    """Return attributes of a function by which its vectors may have so many bits.
+
+    llvmlite does not know them: they are added to its set. Longer vectors of the text are taken
+    apart: none of them has to be in one register.
+    """
+    return f'"prefer-vector-width"="{bits}" "min-legal-vector-width"="0"'
+
+
+def _walked(
+    context: Any,
+    module: ir.Module,
+    text: Text,
+    name: str,
+    lanes: int,
+    bits: int,
+    *,
+    at_once: bool,
+    alone: frozenset[str] = frozenset(),
+) -> ir.Function:
+    kind = ir.FunctionType(ir.VoidType(), [DOUBLE, DOUBLE, DOUBLE.as_pointer()])
+    kernel = ir.Function(module, kind, module.get_unique_name(f"walked_{name}"))
+    kernel.linkage = "internal"
+    kernel.attributes.add("alwaysinline")
+    set.add(kernel.attributes, wide(bits))
+    builder = BlockBuilder(kernel.append_basic_block("entry"))
+    h, t, workspace = kernel.args
+
+    rows = Array(workspace, (None, lanes), (lanes, 1), values=True)
+    walker = Walker(text, Calls(builder), library(context))
+    try:
+        vector, lane_scratch = at_once and lanes > 1, at_once and lanes == 1
+        walker.kernel(name, h, t, rows, vector=vector, lane_scratch=lane_scratch, alone=alone)
+    except (Refused, GenerationError):
+        module.globals.pop(kernel.name)
+        raise
+    builder.ret_void()
+    return kernel

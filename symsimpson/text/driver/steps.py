@@ -1,0 +1,276 @@
+"""The compiled loop over steps: Newton, closing a step, catching what goes wrong.
+
+One piece of code drives every generated module. It calls kernels by address, with the step, the
+time and the workspace; everything that a run must remember stands in the workspace, so that a run
+can stop after any step and go on with the same bits. This file and those beside it are
+compiled as one text, behind the agreement with modules, and import nothing else.
+"""
+
+import numpy as np
+from numba import njit, types
+
+from symsimpson.text.driver.solving import (
+    DRIVER_OPTIONS,
+    INLINE,
+    LANES,
+    RARE,
+    UNSOLVED,
+    call,
+    solve_for,
+    solve_to_rounding,
+)
+from symsimpson.text.interface import *
+
+#: Such a step may change the energy by about half the largest kinetic energy before: this, divided
+#: by the degree, of the largest squared increments, over h^2.
+ENERGY_CHANGE = 0.75
+#: And its increments may be so many times the largest ones before, squared.
+GROWTH = 25.0
+#: What rounding makes of an energy, with room.
+ENERGY_ROUNDING = 2.0**-40
+# why steps stop before the end
+FAILED, SUSPICIOUS, TAKEN_BACK = 1, 2, 3
+
+#: Whether variations are made orthonormal on the way; a driver that does takes longer to compile.
+RENEWING = False
+SET, DRIVER_LAYOUT_ROWS, WORKSPACE = types.int64[::1], types.int64[::1], types.float64[:, ::1]
+STATES, COUNTS = types.float64[:, :, ::1], types.int64[:, ::1]
+#: Inputs by member, step, node and number; one stands for all, or the last for those behind it.
+INPUTS = types.Array(types.float64, 4, "A", readonly=True)
+#: A run, as functions take it: the step, the time of its start, the workspace, and the layout for
+#: the driver; where states are stored, q, p, what is kept beside them, and iterations.
+SETTING = types.Tuple((types.float64, types.float64, WORKSPACE, DRIVER_LAYOUT_ROWS))
+STORES = types.Tuple((STATES, STATES, STATES, COUNTS))
+#: What is called from Python, each compiled by itself when it is first needed.
+SIGNATURES = {
+    "apply": types.void(types.int64, types.float64, types.float64, WORKSPACE),
+    "take_steps": types.void(
+        SET, SETTING, types.int64[::1], types.int64, types.int64, STORES, INPUTS
+    ),
+}
+
+
+@njit(**DRIVER_OPTIONS)
+def apply(kernel, h, t, W):
+    """Call a kernel once."""
+    call(kernel, h, t, W)
+
+
+@njit(**INLINE)
+def keep(W, first, last, lane, copy):
+    """Copy rows of a lane."""
+    for row in range(first, last):
+        copy[row - first, lane] = W[row, lane]
+
+
+@njit(**INLINE)
+def give(W, at, inputs, step):
+    """Let the inputs of a step stand in the workspace, of each its values at all nodes."""
+    members, steps, nodes, count = inputs.shape
+    for k in range(count):
+        for i in range(at[INPUT_STRIDE]):
+            row = at[INPUT] + k * at[INPUT_STRIDE] + i
+            for lane in range(LANES):
+                W[row, lane] = inputs[
+                    min(lane, members - 1), min(step, steps - 1), min(i, nodes - 1), k
+                ]
+
+
+@njit(**RARE)
+def put_back(W, first, last, lane, copy):
+    """Restore rows of a lane."""
+    for row in range(first, last):
+        W[row, lane] = copy[row - first, lane]
+
+
+@njit(**RARE)
+def step_back(W, at, lane):
+    """Restore the state and the predicted increments from before the last call of advance."""
+    first, last, previous = at[POSITION], at[STATE_END], at[PREVIOUS]
+    for row in range(last - first):
+        W[first + row, lane] = W[previous + row, lane]
+
+
+@njit(**INLINE)
+def store_lane(W, at, place, lane, stores):
+    """Store the state of a lane, what recorders have left, and iterations since the one before."""
+    q_out, p_out, recorded_out, iterations_out = stores
+    for a in range(at[DIMENSION]):
+        q_out[place, a, lane] = W[at[POSITION] + a, lane]
+        p_out[place, a, lane] = W[at[MOMENTUM] + a, lane]
+    column = 0
+    for pair in range(RECORDED, len(at), 2):
+        for row in range(at[pair + 1]):
+            recorded_out[place, column + row, lane] = W[at[pair] + row, lane]
+        column += at[pair + 1]
+    iterations_out[place, lane] = np.int64(W[at[ITERATIONS], lane])
+    W[at[ITERATIONS], lane] = 0.0
+
+
+@njit(**INLINE)
+def store(W, at, place, stores):
+    """Store the states of lanes that go on."""
+    for lane in range(LANES):
+        if W[at[STATUS], lane] == 0.0:
+            store_lane(W, at, place, lane, stores)
+
+
+@njit(**INLINE)
+def record(kernels, first, h, t, reached, W, at):
+    """Call recorders, from a ``first`` one on: with the time of the step, or that of the state.
+
+    Those that look for events come first: where there is one, no other is called.
+    """
+    last, looked = len(kernels), RECORDERS + at[OF_EVENTS]
+    for k in range(first, last):
+        for lane in range(LANES):
+            W[at[ACTIVE], lane] = 1.0 if W[at[STATUS], lane] == 0.0 else 0.0
+        call(kernels[k], h, reached if k < looked or k >= last - at[OF_STATES] else t, W)
+
+
+@njit(**RARE)
+def orthonormalise(W, first, size, count, factor, lane):
+    """Make columns orthonormal, V = Q R, by Gram and Schmidt.
+
+    R stands from ``factor`` on, and after R the weights of the scalar product.
+    """
+    weight = factor + count * count
+    for j in range(count):
+        v = first + j * size
+        for i in range(j):
+            u, part = first + i * size, 0.0
+            for a in range(size):
+                part += W[weight + a, lane] * W[u + a, lane] * W[v + a, lane]
+            for a in range(size):
+                W[v + a, lane] -= part * W[u + a, lane]
+            W[factor + i * count + j, lane] = part
+        norm = 0.0
+        for a in range(size):
+            norm += W[weight + a, lane] * W[v + a, lane] ** 2
+        norm = np.sqrt(norm)
+        for a in range(size):
+            W[v + a, lane] /= norm
+        W[factor + j * count + j, lane] = norm
+
+
+@njit(**RARE)
+def renew(W, at):
+    """Make variations orthonormal, and keep how they have grown and stand to one another.
+
+    From GROWN on: how often this was done, the mean MEGNO, SALI, the sums of ln R_jj, GALI of two,
+    three, ... variations; then the sums of k ln R_11 and of MEGNO, the product of all R, its
+    columns made as long as 1, R, and the weights of dq and dp.
+    """
+    size, count, first = 2 * at[DIMENSION], at[RENEWED], at[GROWN]
+    sums, aligned = first + 3, first + 3 + count
+    megno, product = first + 2 * count + 2, first + 2 * count + 4
+    factor = product + count * count
+    for lane in range(LANES):
+        orthonormalise(W, at[TANGENT], size, count, factor, lane)
+        for j in range(count):
+            W[sums + j, lane] += np.log(W[factor + j * (count + 1), lane])
+        W[first, lane] += 1.0
+        number = W[first, lane]
+        W[megno, lane] += number * np.log(W[factor, lane])
+        W[megno + 1, lane] += 2.0 * W[megno, lane] / number
+        W[first + 1, lane] = W[megno + 1, lane] / number
+        volume = 1.0
+        for j in range(count):
+            norm = 0.0
+            for i in range(j + 1):
+                value = 0.0
+                for k in range(i, j + 1):
+                    value += W[factor + i * count + k, lane] * W[product + k * count + j, lane]
+                W[product + i * count + j, lane] = value
+                norm += value**2
+            norm = np.sqrt(norm)
+            for i in range(j + 1):
+                W[product + i * count + j, lane] /= norm
+            volume *= W[product + j * (count + 1), lane]
+            if j > 0:
+                W[aligned + j - 1, lane] = volume
+        if count > 1:  # the shorter diagonal of two sides of length 1
+            along, across = abs(W[product + 1, lane]), W[product + count + 1, lane]
+            W[first + 2, lane] = across / np.sqrt((1.0 + along) / 2.0)
+
+
+@njit(**DRIVER_OPTIONS)
+def watch(kernels, h, t, W, at):
+    """Take a step back that is out of proportion to those before: another solution of it."""
+    before = W[at[ENERGY], 0]
+    call(kernels[MEASURE], h, t, W)
+    degree = (at[STATE_END] - at[INCREMENT]) // at[DIMENSION]
+    increment = max(W[at[INCREMENT_SQUARED], 0], W[at[LARGEST_SQUARED], 0])
+    largest = W[at[COUNT], 0] if W[at[COUNT], 0] > 0.0 else increment
+    change = abs(W[at[ENERGY], 0] - before) * h * h
+    # an energy at rest changes by rounding
+    lost = ENERGY_ROUNDING * (abs(before) + W[at[ENERGY] + 1, 0]) * h * h
+    small = change * degree <= ENERGY_CHANGE * largest + lost and increment <= GROWTH * largest
+    if W[at[STATUS], 0] == 0.0 and not small:
+        step_back(W, at, 0)
+        W[at[LARGEST_SQUARED], 0] = W[at[COUNT], 0]
+        W[at[STATUS], 0] = STEP_TOO_LARGE if change < np.inf else NOT_FINITE
+
+
+@njit(**DRIVER_OPTIONS)
+def take_steps(kernels, setting, progress, stop, every, stores, inputs):
+    """Take steps until ``stop``, an event, or no lane is left.
+
+    ``progress`` is (step, event, before, given): the steps that were taken before all of these, and
+    how many of the ``inputs`` are theirs. Recorders are called behind each step. States are stored
+    after each ``every`` steps, none for ``every = 0``. A lane with a status other than 0 is not
+    touched. At an event the step is not finished: ``recover`` does that, and ``take_steps`` goes
+    on.
+    """
+    h, t0, W, at = setting
+    # as rows of their own their lanes are vectors
+    active, status, in_doubt = W[at[ACTIVE]], W[at[STATUS]], W[at[IN_DOUBT]]
+    relative, contraction = W[at[RELATIVE]], W[at[CONTRACTION]]
+    step, recovered, before, given = progress[0], progress[1] != 0, progress[2], progress[3]
+    progress[1] = 0
+    watched = kernels[MODE] == NEWTON_AFTER_STAGES
+    followed = len(kernels) > RECORDERS
+    if watched and not recovered:
+        call(kernels[MEASURE], h, t0 + h * (before + step), W)
+    while step < stop:
+        if not recovered:
+            t = t0 + h * (before + step)
+            if watched:
+                W[at[COUNT], 0] = W[at[LARGEST_SQUARED], 0]
+            alive = 0
+            for lane in range(LANES):
+                active[lane] = 1.0 if status[lane] == 0.0 else 0.0
+                alive += status[lane] == 0.0
+            if alive == 0:
+                break
+            give(W, at, inputs, given + step)
+            outcome = solve_for(kernels[ITERATE], h, t, W, active, relative, contraction)
+            if outcome == UNSOLVED:
+                outcome = solve_to_rounding(kernels[ITERATE], h, t, W, at)
+            if outcome != 0:
+                progress[1] = FAILED
+                break
+            doubts = 0
+            for lane in range(LANES):
+                active[lane] = 1.0 if status[lane] == 0.0 else 0.0
+            call(kernels[ADVANCE], h, t, W)
+            for lane in range(LANES):
+                doubts += (status[lane] == 0.0) & (in_doubt[lane] != 0.0)
+            if doubts > 0:
+                progress[1] = SUSPICIOUS
+                break
+        if watched:
+            watch(kernels, h, t0 + h * (before + step), W, at)
+            if status[0] != 0.0:
+                progress[1] = TAKEN_BACK
+                break
+        recovered = False
+        step += 1
+        if followed:
+            passed, reached = t0 + h * (before + step - 1), t0 + h * (before + step)
+            record(kernels, RECORDERS, h, passed, reached, W, at)
+        if RENEWING and followed and (before + step) % at[RENEWAL] == 0:
+            renew(W, at)
+        if every != 0 and step % every == 0:
+            store(W, at, step // every, stores)
+    progress[0] = step
