@@ -1,1 +1,1 @@
-"""What runs a kernel: LLVM, Python in many digits, C."""
+"""Targets of the kernel language: LLVM, Python in many digits, C, counts of operations."""

@@ -35,7 +35,7 @@ def test_the_wheel_holds_the_package_and_nothing_else(built):
     assert any(x.endswith("licenses/LICENSE") for x in names)
     assert not any("changes" in x.lower() for x in names)
     present = {str(x.relative_to(ROOT)) for x in (ROOT / "symsimpson").rglob("*.py")}
-    others = {"py.typed", "__init__.pyi", "plotting/book.mplstyle", "export/step.c"}
+    others = {"py.typed", "__init__.pyi", "plotting/book.mplstyle", "targets/c/step.c"}
     assert present | {f"symsimpson/{x}" for x in others} <= names
     for extra in ("plot", "data", "bench", "cluster", "precise", "notebooks", "progress"):
         assert f"Provides-Extra: {extra}" in metadata

@@ -74,11 +74,16 @@ def lines_of_rooms():
 
 
 def floors():
-    """Return the length of the longest chain of rooms, each imported by the next."""
+    """Return the length of the longest chain of rooms, each imported by the next.
+
+    Steps in C stand apart from other targets: they are made of a program, which imports those.
+    """
     below = {}
     for path in FILES:
-        imported = {name.split(".")[1] for name in imports(path, deferred=False)}
-        below.setdefault(room(path), set()).update(imported - {room(path)})
+        upper = "targets.c" if path.match("targets/c/*.py") else room(path)
+        names = {name.removeprefix("symsimpson.") for name in imports(path, deferred=False)}
+        imported = {x[:9] if x.startswith("targets.c.") else x.split(".")[0] for x in names}
+        below.setdefault(upper, set()).update(imported - {upper})
     floor = {}
     for name in graphlib.TopologicalSorter(below).static_order():
         floor[name] = 1 + max((floor[lower] for lower in below.get(name, ())), default=0)
@@ -109,41 +114,35 @@ def first_calls(cache_folder):
 
 #: Lines of text in each room.
 LINES = {
-    "analysis": 4901,
-    "api": 1560,
-    "bench": 1341,
-    "cli": 832,
-    "codegen": 10639,
-    "control": 4196,
-    "derivatives": 988,
-    "discrete": 1856,
-    "driver": 2222,
-    "ensemble": 2021,
-    "export": 1553,
-    "graph": 2317,
-    "mechanics": 6006,
-    "module": 1614,
-    "plotting": 1104,
-    "program": 3117,
-    "reference": 914,
-    "results": 3569,
-    "root": 543,
-    "run": 4392,
-    "schemes": 786,
-    "stepping": 2452,
-    "support": 1143,
-    "systems": 1872,
-    "walk": 2854,
+    "api": 1490,
+    "cli": 810,
+    "declare": 5760,
+    "discrete": 1720,
+    "graph": 2240,
+    "lower": 5920,
+    "plotting": 1046,
+    "program": 2923,
+    "reference": 894,
+    "results": 3403,
+    "root": 542,
+    "run": 6789,
+    "schemes": 776,
+    "stepping": 2427,
+    "study": 9531,
+    "support": 1088,
+    "systems": 1715,
+    "targets": 4597,
+    "text": 7266,
 }
 
 #: What a first compile and a first integrate execute, with nothing on disk. Python 3.11 counts
 #: comprehensions as functions.
 FIRST_CALLS = {
-    "functions that a first compile executes": 1167,
-    "files that a first compile executes": 189,
-    "functions that a first integrate executes": 664,
-    "files that a first integrate executes": 106,
-    "modules loaded after ten steps": 281,
+    "functions that a first compile executes": 1130,
+    "files that a first compile executes": 135,
+    "functions that a first integrate executes": 661,
+    "files that a first integrate executes": 87,
+    "modules loaded after ten steps": 203,
 }
 
 #: Figures as they are. One that has fallen is written here, so that it cannot rise again.
@@ -152,17 +151,17 @@ FIGURES = {
         0,
         lambda: sum("# fmt: skip" in x for p in FILES for x in p.read_text().splitlines()),
     ),
-    "functions with more than 8 arguments": (19, lambda: with_more_arguments(8)),
-    "functions with more than 12 arguments": (10, lambda: with_more_arguments(12)),
+    "functions with more than 8 arguments": (16, lambda: with_more_arguments(8)),
+    "functions with more than 12 arguments": (7, lambda: with_more_arguments(12)),
     "private names asked of others": (24, lambda: sum(map(is_reach, nodes(ast.Attribute)))),
     "values called found, made, own or one": (0, lambda: sum(map(is_vague, every_node()))),
-    "names that several files have": (4, repeated_names),
+    "names that several files have": (2, repeated_names),
     "modules at the root": (3, lambda: len(list(PACKAGE.glob("*.py")))),
-    "lines of the package": (64792, lambda: sum(lines_of_rooms().values())),
-    "files": (424, lambda: len(FILES)),
-    "floors": (12, floors),
-    "class names that occur twice": (21, repeated_classes),
-    "docstrings with private words": (628, private_words),
+    "lines of the package": (60937, lambda: sum(lines_of_rooms().values())),
+    "files": (293, lambda: len(FILES)),
+    "floors": (10, floors),
+    "class names that occur twice": (20, repeated_classes),
+    "docstrings with private words": (560, private_words),
     "docstrings that cannot be read alone": (
         0,
         lambda: sum(
