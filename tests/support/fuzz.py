@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 def check(seed):
     """Residual and Jacobian against differences of L_d in 60 digits; gives what went wrong."""
-    from unit.codegen.test_random_systems import check_equations
+    from unit.lower.test_random_systems import check_equations
 
     try:
         check_equations(seed)
