@@ -84,7 +84,7 @@ def constraint_stores(
     if rolling:
 
         def rates() -> Iterator[Store]:
-            return (Store(Row("RATE", k), entry("rate", c)) for k, c in enumerate(rolling))
+            return (Store(Row("SLIP", k), entry("rate", c)) for k, c in enumerate(rolling))
 
         def by_coordinates(block: str, what: str) -> Iterator[Store]:
             return (
@@ -98,10 +98,10 @@ def constraint_stores(
             Store(Row("CURVATURE", c), entry("b", c) if c in rolling else low.graph.of(0))
             for c in count
         )
-        slopes_of_rates = by_coordinates("RATE_Q", "rate_q"), by_coordinates("RATE_V", "Phi")
+        slopes_of_rates = by_coordinates("SLIP_Q", "rate_q"), by_coordinates("SLIP_V", "Phi")
         stores["rates"] = chain(rates(), *slopes_of_rates)
         if plain.carried and low.equations.varied is not None:
-            stores["carried_slopes"] = by_coordinates("RATE_Q", "b_q")
+            stores["carried_slopes"] = by_coordinates("SLIP_Q", "b_q")
     return stores
 
 

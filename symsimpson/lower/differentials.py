@@ -210,9 +210,9 @@ def _slopes(low: Lowering, places: Sequence[int]) -> dict[str, list[Store]]:
         kinds = ("CONSTRAINT_A", "phi_a", count), ("CONSTRAINT_QA", "pull_a", places)
         stores["constraint_parameter_slopes"] = by_parameters(*kinds)
     if rolling:
-        stores["rate_parameter_slopes"] = by_parameters(("RATE_A", "rate_a", rolling))
+        stores["rate_parameter_slopes"] = by_parameters(("SLIP_A", "rate_a", rolling))
     if plain.carried:
-        stores["carried_parameter_slopes"] = by_parameters(("RATE_A", "b_a", rolling))
+        stores["carried_parameter_slopes"] = by_parameters(("SLIP_A", "b_a", rolling))
     return stores
 
 

@@ -122,7 +122,7 @@ class Quantities:
     def velocity_constraint_error(self) -> NDArray[Any]:
         """A v - b of velocity constraints as they are written, shape (..., m): rounding alone."""
         count = len(self.program.header.velocity_constraints)
-        return self._rows("multipliers", "RATE", count)
+        return self._rows("multipliers", "SLIP", count)
 
     @cached_property
     def constraint_forces(self) -> NDArray[Any]:

@@ -9,7 +9,7 @@ constants, and the places in DRIVER_LAYOUT, which stand in this module by their 
 from symsimpson.text.workspace_layout import DRIVER_LAYOUT
 
 #: Number of the agreement; modules with another number are refused.
-INTERFACE = 13
+INTERFACE = 14
 
 #: The type of a kernel, and what the compiler is told: contract and nsz keep NaN checks and
 #: compensated sums, "fast" would delete both.

@@ -253,9 +253,9 @@ TABLE = (
         "second derivatives of lambda.phi by q and lambda there",
         lambda s: s.bordered,
     ),
-    part("RATE", "A v - b of velocity constraints at a point", lambda s: s.rolling),
-    part("RATE_Q", "its derivatives by q", lambda s: s.rolling * s.n),
-    part("RATE_V", "those by v, A", lambda s: s.rolling * s.n),
+    part("SLIP", "A v - b of velocity constraints at a point", lambda s: s.rolling),
+    part("SLIP_Q", "its derivatives by q", lambda s: s.rolling * s.n),
+    part("SLIP_V", "those by v, A", lambda s: s.rolling * s.n),
     part(
         "TAKEN",
         "multipliers of the projection of p at the end of a step",
@@ -323,7 +323,7 @@ TABLE = (
         "derivatives of phi by the parameters that are varied, at a control point",
         lambda s: s.varied * s.m,
     ),
-    part("RATE_A", "those of A v - b, or of b", lambda s: s.varied * s.rolling),
+    part("SLIP_A", "those of A v - b, or of b", lambda s: s.varied * s.rolling),
     part("CONSTRAINT_QA", "those of Phi^T lambda", lambda s: s.varied * s.constrained * s.n),
     part(
         "EXCHANGE", "which rows elimination has exchanged", lambda s: s.differentiated * s.unknowns

@@ -8,6 +8,8 @@ from itertools import pairwise
 from symsimpson.text.table import TABLE, Sizes
 
 BLOCKS = {block.name: block for block in TABLE}
+if len(BLOCKS) < len(TABLE):
+    raise AssertionError("two blocks of the workspace have the same name")
 
 #: Blocks that must stand right behind one another: the driver moves them as one.
 ADJACENT = (

@@ -279,7 +279,7 @@ def assemble_rates(W, h, node, lane):
     point = node - NODES
     for c in range(HOLONOMIC, CONSTRAINTS):
         rate = c - HOLONOMIC
-        W[RESIDUAL + DEGREE * DIMENSION + point * CONSTRAINTS + c, lane] = W[RATE + rate, lane]
+        W[RESIDUAL + DEGREE * DIMENSION + point * CONSTRAINTS + c, lane] = W[SLIP + rate, lane]
         i = HELD_PLACE[DIMENSION + c]
         row = HELD_SHIFT + point * HELD_PULL_STEP + i * HELD_PLACE_STEP
         row = JACOBIAN + row * SOLVE_STRIDE
@@ -291,8 +291,8 @@ def assemble_rates(W, h, node, lane):
                 entry = column * HELD_ROW_STEP + j * HELD_PLACE_STEP
                 if abs(i - j) <= HELD_BAND:
                     W[row + SOLVE_OFFSET + entry, lane] = (
-                        BASIS[node, k] * W[RATE_Q + a, lane]
-                        + BASIS_SLOPE[node, k] / h * W[RATE_V + a, lane]
+                        BASIS[node, k] * W[SLIP_Q + a, lane]
+                        + BASIS_SLOPE[node, k] / h * W[SLIP_V + a, lane]
                     )
 
 
@@ -304,7 +304,7 @@ def keep_rates(W, h, node, lane):
     for c in range(HOLONOMIC, CONSTRAINTS):
         i = HELD_PLACE[DIMENSION + c]
         for s in range(DIMENSION):
-            rate = RATE_Q + (c - HOLONOMIC) * DIMENSION + COORDINATE[s]
+            rate = SLIP_Q + (c - HOLONOMIC) * DIMENSION + COORDINATE[s]
             if abs(i - HELD_PLACE[s]) <= HELD_BAND:
                 W[first + i * HELD_STRIDE + HELD_PLACE[s], lane] = h * W[rate, lane]
     if VARIED_BY:
@@ -313,7 +313,7 @@ def keep_rates(W, h, node, lane):
         rate_parameter_slopes(W, lane)
         for j in range(VARIED):
             for c in range(HOLONOMIC, CONSTRAINTS):
-                rate = RATE_A + j * (CONSTRAINTS - HOLONOMIC) + c - HOLONOMIC
+                rate = SLIP_A + j * (CONSTRAINTS - HOLONOMIC) + c - HOLONOMIC
                 slope = POINT_A + (point * VARIED + j) * CONSTRAINTS + c
                 W[slope, lane] = h * W[rate, lane]
 
@@ -326,10 +326,10 @@ def vary_carried(W, variation, lane):
     parameter = variation - int(W[TANGENTS, lane]) + VARIED
     for c in range(HOLONOMIC, CONSTRAINTS):
         for a in range(DIMENSION):
-            slope = W[RATE_Q + (c - HOLONOMIC) * DIMENSION + a, lane]
+            slope = W[SLIP_Q + (c - HOLONOMIC) * DIMENSION + a, lane]
             W[room + DIMENSION + c, lane] += slope * W[dq + a, lane]
         if VARIED_BY and parameter >= 0:
-            slope = RATE_A + parameter * (CONSTRAINTS - HOLONOMIC) + c - HOLONOMIC
+            slope = SLIP_A + parameter * (CONSTRAINTS - HOLONOMIC) + c - HOLONOMIC
             W[room + DIMENSION + c, lane] += W[slope, lane]
 
 
@@ -338,10 +338,10 @@ def pull_carried(W, lane):
     """Add z.b_q to the derivative of a cost by q1, and z.b_a to those by parameters."""
     for c in range(HOLONOMIC, CONSTRAINTS):
         for a in range(DIMENSION):
-            slope = W[RATE_Q + (c - HOLONOMIC) * DIMENSION + a, lane]
+            slope = W[SLIP_Q + (c - HOLONOMIC) * DIMENSION + a, lane]
             W[ADJOINT + a, lane] += W[MULTIPLIER + c, lane] * slope
     if VARIED_BY:
         for j in range(VARIED):
             for c in range(HOLONOMIC, CONSTRAINTS):
-                slope = RATE_A + j * (CONSTRAINTS - HOLONOMIC) + c - HOLONOMIC
+                slope = SLIP_A + j * (CONSTRAINTS - HOLONOMIC) + c - HOLONOMIC
                 W[COST_END + j, lane] += W[MULTIPLIER + c, lane] * W[slope, lane]

@@ -12,6 +12,7 @@ from symsimpson.program.driver import driver_text
 from symsimpson.text import interface
 from symsimpson.text.header import SIGNED, digest, read_header, with_facts
 from symsimpson.text.syntax import redefined
+from symsimpson.text.table import TABLE
 from symsimpson.text.workspace_layout import BLOCKS, DRIVER_LAYOUT
 
 TEXT = source(ss.systems.pendulum(), "midpoint")
@@ -47,6 +48,17 @@ def test_blocks_stand_behind_one_another():
     rows = [layout[name] for name in BLOCKS if name in layout]
     assert rows == sorted(rows)
     assert rows[-1] <= layout["ROWS"]
+
+
+def test_each_block_has_a_name_of_its_own():
+    assert len({block.name for block in TABLE}) == len(TABLE)
+
+
+def test_rows_of_velocity_constraints_are_found_in_older_modules():
+    text = source(ss.systems.rolling_disc(), "midpoint")
+    older = redefined(re.sub(r"\bSLIP", "RATE", text), {"INTERFACE": "INTERFACE = 13"})
+    layout = read_header(signed(older), "here").layout
+    assert layout["SLIP"] == layout["RATE"] == read_header(text, "here").layout["SLIP"]
 
 
 def test_sets_of_kernels_have_a_kernel_in_each_place():
