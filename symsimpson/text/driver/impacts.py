@@ -212,11 +212,11 @@ def zero_by_rate(means, start, t, span, ends, places, side, work):
         left = abs(change) * abs(change) / before if before != 0.0 else np.inf
         falls = rate * span * side <= 0.0
         inside = (x + change - low) * (high - x - change) >= 0.0
-        met = falls and abs(change) <= EXACT * abs(span)
-        met = met or abs(high - low) <= EXACT * abs(span)
-        if not met and falls and inside and left <= EXACT * abs(span):
+        fine = falls and min(left, abs(change)) <= EXACT * abs(span)
+        met = fine or abs(high - low) <= EXACT * abs(span)
+        if met and inside and change != 0.0:
             # the next correction is rounding: the state there is all that is left to find
-            x, met = x + change, True
+            x += change
             value_at(means, start, t, x, k, work)
         elif not met and inside:
             before, x = abs(change), x + change

@@ -36,7 +36,11 @@ def test_straight_lines_are_counted_as_their_sections_say(make, exploit):
         body += kernel_of(text, "step_equations") if solved else ""
         stated = sum(map(int, re.findall(r": (\d+) operations", body)))
         stated += sum(map(int, re.findall(r"(\d+) sincos", body)))
-        assert total <= stated <= 1.07 * total or (solved and 0.5 * total < stated < total)
+        if solved:  # elimination takes 2 n^3 / 3, both substitutions 2 n^2, and n is measured
+            n = counted.unknowns
+            assert 0 < total - stated <= 2 * n**3 / 3 + 3 * n**2
+        else:
+            assert total <= stated <= 1.07 * total
 
 
 def test_products_with_a_zero_of_the_text_are_not_counted():
