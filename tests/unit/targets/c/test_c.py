@@ -60,10 +60,20 @@ def test_ten_thousand_steps_are_those_of_a_run(name, scheme, tmp_path):
     system = EVERY[name]()
     stepper, h = ss.compile(system, scheme), 0.001
     q, p = begun(stepper, system, tmp_path, h).run(h, 10_000)
-    run = stepper.integrate(**system.reference_state, h=h, steps=10_000)
+    start = system.reference_state
+    run = stepper.integrate(**start, h=h, steps=10_000)
+    # what a few roundings of the start become: motions near a pole make them grow
+    few, grown = 8 * np.finfo(float).eps, 0.0
+    for share in () if system.constraints else (1 - few, 1 + few):
+        moved = stepper.integrate(
+            **{**start, "q0": np.multiply(start["q0"], share)}, h=h, steps=10_000
+        )
+        grown = max(
+            grown, (np.abs(moved.q - run.q) / np.maximum(1.0, np.abs(run.q).max(axis=0))).max()
+        )
     for found, right in ((q, run.q), (p, run.p)):
         size = np.maximum(1.0, np.abs(right).max(axis=0))
-        assert (np.abs(found - right) / size).max() < 1e-13
+        assert (np.abs(found - right) / size).max() < 1e-13 + grown
 
 
 @pytest.mark.parametrize("scheme", sweep(["simpson", "gauss8", "kahan_li8", "midpoint"]))
