@@ -122,7 +122,7 @@ def _times(some: Any) -> Floats:
 #: Quantities whose largest values differ by more than this factor have panels of their own.
 APART = 30
 #: Changes below this part of others are rounding, and coordinates below NOISE of others.
-ROUNDING, NOISE = 1e-9, 1e-12
+FIXED = 1e-9
 #: What bands show of an ensemble.
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
@@ -268,7 +268,7 @@ def free_names(crossings: Any) -> tuple[str, ...]:
     names = crossings.program.coordinates
     if len(t) > 1:
         size = np.maximum(np.abs(q).max(axis=0), np.abs(v).max(axis=0) * np.ptp(t))
-        free = np.flatnonzero(np.ptp(q, axis=0) > ROUNDING * size)
+        free = np.flatnonzero(np.ptp(q, axis=0) > FIXED * size)
         if free.size:
             return names[free[0]], f"p_{names[free[0]]}"
     return (f"p_{names[0]}",)
