@@ -103,7 +103,7 @@ class _TracedEnd:
 
     def functions(self) -> tuple[Function, Function]:
         """Return the function that differentiates the end, and the one that moves a variation."""
-        low, early = self._low, (Level.STEP, Level.ITERATION)
+        low = self._low
         self._condense()
         size, count = 2 * low.n, len(low.varied)
         units = ([int(k == j) for j in range(count)] for k in range(count))
@@ -114,18 +114,11 @@ class _TracedEnd:
         variation = [low.graph.fresh(hint, Level.LATE) for hint in hints]
         low.rows |= dict(zip(variation, rows, strict=True))
         moved = [Store(*x) for x in zip(rows, self._moved(variation, [0] * count), strict=True)]
-        needed = [s for s in low.needed(moved, (Level.LATE,)) if s not in low.rows]
-        between = [s for s in needed if Level.RUN < low.graph.level(s) < Level.LATE]
-        places = {s: Row("DERIVATIVE", len(ends) + k) for k, s in enumerate(between)}
+        opening, carried, _ = low.halves(kept, moved, lambda k: Row("DERIVATIVE", len(ends) + k))
         doc = "Find what moves variations to the end of the step."
-        lines = low.statements([*kept, *(Store(places[s], s) for s in between)], early)
-        first = Function("differentiate_end", doc, lines, ("W", "h", "t", "lane"))
-        low.rows |= places
+        first = Function("differentiate_end", doc, opening, ("W", "h", "t", "lane"))
         doc = "Carry a variation to the end of the step."
-        lines = low.statements(moved, (Level.LATE,))
-        for symbol in between:
-            del low.rows[symbol]
-        return first, Function("move_variation", doc, lines, ("W", "h", "t", "first", "lane"))
+        return first, Function("move_variation", doc, carried, ("W", "h", "t", "first", "lane"))
 
     def _condense(self) -> None:
         """Differentiate all nodes, and eliminate the inner control points."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
@@ -346,6 +346,25 @@ class Lowering:
         """List what stores need of all that is defined, through definitions of these levels."""
         needed = self._needed(stores, set(levels))
         return [symbol for symbol in self.graph.definitions if symbol in needed]
+
+    def halves(
+        self, first: Iterable[Store], last: Sequence[Store], row: Callable[[int], Row]
+    ) -> tuple[tuple[Statement, ...], tuple[Statement, ...], int]:
+        """Write two sets of stores as two texts, and count the values between them.
+
+        The second text computes what is known last; ``row`` gives the row of the kth value that it
+        reads of the first.
+        """
+        needed = [s for s in self.needed(last, (Level.LATE,)) if s not in self.rows]
+        between = [s for s in needed if Level.RUN < self.graph.level(s) < Level.LATE]
+        rows = {s: row(k) for k, s in enumerate(between)}
+        stores = [*first, *(Store(rows[s], s) for s in between)]
+        opening = self.statements(stores, (Level.STEP, Level.ITERATION))
+        self.rows |= rows
+        closing = self.statements(last, (Level.LATE,))
+        for symbol in between:
+            del self.rows[symbol]
+        return opening, closing, len(between)
 
     def hoisted_at(self, level: Level) -> list[tuple[Expression, Row]]:
         """List the hoisted values of a level with their rows."""

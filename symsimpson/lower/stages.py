@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import count
 from typing import Any
 
@@ -130,14 +131,7 @@ class TracedStages:
         reached = [low.graph.definitions[s] for s in low.needed([*forces, *moves], Level)]
         if sum(definition.operations for definition in reached) > MOST_OPERATIONS:
             return None
-        early = [s for s in low.needed(moves, (Level.LATE,)) if s not in low.rows]
-        between = [s for s in early if Level.RUN < low.graph.level(s) < Level.LATE]
-        rows = {s: self._row("STAGE_HELD", k) for k, s in enumerate(between)}
-        opening = low.statements([*forces, *(Store(rows[s], s) for s in between)], FIRST)
-        low.rows |= rows
-        closing = low.statements(moves, (Level.LATE,))
-        for symbol in between:
-            del low.rows[symbol]
+        opening, closing, between = low.halves(forces, moves, partial(self._row, "STAGE_HELD"))
         kept, turned, angles = self._turning(opening)
         functions = [
             Function("start_velocity", "Find the velocity at (q, p).", start, ("W", "t", "lane")),
@@ -152,7 +146,7 @@ class TracedStages:
             doc = "Find the velocity at q1 of coordinates without a force."
             functions.append(Function("end_velocity", doc, end, ("W", "h", "t", "lane")))
         facts = {"PIVOTS": len(low.scales) > self._scales, "TURNED": angles > 0}
-        sizes = {"staged_values": len(between), "angles": angles}
+        sizes = {"staged_values": between, "angles": angles}
         return _stages(low, self._forced, {**self._known, **facts}, tuple(functions), **sizes)
 
     def _velocity(self, function: str, *times: Expression) -> tuple[Statement, ...]:
