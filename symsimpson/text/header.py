@@ -23,6 +23,8 @@ from symsimpson.text.workspace_layout import ADJACENT, BLOCKS, DRIVER_LAYOUT
 #: Interfaces of modules in files of runs that can still be driven, each with the blocks that these
 #: modules do not have. The driver has rows of its own for them, behind those of the module.
 OLDER = {12: ("PIVOT_LIMIT", "PIVOT_TIME"), 13: ()}
+#: Blocks by the names that they have in these modules.
+RENAMED = {"RATE": "SLIP"}
 
 #: Constants without which nothing is a module.
 _SIZES = {"DIMENSION", "DEGREE", "UNKNOWNS", "NEWTON_UNKNOWNS", "NODES", "ROWS"}
@@ -187,8 +189,8 @@ def read_header(text: str, where: str) -> Header:
     _check_layout(layout, where)
     added = OLDER.get(layout["INTERFACE"], ())
     rows = {name: layout["ROWS"] + k for k, name in enumerate((*added, "ROWS"))}
-    if "SLIP" not in layout and "RATE" in layout:  # its name up to interface 13
-        rows["SLIP"] = layout["RATE"]
+    if layout["INTERFACE"] in OLDER:
+        rows |= {new: layout[old] for old, new in RENAMED.items() if old in layout}
     layout = MappingProxyType({**layout, **rows})
     tables = _of_type(constants, tuple)
     return Header(**facts, layout=layout, tables=tables, functions=tuple(functions))

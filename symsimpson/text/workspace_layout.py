@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
 
-from symsimpson.text.table import TABLE, Sizes
+from symsimpson.text.table import TABLE, Block, Sizes
 
-BLOCKS = {block.name: block for block in TABLE}
-if len(BLOCKS) < len(TABLE):
-    raise AssertionError("two blocks of the workspace have the same name")
+
+def by_name(table: Iterable[Block]) -> dict[str, Block]:
+    """Return blocks by their names, no two of which may be the same."""
+    blocks: dict[str, Block] = {}
+    for block in table:
+        if block.name in blocks:
+            raise ValueError(f"two blocks of the workspace have the name {block.name}")
+        blocks[block.name] = block
+    return blocks
+
+
+BLOCKS = by_name(TABLE)
 
 #: Blocks that must stand right behind one another: the driver moves them as one.
 ADJACENT = (

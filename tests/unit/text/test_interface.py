@@ -13,7 +13,7 @@ from symsimpson.text import interface
 from symsimpson.text.header import SIGNED, digest, read_header, with_facts
 from symsimpson.text.syntax import redefined
 from symsimpson.text.table import TABLE
-from symsimpson.text.workspace_layout import BLOCKS, DRIVER_LAYOUT
+from symsimpson.text.workspace_layout import BLOCKS, DRIVER_LAYOUT, by_name
 
 TEXT = source(ss.systems.pendulum(), "midpoint")
 DRIVEN = source(ss.systems.driven_cart_pole(), "midpoint")
@@ -51,14 +51,16 @@ def test_blocks_stand_behind_one_another():
 
 
 def test_each_block_has_a_name_of_its_own():
-    assert len({block.name for block in TABLE}) == len(TABLE)
+    with pytest.raises(ValueError, match=f"two blocks .* {TABLE[0].name}"):
+        by_name([*TABLE, TABLE[0]])
 
 
 def test_rows_of_velocity_constraints_are_found_in_older_modules():
     text = source(ss.systems.rolling_disc(), "midpoint")
     older = redefined(re.sub(r"\bSLIP", "RATE", text), {"INTERFACE": "INTERFACE = 13"})
-    layout = read_header(signed(older), "here").layout
-    assert layout["SLIP"] == layout["RATE"] == read_header(text, "here").layout["SLIP"]
+    layout, now = (read_header(x, "here").layout for x in (signed(older), text))
+    assert layout["SLIP"] == layout["RATE"] == now["SLIP"]
+    assert "RATE" not in now
 
 
 def test_sets_of_kernels_have_a_kernel_in_each_place():
