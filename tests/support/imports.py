@@ -2,6 +2,19 @@
 
 import ast
 
+from support.places import PACKAGE
+
+#: Folders that count as rooms of their own: steps in C are made of a program.
+APART = ("targets.c",)
+
+
+def room_of(module):
+    """Return the room in which a module, or a file, of the package stands."""
+    if not isinstance(module, str):
+        module = ".".join(module.relative_to(PACKAGE).with_suffix("").parts)
+    name = module.removeprefix("symsimpson.")
+    return next((x for x in APART if name.startswith(f"{x}.")), name.split(".")[0])
+
 
 def imports(path, *, deferred=True):
     """Yield modules of the package that a file imports, but for types alone.

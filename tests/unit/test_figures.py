@@ -11,7 +11,7 @@ from collections import Counter
 from functools import cache
 
 import pytest
-from support.imports import imports
+from support.imports import imports, room_of
 from support.places import PACKAGE, TESTS
 
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -74,16 +74,11 @@ def lines_of_rooms():
 
 
 def floors():
-    """Return the length of the longest chain of rooms, each imported by the next.
-
-    Steps in C stand apart from other targets: they are made of a program, which imports those.
-    """
+    """Return the length of the longest chain of rooms, each imported by the next."""
     below = {}
     for path in FILES:
-        upper = "targets.c" if path.match("targets/c/*.py") else room(path)
-        names = {name.removeprefix("symsimpson.") for name in imports(path, deferred=False)}
-        imported = {x[:9] if x.startswith("targets.c.") else x.split(".")[0] for x in names}
-        below.setdefault(upper, set()).update(imported - {upper})
+        imported = set(map(room_of, imports(path, deferred=False)))
+        below.setdefault(room_of(path), set()).update(imported - {room_of(path)})
     floor = {}
     for name in graphlib.TopologicalSorter(below).static_order():
         floor[name] = 1 + max((floor[lower] for lower in below.get(name, ())), default=0)

@@ -8,18 +8,17 @@ import sys
 from functools import cache
 
 import pytest
-from support.imports import imports
+from support.imports import imports, room_of
 from support.places import PACKAGE
 
 #: Rooms from the ground up: each may import those before it, and no other.
 ROOMS = (
     *("support", "graph", "text", "targets", "schemes", "declare", "systems", "discrete", "lower"),
-    *("program", "plotting", "stepping", "results", "run", "api", "reference", "study", "cli"),
+    *("program", "plotting", "stepping", "results", "run", "targets.c", "api", "reference"),
+    *("study", "cli"),
 )
-#: Rooms, or their folders, that import another beside those before it.
-BESIDE = {"targets.c": {"program", "stepping"}}
 #: Rooms of texts that are run without SymPy.
-RUNNING = ("targets", "program", "stepping", "results", "run")
+RUNNING = ("targets", "program", "stepping", "results", "run", "targets.c")
 #: What a file names that treats a scheme as a special one.
 NAMED = "simpson|midpoint"
 
@@ -54,10 +53,11 @@ def test_imports_point_one_way(room):
     before = {"errors", *ROOMS[: ROOMS.index(room) + 1]}
     if room in RUNNING:
         before -= {"graph", "declare", "schemes", "systems", "discrete", "lower"}
-    for path in (PACKAGE / room).rglob("*.py"):
-        folder = ".".join(path.relative_to(PACKAGE).parts[:2])
+    paths = [path for path in PACKAGE.rglob("*.py") if room_of(path) == room]
+    assert paths
+    for path in paths:
         for name in imports(path):
-            assert name.split(".")[1] in before | BESIDE.get(folder, set()), (path, name)
+            assert room_of(name) in before, (path, name)
 
 
 def test_an_import_that_is_put_off_is_seen(tmp_path):
