@@ -19,15 +19,13 @@ from symsimpson.program.reader import OF_MATH, Reader
 from symsimpson.program.recorders import Recorder
 from symsimpson.support.array_types import Reals
 from symsimpson.text.header import Header
-from symsimpson.text.interface import MET, WATCHED, ZERO
+from symsimpson.text.interface import FADED, MET, WATCHED, ZERO
 from symsimpson.text.quantity import OBSERVABLE, VECTORS
 
 #: Ways to reduce values over the steps of a run, in the order of their numbers; then what
 #: variations of a motion tell, which are no values of states; then how often an event acted.
 KINDS = ("min", "max", "mean", "first", "lyapunov", "megno", "sali", "count")
 OF_STATES, OF_VARIATIONS, OF_EVENTS = KINDS[:4], KINDS[4:7], "count"
-#: What is left of the size of an expression in each step, unless its terms are as large.
-FADED = 2.0**-10
 #: Functions whose slopes are at most 1: roundings of their arguments are those of their values.
 SLOPES_TO_ONE = {"sin", "cos", "atan", "tanh", "abs", "min", "max"}
 

@@ -12,7 +12,7 @@ from numba import types
 from numpy.typing import NDArray
 
 from symsimpson.program.driver import driver_text
-from symsimpson.program.observed import FADED, observer
+from symsimpson.program.observed import observer
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.events import BESIDE, signs_beside
@@ -24,7 +24,7 @@ from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Floats, State
 from symsimpson.targets.binding import bind
 from symsimpson.text.driver.impacts import EVENT, IMPULSE, STATES_OF, STEP_OF, TIME_OF
-from symsimpson.text.interface import ZERO
+from symsimpson.text.interface import FADED, ZERO
 
 #: In these parts of a step, or of its rest, expressions are looked at that are zero at both ends.
 #: Forces are taken on their own side of a kink up to these parts of a step from it.

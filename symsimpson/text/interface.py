@@ -25,6 +25,8 @@ RATE_BEHIND = 6
 #: Rows for each expression whose sign is waited for: its side of zero, its size of late, its value
 #: and the one before. Values below a part of the size are rounding.
 WATCHED, SIZE_WATCHED, VALUE_WATCHED, ZERO = 4, 1, 2, 64 * 2.0**-52
+#: What is left of the size of an expression in each step, unless its terms are as large.
+FADED = 2.0**-10
 
 #: A rate dt/dtau below this part of the first has nearly vanished.
 STANDING = 1e-8

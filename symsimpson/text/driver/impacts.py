@@ -29,8 +29,6 @@ from symsimpson.text.interface import *
 
 #: A rest of a step below this part of it is none; events that are so near act together.
 NOTHING, TOGETHER = 4 * 2.0**-52, 16 * 2.0**-52
-#: What is left of the size of an expression in each step, unless its terms are as large.
-FADED = 2.0**-10
 #: Rates of gaps below this part of the fastest velocity are none.
 STILL = 1e-12
 #: Newton's method for the time of an event ends with corrections below this part of the span.
