@@ -21,13 +21,13 @@ from itertools import pairwise
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-FOLDERS = ("discrete", "schemes", "lower")
+FOLDERS = ("discrete", "schemes", "lower", "text/library")
 #: Of these files all tests that are fast or plain, by folders of tests and of tests/unit.
 FILES = """
-lower/coefficients lower/counting lower/emit lower/expression lower/forms_and_bindings
-lower/held lower/looped_stages lower/lower lower/printer lower/sincos lower/storage
+lower/coefficients targets/counting lower/emit lower/expression lower/forms_and_bindings
+lower/constraint_order lower/looped_stages lower/lower lower/printer lower/sincos lower/storage
 lower/turning lower/untrusted_names run/gradients run/linearised discrete/angles
-discrete/families discrete/jet discrete/reductions schemes/schemes stepping/held
+discrete/families discrete/jet discrete/reductions schemes/schemes stepping/constrained_start
 oracle/chains oracle/compositions oracle/conformal oracle/constrained_golden oracle/curvatures
 oracle/damped oracle/family oracle/forced_golden oracle/geometry oracle/reductions oracle/retimed
 oracle/tangents_by_complex_steps oracle/tangents_golden
