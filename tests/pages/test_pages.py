@@ -107,6 +107,16 @@ def test_links_lead_somewhere(page):
         assert (ROOT / path).exists(), path
 
 
+def test_files_that_the_architecture_names_are_there():
+    text = (ROOT / "symsimpson/ARCHITECTURE.md").read_text("utf-8")
+    paths = (*ROOT.glob("symsimpson/**/*.py"), *ROOT.glob("tests/**/*.py"))
+    files = [path.as_posix() for path in paths]
+    named = set(re.findall(r"`([a-z_/]+\.py)`", text))
+    assert len(named) > 50
+    for name in named:
+        assert any(file.endswith(f"/{name}") for file in files), name
+
+
 def test_every_folder_is_told_to_contributors():
     page = (ROOT / "notebooks/contributing/index.md").read_text("utf-8")
     for path in (ROOT / "symsimpson").glob("*/__init__.py"):
