@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 from symsimpson.text.table import TABLE, Block, Sizes
 
 
-def by_name(table: Iterable[Block]) -> dict[str, Block]:
-    """Return blocks by their names, no two of which may be the same."""
-    blocks: dict[str, Block] = {}
-    for block in table:
-        if block.name in blocks:
-            raise ValueError(f"two blocks of the workspace have the name {block.name}")
-        blocks[block.name] = block
+def by_name(table: Sequence[Block]) -> dict[str, Block]:
+    """Return blocks by their names; two blocks of one name raise an error."""
+    blocks = {block.name: block for block in table}
+    if len(blocks) < len(table):
+        raise ValueError("two blocks of the workspace have the same name")
     return blocks
 
 

@@ -114,9 +114,9 @@ LINES = {
     "declare": 5760,
     "discrete": 1720,
     "graph": 2240,
-    "lower": 5920,
+    "lower": 5926,
     "plotting": 1046,
-    "program": 2923,
+    "program": 2921,
     "reference": 894,
     "results": 3403,
     "root": 542,
@@ -127,7 +127,7 @@ LINES = {
     "support": 1088,
     "systems": 1715,
     "targets": 4597,
-    "text": 7270,
+    "text": 7279,
 }
 
 #: What a first compile and a first integrate execute, with nothing on disk. Python 3.11 counts
@@ -152,7 +152,7 @@ FIGURES = {
     "values called found, made, own or one": (0, lambda: sum(map(is_vague, every_node()))),
     "names that several files have": (2, repeated_names),
     "modules at the root": (3, lambda: len(list(PACKAGE.glob("*.py")))),
-    "lines of the package": (60941, lambda: sum(lines_of_rooms().values())),
+    "lines of the package": (60954, lambda: sum(lines_of_rooms().values())),
     "files": (293, lambda: len(FILES)),
     "floors": (10, floors),
     "class names that occur twice": (20, repeated_classes),
