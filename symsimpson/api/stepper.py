@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from symsimpson.results.sampled import Sampled, Saved
     from symsimpson.run.ensemble.ensemble import Ensemble
     from symsimpson.stepping.event import Event
-    from symsimpson.stepping.options import RunOptions, SavedOptions, TimesOptions
+    from symsimpson.stepping.request import RunOptions, SavedOptions, TimesOptions
 
 
 @explaining()

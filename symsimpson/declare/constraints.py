@@ -17,8 +17,14 @@ import numpy as np
 import sympy as sp
 
 from symsimpson.declare.checks import fail, spell
-from symsimpson.declare.plain import Held, Plain, Symbols
-from symsimpson.declare.quadratic import SAMPLES, is_well_conditioned, rank, samples
+from symsimpson.declare.plain import SAMPLES, Held, Plain, Symbols
+from symsimpson.declare.quadratic import (
+    has_full_rank,
+    is_well_conditioned,
+    mass_rows,
+    rank,
+    samples,
+)
 from symsimpson.errors import ModelWarning
 from symsimpson.graph.derive import Derivatives, gradient
 from symsimpson.graph.evaluate import doubles
@@ -164,13 +170,14 @@ def check_number(
             "velocity constraint has a right-hand side, as x' = cos(t).",
         )
     every = list(rows.values())
-    if _clearly_independent(symbols, every):
+    if has_full_rank(symbols, every):
         return
     names = list(rows)
     for number in range(1, len(every) + 1):
         if rank(symbols.graph, every[:number]) == number:
             continue
-        others = [k for k in range(number - 1) if _needed(symbols, every[:number], k)]
+        without = (every[:k] + every[k + 1 : number] for k in range(number - 1))
+        others = [k for k, left in enumerate(without) if rank(symbols.graph, left) == len(left)]
         with_it = ", ".join(repr(names[k]) for k in [*others, number - 1])
         raise fail(
             name,
@@ -186,12 +193,11 @@ def check_held_mass(
 
     Raises ModelError.
     """
-    n = len(symbols.q)
-    mass = [[M.get((max(i, j), min(i, j)), ZERO) for j in range(n)] for i in range(n)]
+    mass = mass_rows(M, range(len(symbols.q)))
     columns = [list(column) for column in zip(*rows, strict=True)]
     matrix = [row + column for row, column in zip(mass, columns, strict=True)]
     matrix += [[*row, *[ZERO] * len(rows)] for row in rows]
-    if _clearly_independent(symbols, matrix) or rank(symbols.graph, matrix) == len(matrix):
+    if has_full_rank(symbols, matrix):
         return
     bare = [i for i, row in enumerate(mass) if not any(c for c, _ in row)]
     which = ", ".join(spell(symbols.back[symbols.q[i]]) for i in bare)
@@ -220,22 +226,6 @@ def regular_mass(plain: Plain, parameters: Iterable[float]) -> bool:
         if is_well_conditioned(np.reshape(matrix, (len(size), len(size)))):
             return True
     return False
-
-
-def _clearly_independent(symbols: Symbols, rows: Sequence[Sequence[Value]]) -> bool:
-    """Return whether rows are independent at a sample, beyond doubt."""
-    values = [value for row in rows for value in row]
-    shape = len(rows), len(rows[0])
-    return any(
-        is_well_conditioned(np.array(numbers).reshape(shape))
-        for numbers in samples(symbols, values)
-    )
-
-
-def _needed(symbols: Symbols, rows: Sequence[Sequence[Value]], k: int) -> bool:
-    """Return whether the last row is independent of the others without row k."""
-    left = [row for i, row in enumerate(rows) if i != k]
-    return rank(symbols.graph, left) == len(left)
 
 
 def _check_positions(name: str, key: str, expression: Any, symbols: Symbols) -> None:

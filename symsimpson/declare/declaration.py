@@ -21,7 +21,7 @@ from symsimpson.declare.constraints import (
     warn_of_integrable,
 )
 from symsimpson.declare.coordinates import momenta
-from symsimpson.declare.declared import LARGE, Declared
+from symsimpson.declare.declared import LARGE, Declared, Positions
 from symsimpson.declare.expression_checks import read_expression
 from symsimpson.declare.forces import check_used, read_forces
 from symsimpson.declare.plain import Plain, Symbols
@@ -32,15 +32,11 @@ from symsimpson.declare.quadratic import (
     polynomial,
     quadratic_form,
 )
-from symsimpson.errors import ModelError
 from symsimpson.graph.findings import Findings
 from symsimpson.graph.nodes import ZERO, Value, scaled
 from symsimpson.graph.read import tree_size
 from symsimpson.support.names import did_you_mean, spelled
 from symsimpson.text.quantity import SCALARS
-
-Positions = Mapping[str, Sequence[Any]]
-NO_UNITS: Mapping[Any, str] = MappingProxyType({})
 
 
 def energies(
@@ -253,35 +249,28 @@ def read_units(
     known = [*names, *(f"{x}_{q}" for x in "vp" for q in names), *map(spelled, others), "t"]
     known += [x.name for x in SCALARS]
     units: dict[str, str] = {}
+    labels = "Units are labels: units={'x': 'm', 't': 's'}."
     if given is not None and not isinstance(given, Mapping):
-        raise ModelError(
-            f"system '{name}': units is {type(given).__name__}, no mapping.\n"
-            "Units are labels: units={'x': 'm', 't': 's'}."
-        )
+        raise fail(name, f"units is {type(given).__name__}, no mapping.", labels)
     for key, unit in (given or {}).items():
         quantity = spelled(key)
         if quantity not in known:
-            raise ModelError(
-                f"system '{name}': units names {quantity!r}, which the system does not have."
-                f"{did_you_mean(quantity, known)}\n"
+            raise fail(
+                name,
+                f"units names {quantity!r}, which the system does not have."
+                f"{did_you_mean(quantity, known)}",
                 "Name coordinates, momenta and velocities (p_ and v_ before a coordinate), "
-                f"parameters, invariants, points, 't', {', '.join(x.name for x in SCALARS)}."
+                f"parameters, invariants, points, 't', {', '.join(x.name for x in SCALARS)}.",
             )
         if quantity in units:
-            raise ModelError(
-                f"system '{name}': units gives {quantity} twice, by name and by symbol.\n"
-                "Give it once."
-            )
+            what = f"units gives {quantity} twice, by name and by symbol."
+            raise fail(name, what, "Give it once.")
         if not isinstance(unit, str):
-            raise ModelError(
-                f"system '{name}': the unit of {quantity} is {unit!r}, no text.\n"
-                "Units are labels: units={'x': 'm', 't': 's'}."
-            )
+            raise fail(name, f"the unit of {quantity} is {unit!r}, no text.", labels)
         units[quantity] = unit
-    if "t" in units:
-        for q in names:
-            if q in units:
-                units.setdefault(f"v_{q}", f"{units[q]}/{units['t']}")
+    for q in names if "t" in units else ():
+        if q in units:
+            units.setdefault(f"v_{q}", f"{units[q]}/{units['t']}")
     for scalar in SCALARS:
         if scalar.like in units:
             units.setdefault(scalar.name, units[scalar.like])

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any, ClassVar, TypeAlias
 
@@ -20,30 +21,33 @@ from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.literals import float_literals
 from symsimpson.support.names import Named, is_masked, read_mapping, spelled
 
+Positions = Mapping[str, Sequence[Any]]
 Matrix: TypeAlias = sp.ImmutableDenseMatrix
 #: Parts of a Lagrangian with more nodes than this, as trees, are left as they are written.
 LARGE = 2000
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class Declared:
     """Parts of a system as a user declared them; :class:`MechanicalSystem` describes them."""
 
     name: str
-    coordinates: tuple[AppliedUndef, ...]
-    kinetic: sp.Expr
-    potential: sp.Expr
-    gyroscopic: sp.Expr
-    parameters: Mapping[sp.Symbol, float]
-    positions: Mapping[str, Any] | None
-    invariants: Mapping[str, sp.Expr] | None
-    forces: Mapping[Any, Any] | None
-    dissipation: sp.Expr | None
-    inputs: tuple[sp.Expr, ...]
-    constraints: Mapping[str, sp.Expr]
-    velocity_constraints: Mapping[str, sp.Expr]
-    units: Mapping[Any, str]
-    mass_checked: ClassVar[bool]
-    plain: Plain
+    coordinates: tuple[AppliedUndef, ...] = field(kw_only=True)
+    kinetic: sp.Expr = field(kw_only=True)
+    potential: sp.Expr = field(kw_only=True)
+    parameters: Mapping[sp.Symbol, float] = field(kw_only=True, default_factory=dict)
+    positions: Positions | None = field(kw_only=True, default=None)
+    invariants: Mapping[str, sp.Expr] | None = field(kw_only=True, default=None)
+    gyroscopic: sp.Expr = field(kw_only=True, default=sp.S.Zero)
+    forces: Mapping[Any, Any] | None = field(kw_only=True, default=None)
+    dissipation: sp.Expr | None = field(kw_only=True, default=None)
+    inputs: tuple[sp.Expr, ...] = field(kw_only=True, default=())
+    constraints: Mapping[str, sp.Expr] = field(kw_only=True, default_factory=dict)
+    velocity_constraints: Mapping[str, sp.Expr] = field(kw_only=True, default_factory=dict)
+    units: Mapping[Any, str] = field(kw_only=True, default_factory=dict)
+    mass_checked: ClassVar[bool] = False  # M/g of a retimed system was
+    plain: Plain = field(init=False)
+    seconds: dict[str, float] = field(init=False)
 
     @property
     def n(self) -> int:

@@ -38,22 +38,6 @@ SHOWN, MOST_OPERATIONS = 4, 300
 INNER = frozenset({"digest", "large", "mass_checked", "plain", "retimer", "retiming", "seconds"})
 
 
-def equations(system: Declared) -> tuple[sp.Eq, ...]:
-    """Write d/dt dL/dv - dL/dq = f - Phi^T lambda - A^T nu, and constraints, phi = 0, A v = b."""
-    if system.too_large_for_sympy:
-        raise ModelError(
-            f"system {system.name!r}: T and V are too long for equations in SymPy.\n"
-            "Use stepper.residual and stepper.jacobian, which evaluate them as numbers."
-        )
-    multipliers = [sp.Symbol(f"lambda_{name}") for name in system.plain.held]
-    written = [
-        sp.Eq(sp.diff(moment, time) - force, pull)
-        for moment, force, pull in terms(system, multipliers)
-    ]
-    held = (*system.constraints.values(), *system.velocity_constraints.values())
-    return (*written, *(sp.Eq(expression, 0) for expression in held))
-
-
 def terms(system: Declared, multipliers: list[sp.Symbol]) -> list[tuple[sp.Expr, sp.Expr, sp.Expr]]:
     """Return dL/dv, dL/dq and what else pulls, for each coordinate."""
     back = dict(Symbols(system.coordinates, system.parameters, system.inputs).back)
@@ -73,53 +57,6 @@ def terms(system: Declared, multipliers: list[sp.Symbol]) -> list[tuple[sp.Expr,
         )
         for q, force in zip(system.coordinates, system.plain.f, strict=True)
     ]
-
-
-def linearised(
-    system: Declared,
-    q0: ArrayLike,
-    v0: ArrayLike | None,
-    parameters: Mapping[Any, float] | None,
-    inputs: Mapping[Any, float] | None,
-    t: float,
-) -> tuple[Floats, Floats]:
-    """Return A and B of x' = A x + B u for small changes x of (q, v) and u of inputs."""
-    n, m, plain = system.n, len(system.inputs), system.plain
-    q = read_vector(system, "q0", q0)
-    v = np.zeros(n) if v0 is None else read_vector(system, "v0", v0)
-    values = read_values("parameters", "parameter", system.parameters, parameters)
-    given = read_values("inputs", "input", dict.fromkeys(system.inputs, 0.0), inputs)
-    _check_held(system, q, v, parameters, t)
-    known = dict(zip(plain.numbers((*plain.q, *plain.v)), (*q.tolist(), *v.tolist()), strict=True))
-    known |= dict(zip(plain.numbers(plain.parameters), values, strict=True))
-    known |= dict(zip(plain.numbers(plain.u), given, strict=True)) | {plain.time: t}
-    residual, unknowns = _residual(plain)
-    moved = (*unknowns, *plain.numbers((*plain.q, *plain.v, *plain.u)))
-    slopes = [gradient(plain.graph, row, moved) for row in residual]
-
-    def at(there: Sequence[float], wanted: Sequence[Sequence[Value]]) -> Floats:
-        point = known | dict(zip(unknowns, there, strict=True))
-        flat = doubles(plain.graph, [value for row in wanted for value in row], point)
-        return np.reshape(flat, (len(wanted), -1))
-
-    size = len(unknowns)
-    try:
-        mass, rest = (
-            at([0.0] * size, wanted)
-            for wanted in ([row[:size] for row in slopes], [[row] for row in residual])
-        )
-        there = -np.linalg.solve(mass, rest)[:, 0]  # accelerations and multipliers
-        changes = -np.linalg.solve(mass, at(there.tolist(), [row[size:] for row in slopes]))[:n]
-    except np.linalg.LinAlgError:
-        changes = np.full((n, 2 * n + m), np.nan)
-    A = np.vstack([np.eye(n, 2 * n, n), changes[:, : 2 * n]])
-    B = np.vstack([np.zeros((n, m)), changes[:, 2 * n :]])
-    if not (np.isfinite(A).all() and np.isfinite(B).all()):
-        raise InputError(
-            f"{system.name}: the linear equations have no finite values there.\n"
-            "Choose a state at which T, V and forces are smooth."
-        )
-    return A, B
 
 
 def _residual(plain: Plain) -> tuple[list[Value], tuple[int, ...]]:
@@ -155,22 +92,8 @@ def _check_held(
             )
 
 
-def latex_of(declared: Any) -> str:
-    """Return T, V, M and, for few coordinates, the equations of motion."""
-    try:
-        return _equations(declared)
-    except RecursionError:
-        return _too_long(declared)
-
-
-def _too_long(declared: Any) -> str:
-    text = rf"{in_text(declared.name)}: {declared.n} coordinates, T and V too long to be shown"
-    return rf"$\text{{{text}}}$"
-
-
-def _equations(declared: Any) -> str:
-    if declared.too_large_for_sympy:
-        return _too_long(declared)
+def _equations(declared: Declared) -> str:
+    """Write T, V, M and, for few coordinates, the equations of motion in LaTeX."""
     from sympy.physics.vector import vlatex  # long to import
 
     safe = _safe(declared)
@@ -195,7 +118,7 @@ def _equations(declared: Any) -> str:
     return aligned([(left, vlatex(right)) for left, right in lines])
 
 
-def _safe(declared: Any) -> dict[Any, Any]:
+def _safe(declared: Declared) -> dict[Any, Any]:
     """Map what is named oddly to plain symbols."""
     replace: dict[Any, Any] = {
         a: sp.Symbol(f"a_{i}") for i, a in enumerate(declared.parameters) if not _is_plain(a.name)
@@ -246,7 +169,18 @@ class Described(Declared):
         >>> ss.systems.henon_heiles().equations[0]
         Eq(2*x(t)*y(t) + x(t) + Derivative(x(t), (t, 2)), 0)
         """
-        return equations(self)
+        if self.too_large_for_sympy:
+            raise ModelError(
+                f"system {self.name!r}: T and V are too long for equations in SymPy.\n"
+                "Use stepper.residual and stepper.jacobian, which evaluate them as numbers."
+            )
+        multipliers = [sp.Symbol(f"lambda_{name}") for name in self.plain.held]
+        written = [
+            sp.Eq(sp.diff(moment, time) - force, pull)
+            for moment, force, pull in terms(self, multipliers)
+        ]
+        held = (*self.constraints.values(), *self.velocity_constraints.values())
+        return (*written, *(sp.Eq(expression, 0) for expression in held))
 
     def linearise(
         self,
@@ -294,7 +228,41 @@ class Described(Declared):
         >>> bool(abs(np.linalg.eigvals(A).imag).max() ** 2 == 9.81)
         True
         """
-        return linearised(self, q0, v0, parameters, inputs, t)
+        n, m, plain = self.n, len(self.inputs), self.plain
+        q = read_vector(self, "q0", q0)
+        v = np.zeros(n) if v0 is None else read_vector(self, "v0", v0)
+        values = read_values("parameters", "parameter", self.parameters, parameters)
+        given = read_values("inputs", "input", dict.fromkeys(self.inputs, 0.0), inputs)
+        _check_held(self, q, v, parameters, t)
+        symbols = plain.numbers((*plain.q, *plain.v, *plain.parameters, *plain.u, plain.t))
+        known = dict(zip(symbols, (*q.tolist(), *v.tolist(), *values, *given, t), strict=True))
+        residual, unknowns = _residual(plain)
+        moved = (*unknowns, *plain.numbers((*plain.q, *plain.v, *plain.u)))
+        slopes = [gradient(plain.graph, row, moved) for row in residual]
+
+        def at(there: Sequence[float], wanted: Sequence[Sequence[Value]]) -> Floats:
+            point = known | dict(zip(unknowns, there, strict=True))
+            flat = doubles(plain.graph, [value for row in wanted for value in row], point)
+            return np.reshape(flat, (len(wanted), -1))
+
+        size = len(unknowns)
+        try:
+            mass, rest = (
+                at([0.0] * size, wanted)
+                for wanted in ([row[:size] for row in slopes], [[row] for row in residual])
+            )
+            there = -np.linalg.solve(mass, rest)[:, 0]  # accelerations and multipliers
+            changes = -np.linalg.solve(mass, at(there.tolist(), [row[size:] for row in slopes]))[:n]
+        except np.linalg.LinAlgError:
+            changes = np.full((n, 2 * n + m), np.nan)
+        A = np.vstack([np.eye(n, 2 * n, n), changes[:, : 2 * n]])
+        B = np.vstack([np.zeros((n, m)), changes[:, 2 * n :]])
+        if not (np.isfinite(A).all() and np.isfinite(B).all()):
+            raise InputError(
+                f"{self.name}: the linear equations have no finite values there.\n"
+                "Choose a state at which T, V and forces are smooth."
+            )
+        return A, B
 
     def consistent(
         self,
@@ -348,4 +316,10 @@ class Described(Declared):
         return [name for name in super().__dir__() if name not in INNER]
 
     def _repr_latex_(self) -> str:
-        return latex_of(self)
+        try:
+            if not self.too_large_for_sympy:
+                return _equations(self)
+        except RecursionError:
+            pass
+        text = rf"{in_text(self.name)}: {self.n} coordinates, T and V too long to be shown"
+        return rf"$\text{{{text}}}$"

@@ -205,18 +205,15 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
             f"the {what} contains {spell(node)}, which is not real.",
             "Energies are real. Look for the root, power or logarithm of a negative number.",
         )
-    if number is not None and not abs(number) <= sys.float_info.max:
-        raise refuse(
-            f"the {what} contains the number {spell(node)} = {sp.N(number, 3)}, larger than "
-            "doubles can be.",
-            "Choose other units, or a smaller factor.",
-        )
-    if number is not None and not number.is_zero and float(number) == 0:
-        raise refuse(
-            f"the {what} contains the number {spell(node)} = {sp.N(number, 3)}, smaller than "
-            "doubles can be.",
-            "Choose other units, or a larger factor.",
-        )
+    if number is not None and not number.is_zero:
+        large = not abs(number) <= sys.float_info.max
+        if large or float(number) == 0:
+            size, other = ("larger", "smaller") if large else ("smaller", "larger")
+            raise refuse(
+                f"the {what} contains the number {spell(node)} = {sp.N(number, 3)}, {size} than "
+                "doubles can be.",
+                f"Choose other units, or a {other} factor.",
+            )
     if known and not isinstance(node, (*PLAIN, sp.Function)):
         raise refuse(
             f"the {what} contains {spell(node)}, a {type(node).__name__}.",

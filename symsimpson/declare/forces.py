@@ -41,24 +41,11 @@ def read_forces(
     symbols: Symbols,
     read: Read,
 ) -> dict[str, tuple[Value, ...]]:
-    """Read generalised forces and Rayleigh's dissipation function.
+    """Read forces by coordinate or by name, then the forces -dR/dv of the dissipation R(t, q, v).
 
-    Parameters
-    ----------
-    name, symbols
-        Of the system.
-    coordinates : sequence of functions of time
-    forces : mapping or None
-        By coordinate; or by a name, of mappings by coordinate.
-    dissipation : expression or None
-        R(t, q, v): the forces are -dR/dv.
-    read : callable
-        Checks an expression and reads it; its first argument says what it is.
-
-    Returns
-    -------
-    dict
-        For each named force its components, in the order of the coordinates.
+    ``name`` is the name of the system. ``read`` checks an expression and reads it; its first
+    argument says what the expression is. Each named force has its components in the order of the
+    coordinates.
     """
     place = {q: i for i, q in enumerate(coordinates)}
     components: dict[str, list[Value]] = {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property, partial
+from random import Random
 from typing import Any, NamedTuple, TypeAlias
 
 import sympy as sp
@@ -18,7 +19,15 @@ from symsimpson.graph.rebuild import rebuilt
 from symsimpson.graph.roots import Signs
 
 Matrix: TypeAlias = sp.ImmutableDenseMatrix
-SIGNS = ("positive", "negative", "nonnegative", "nonpositive")
+#: Assumptions of SymPy, the strongest last: a sign, and whether zero is excluded.
+SIGNS = {
+    "nonpositive": (-1, False),
+    "nonnegative": (1, False),
+    "negative": (-1, True),
+    "positive": (1, True),
+}
+#: Points at which values are looked at in doubles.
+SAMPLES = 3
 #: Stands for the time.
 TIME = sp.Symbol("t_0", real=True)
 
@@ -246,16 +255,6 @@ class Plain:
         entries |= {(j, i): entry for (i, j), entry in entries.items()}
         return Matrix(n, n, lambda i, j: entries.get((i, j), sp.S.Zero))
 
-    @property
-    def gyroscopic(self) -> tuple[sp.Expr, ...]:
-        """The vector a(q)."""
-        return tuple(self.written(value) for value in self.a)
-
-    @property
-    def potential(self) -> sp.Expr:
-        """V(q)."""
-        return self.written(self.V)
-
 
 def unfrozen(value: Any) -> tuple[Any, ...]:
     """Tell pickle to call the constructor again; what is read-only is handed over as a dict."""
@@ -299,6 +298,18 @@ class Symbols:
         """Return the nodes of plain symbols."""
         return tuple(self._nodes[symbol] for symbol in symbols)
 
+    @cached_property
+    def points(self) -> list[dict[int, float]]:
+        """A few random points in doubles, the same each time; parameters have their signs."""
+        random = Random(20)
+        return [
+            {
+                self._nodes[s]: random.uniform(0.3, 1) * (-1 if s.is_nonpositive else 1)
+                for s in (*self.q, *self.v, *self.a, self.t, *self.u)
+            }
+            for _ in range(SAMPLES)
+        ]
+
     def restored(self, value: Value) -> sp.Expr:
         """Write a value in the user's symbols: a tree, for messages and short expressions."""
         names = {n: user for user, (_, n) in self.known.items()}
@@ -315,7 +326,7 @@ def _signs(graph: Graph, parameters: Iterable[sp.Symbol]) -> Signs:
     known = {
         graph.symbol(a.name)[1]: sign
         for a in parameters
-        for sign in reversed(SIGNS)
-        if getattr(a, f"is_{sign}")
+        for word, sign in SIGNS.items()
+        if getattr(a, f"is_{word}")
     }
     return Signs(graph, known)

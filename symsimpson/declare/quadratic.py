@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
-import math
-import random
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
 from typing import Any
 
-import mpmath
 import numpy as np
 import sympy as sp
+from sympy.utilities.iterables import connected_components
 
 from symsimpson.declare.checks import fail, spell
 from symsimpson.declare.plain import Symbols
 from symsimpson.graph.derive import Derivatives, gradient
-from symsimpson.graph.evaluate import evaluated
-from symsimpson.graph.field import Arithmetic, Element
+from symsimpson.graph.evaluate import doubles
+from symsimpson.graph.field import Element, PrimeField
 from symsimpson.graph.findings import Findings
-from symsimpson.graph.nodes import ZERO, Exact, Graph, Value
+from symsimpson.graph.nodes import ZERO, Graph, Value
 from symsimpson.graph.read import Reader, tree_size
 from symsimpson.graph.rebuild import fixed, rebuilt
 
 #: Second derivatives with more nodes than this are not simplified, and not shown.
 TOO_LONG = 400
-#: Points at which a mass matrix is looked at in doubles.
-SAMPLES = 3
 
 
 @dataclass(frozen=True)
@@ -167,9 +163,7 @@ def check_mass_matrix(system: str, M: Mapping[tuple[int, int], Value], symbols: 
                 "symbol was declared with.",
             )
     blocks = connected(len(symbols.q), M)
-    if all(_clearly_regular(M, symbols, blocks)) or all(
-        _regular(M, symbols, block) for block in blocks
-    ):
+    if all(has_full_rank(symbols, mass_rows(M, block)) for block in blocks):
         return
     names = ", ".join(spell(symbols.back[q]) for q in symbols.q)
     raise refuse(
@@ -180,57 +174,19 @@ def check_mass_matrix(system: str, M: Mapping[tuple[int, int], Value], symbols: 
     )
 
 
+def mass_rows(M: Mapping[tuple[int, int], Value], block: Sequence[int]) -> list[list[Value]]:
+    """Return a block of M, of which ``M`` has the entries on and below the diagonal."""
+    return [[M.get((max(i, j), min(i, j)), ZERO) for j in block] for i in block]
+
+
 def connected(size: int, pairs: Iterable[tuple[int, int]]) -> list[list[int]]:
     """Group 0..size-1 by the pairs that join them, in the order of their least members."""
-    group = list(range(size))
-
-    def root(i: int) -> int:
-        while group[i] != i:
-            group[i] = group[group[i]]
-            i = group[i]
-        return i
-
-    for i, j in pairs:
-        low, high = sorted((root(i), root(j)))
-        group[high] = low
-    groups: dict[int, list[int]] = {}
-    for i in range(size):
-        groups.setdefault(root(i), []).append(i)
-    return list(groups.values())
-
-
-def _clearly_regular(
-    M: Mapping[tuple[int, int], Value], symbols: Symbols, blocks: Sequence[Sequence[int]]
-) -> Iterable[bool]:
-    """Tell of blocks of M whether they are regular at a sample, in doubles; if not, it is open."""
-    for numbers in samples(symbols, list(M.values())):
-        matrix = np.zeros((len(symbols.q),) * 2)
-        for (i, j), number in zip(M, numbers, strict=True):
-            matrix[i, j] = matrix[j, i] = number
-        answers = [is_well_conditioned(matrix[np.ix_(block, block)]) for block in blocks]
-        if all(answers):
-            break
-    return answers
+    return sorted(map(sorted, connected_components((range(size), pairs))))
 
 
 def samples(symbols: Symbols, values: Sequence[Value]) -> Iterator[list[float]]:
     """Evaluate values at a few random points, in doubles."""
-    generator = random.Random(20)  # the same points each time
-    everything = (*symbols.q, *symbols.v, *symbols.a, symbols.t, *symbols.u)
-    for _ in range(SAMPLES):
-        point = {
-            n: generator.uniform(0.3, 1) * (-1 if s.is_negative or s.is_nonpositive else 1)
-            for n, s in zip(symbols.numbers(everything), everything, strict=True)
-        }
-        node_values = evaluated(symbols.graph, [n for _, n in values], point, mpmath.fp)
-        yield [_double(c) * node_values[n] if c else 0.0 for c, n in values]
-
-
-def _double(number: Exact) -> float:
-    try:
-        return float(number)
-    except OverflowError:
-        return math.inf
+    return (doubles(symbols.graph, values, point) for point in symbols.points)
 
 
 def is_well_conditioned(matrix: Any) -> bool:
@@ -239,10 +195,11 @@ def is_well_conditioned(matrix: Any) -> bool:
     return bool(np.isfinite(matrix).all() and np.linalg.cond(matrix) < 1e8)
 
 
-def _regular(M: Mapping[tuple[int, int], Value], symbols: Symbols, block: Sequence[int]) -> bool:
-    """Return whether a block of M has full rank at random points of a prime field."""
-    matrix = [[M.get((max(i, j), min(i, j)), ZERO) for j in block] for i in block]
-    return rank(symbols.graph, matrix) == len(block)
+def has_full_rank(symbols: Symbols, rows: Sequence[Sequence[Value]]) -> bool:
+    """Return whether rows are independent: at a sample beyond doubt, or else in a prime field."""
+    values, shape = [value for row in rows for value in row], (len(rows), len(rows[0]))
+    beyond_doubt = (is_well_conditioned(np.reshape(x, shape)) for x in samples(symbols, values))
+    return any(beyond_doubt) or rank(symbols.graph, rows) == len(rows)
 
 
 def rank(graph: Graph, matrix: Sequence[Sequence[Value]]) -> int:
@@ -254,7 +211,7 @@ def rank(graph: Graph, matrix: Sequence[Sequence[Value]]) -> int:
     )
 
 
-def _rank(rows: list[list[Element]], field: Arithmetic) -> int:
+def _rank(rows: list[list[Element]], field: PrimeField) -> int:
     """Return the rank of a matrix over the field: Gauss's elimination."""
     minus, done = field.prime - 1, 0
     for k in range(len(rows[0])):

@@ -109,12 +109,6 @@ class Retiming:
     #: The same as a function of :data:`level` in place of V, in plain symbols, if it is one.
     of_potential: sp.Expr | None
 
-    def depends(self, symbol: sp.Symbol) -> bool:
-        """Return whether a plain symbol stands in the rate."""
-        return not self.graph.nodes[self.rate[1]].symbols.isdisjoint(
-            self.graph.numbers([symbol.name])
-        )
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RetimedSystem(MechanicalSystem):
@@ -190,7 +184,12 @@ class RetimedSystem(MechanicalSystem):
 def retimed(system: MechanicalSystem, rate: Any) -> RetimedSystem:
     """Return the system in another time; see :meth:`MechanicalSystem.retimed`."""
     name = system.name
-    _check(system)
+    if why := not_retimed(system):
+        raise fail(
+            name,
+            f"it cannot be retimed: {why}.",
+            "Integrate it with a fixed step in t, small enough for what is fastest.",
+        )
     parameters, V = dict(system.parameters), system.potential
     of_level: sp.Expr | None = None
     g = rate
@@ -234,32 +233,18 @@ def retimed(system: MechanicalSystem, rate: Any) -> RetimedSystem:
 MechanicalSystem.retimer = retimed
 
 
-def _check(system: MechanicalSystem) -> None:
-    """Refuse systems whose energy is not constant, or that constraints hold."""
-    why = not_retimed(system)
-    if why:
-        raise fail(
-            system.name,
-            f"it cannot be retimed: {why}.",
-            "Integrate it with a fixed step in t, small enough for what is fastest.",
-        )
-
-
 def not_retimed(system: MechanicalSystem) -> str:
     """Return why a system cannot be retimed; nothing if it can."""
     plain = system.plain
-    why = ""
     if isinstance(system, RetimedSystem):
-        why = "it is retimed already"
-    elif plain.velocity_constraints:
-        why = "velocity constraints make a flow that is not symplectic, in no time"
-    elif plain.constraints:
-        why = "constraints hold it, whose steps in another time are not proved to be right"
-    elif plain.forces:
-        why = "forces act on it, so that its energy is not constant"
-    elif not plain.autonomous:
-        why = "it depends on the time, so that its energy is not constant"
-    return why
+        return "it is retimed already"
+    if plain.velocity_constraints:
+        return "velocity constraints make a flow that is not symplectic, in no time"
+    if plain.constraints:
+        return "constraints hold it, whose steps in another time are not proved to be right"
+    if plain.forces:
+        return "forces act on it, so that its energy is not constant"
+    return "" if plain.autonomous else "it depends on the time, so that its energy is not constant"
 
 
 def _read_rate(name: str, rate: Any, symbols: Symbols) -> Value:

@@ -79,12 +79,6 @@ def decay_rates(plain: Plain) -> tuple[Value, ...] | None:
     return tuple(rates) if known else None
 
 
-def forces_at_rest(plain: Plain) -> tuple[Value, ...]:
-    """Return the forces with v = 0."""
-    still = dict.fromkeys(plain.numbers(plain.v), ZERO)
-    return tuple(rebuilt(plain.graph, list(plain.f), still))
-
-
 @dataclass(frozen=True)
 class Subsystem:
     """Coordinates that move by themselves, by their places in the system.
@@ -390,13 +384,9 @@ def _split(plain: Plain, groups: Sequence[Sequence[int]]) -> Plain | None:
             continue
         V = graph.add(parts)
         if same(graph, plain.V, V):
-            return replace(plain, T=kinetic(plain), V=V)
+            T = quadratic_form(graph, plain.M, plain.numbers(plain.v))
+            return replace(plain, T=T, V=V)
     return None
-
-
-def kinetic(plain: Plain) -> Value:
-    """Write T by the entries of M."""
-    return quadratic_form(plain.graph, plain.M, plain.numbers(plain.v))
 
 
 def _angle(plain: Plain, x: int) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -14,13 +14,13 @@ from sympy.core.function import AppliedUndef
 
 from symsimpson.declare.checks import read_coordinates, read_name, read_parameters
 from symsimpson.declare.constraints import names_of
-from symsimpson.declare.declaration import NO_UNITS, energies, read_energies, read_units
-from symsimpson.declare.declared import fingerprint
+from symsimpson.declare.declaration import energies, read_energies, read_units
+from symsimpson.declare.declared import Positions, fingerprint
 from symsimpson.declare.described import Described
 from symsimpson.declare.expression_checks import read_expression
 from symsimpson.declare.forces import read_inputs
 from symsimpson.declare.methods import read_method
-from symsimpson.declare.plain import Plain, Symbols, unfrozen
+from symsimpson.declare.plain import Symbols, unfrozen
 from symsimpson.declare.quadratic import polynomial
 from symsimpson.declare.structure import Structure, analyse
 from symsimpson.errors import ModelError
@@ -29,9 +29,8 @@ from symsimpson.support.derivation import collecting, timed
 from symsimpson.support.interpreter import rarely_collected
 from symsimpson.support.progress import waiting
 
-#: No parameters.
-NONE: Mapping[sp.Symbol, float] = MappingProxyType({})
-Positions = Mapping[str, Sequence[Any]]
+#: No parameters, or no units.
+NONE: Mapping[Any, Any] = MappingProxyType({})
 Constraints = Mapping[str, sp.Expr] | Sequence[sp.Expr]
 
 
@@ -113,25 +112,8 @@ class MechanicalSystem(Described):
     (1, Matrix([[m]]))
     """
 
-    name: str
-    coordinates: tuple[AppliedUndef, ...] = field(kw_only=True)
-    kinetic: sp.Expr = field(kw_only=True)
-    potential: sp.Expr = field(kw_only=True)
-    parameters: Mapping[sp.Symbol, float] = field(kw_only=True, default_factory=dict)
-    positions: Positions | None = field(kw_only=True, default=None)
-    invariants: Mapping[str, sp.Expr] | None = field(kw_only=True, default=None)
-    gyroscopic: sp.Expr = field(kw_only=True, default=sp.S.Zero)
-    forces: Mapping[Any, Any] | None = field(kw_only=True, default=None)
-    dissipation: sp.Expr | None = field(kw_only=True, default=None)
-    inputs: tuple[sp.Expr, ...] = field(kw_only=True, default=())
-    constraints: Mapping[str, sp.Expr] = field(kw_only=True, default_factory=dict)
-    velocity_constraints: Mapping[str, sp.Expr] = field(kw_only=True, default_factory=dict)
-    units: Mapping[Any, str] = field(kw_only=True, default_factory=dict)
-    mass_checked: ClassVar[bool] = False  # M/g of a retimed system was
     #: Makes a system in another time: a function of the module that extends this one.
     retimer: ClassVar[Callable[..., MechanicalSystem]]
-    plain: Plain = field(init=False)
-    seconds: dict[str, float] = field(init=False)
 
     def __post_init__(self) -> None:
         name = read_name(self.name)
@@ -176,7 +158,7 @@ class MechanicalSystem(Described):
         inputs: Sequence[sp.Expr] = (),
         constraints: Constraints = (),
         velocity_constraints: Constraints = (),
-        units: Mapping[Any, str] = NO_UNITS,
+        units: Mapping[Any, str] = NONE,
     ) -> MechanicalSystem:
         """Declare a system by its Lagrangian.
 
@@ -243,7 +225,7 @@ class MechanicalSystem(Described):
         inputs: Sequence[sp.Expr] = (),
         constraints: Constraints = (),
         velocity_constraints: Constraints = (),
-        units: Mapping[Any, str] = NO_UNITS,
+        units: Mapping[Any, str] = NONE,
     ) -> MechanicalSystem:
         """Declare a system by a :class:`sympy.physics.mechanics.LagrangesMethod`.
 

@@ -12,7 +12,7 @@ import sympy as sp
 from symsimpson.declare.checks import spell
 from symsimpson.declare.plain import Plain
 from symsimpson.declare.retimed import RetimedSystem
-from symsimpson.declare.structure import decay_rates, forces_at_rest
+from symsimpson.declare.structure import decay_rates
 from symsimpson.declare.system import MechanicalSystem
 from symsimpson.discrete.combined_rows import elimination_order
 from symsimpson.discrete.jet import Cost, Jet, Key, derive_jet, written_as_jet
@@ -30,6 +30,7 @@ from symsimpson.discrete.reductions import (
 from symsimpson.errors import SchemeError
 from symsimpson.graph.nodes import ZERO, Value
 from symsimpson.graph.read import Reader
+from symsimpson.graph.rebuild import rebuilt
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.scheme import Scheme
 
@@ -212,7 +213,8 @@ def discretise(
     if explicit and plain.dragged:
         rates = decay_rates(plain)
         assert rates is not None
-        plain = replace(plain, rates=rates, acting=forces_at_rest(plain))
+        at_rest = rebuilt(plain.graph, plain.f, dict.fromkeys(plain.numbers(plain.v), ZERO))
+        plain = replace(plain, rates=rates, acting=tuple(at_rest))
     free = not (explicit or plain.held)
     # weights are not differentiated: where what is varied stands in them, damping is a force
     still = _free_of(plain, structure.damping, varied or ()) and plain.step[0] not in (varied or ())

@@ -12,11 +12,12 @@ import sympy as sp
 
 from symsimpson.declare.constraints import accelerations
 from symsimpson.declare.plain import Plain
-from symsimpson.declare.structure import kinetic
+from symsimpson.declare.quadratic import quadratic_form
+from symsimpson.declare.retimed import Retiming
 from symsimpson.discrete.angles import halved, summed
 from symsimpson.graph.derive import Derivatives, gradient
+from symsimpson.graph.findings import merged
 from symsimpson.graph.lines import Program
-from symsimpson.graph.merge import merged
 from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.graph.share import share
@@ -96,7 +97,7 @@ def derive_jet(
 
 def _shortest(plain: Plain, more: Mapping[Key, Value], half_angles: Sequence[int]) -> Jet:
     jets: list[Jet] = []
-    by_mass = kinetic(plain)
+    by_mass = quadratic_form(plain.graph, plain.M, plain.numbers(plain.v))
     of_mass, of_written = (len(plain.graph.reached([n])) for _, n in (by_mass, plain.T))
     both = by_mass != plain.T and of_mass <= LONGER * of_written
     for ways in (FIRST, OTHERS):
@@ -286,6 +287,34 @@ def derive_cost(plain: Plain, varied: Mapping[str, sp.Symbol], cost: Cost) -> Je
         if symbol == plain.step[0]
     }
     return written_as_jet(plain, graph, outputs)
+
+
+def derive_original_terms(retiming: Retiming) -> Jet:
+    """Derive M, a, V and P = dL/dv of the original system, with v = dq/dt.
+
+    Outputs are ``("M", i, j)``, ``("a", i)``, ``("V",)`` and ``("P", i)``.
+    """
+    plain, graph = retiming.plain, Graph()
+    n = len(plain.q)
+    every = [(i, j) for i in range(n) for j in range(n)]
+    given = [plain.L, plain.V, *plain.a, *(plain.entry(i, j) for i, j in every)]
+    L, V, *values = rebuilt(plain.graph, given, {}, graph)
+    momenta = gradient(graph, L, graph.numbers(s.name for s in plain.v))
+    outputs: dict[Key, Value] = {("V",): V}
+    outputs |= {("a", i): values[i] for i in range(n)}
+    outputs |= {("M", i, j): value for (i, j), value in zip(every, values[n:], strict=True)}
+    outputs |= {("P", i): momentum for i, momentum in enumerate(momenta)}
+    return written_as_jet(plain, graph, outputs)
+
+
+def derive_rate(plain: Plain, retiming: Retiming) -> Jet:
+    """Return g = dt/dtau before its division by the value at the start; ``plain`` is in tau.
+
+    The output is ``("rate",)``.
+    """
+    graph = Graph()
+    (rate,) = rebuilt(retiming.graph, [retiming.rate], {}, graph)
+    return written_as_jet(plain, graph, {("rate",): rate})
 
 
 def derive_constraints(plain: Plain) -> Jet:

@@ -8,7 +8,6 @@ from typing import Any
 
 import mpmath
 
-from symsimpson.graph.exponentials import without_overflow
 from symsimpson.graph.nodes import TINY, Exact, Graph, Value
 
 
@@ -30,7 +29,14 @@ def evaluated(
 def doubles(graph: Graph, values: Sequence[Value], symbols: Mapping[int, Any]) -> list[float]:
     """Evaluate values in doubles; NaN where one is not real."""
     numbers = evaluated(graph, [n for c, n in values if c], symbols, mpmath.fp)
-    return [float(c) * float(numbers[n]) if c else 0.0 for c, n in values]
+    return [_double(c) * float(numbers[n]) if c else 0.0 for c, n in values]
+
+
+def _double(number: Exact) -> float:
+    try:
+        return float(number)
+    except OverflowError:
+        return math.inf
 
 
 def numbers_of(
@@ -102,3 +108,13 @@ def _function(context: Any, name: str) -> Callable[..., Any]:
         return without_overflow(*(_function(context, x) for x in ("exp", "log", "atanh")))[name]
     function: Callable[..., Any] = getattr(context, name, None) or getattr(math, name)
     return function
+
+
+def without_overflow(exp: Any, log: Any, atanh: Any) -> dict[str, Callable[[Any], Any]]:
+    """Return log(1 + exp(x)) and log(cosh(x)) by the functions of an arithmetic."""
+
+    def softplus(x: Any) -> Any:
+        small = exp(-abs(x))
+        return (x + abs(x)) / 2 + 2 * atanh(small / (2 + small))
+
+    return {"softplus": softplus, "logcosh": lambda x: abs(x) + log((1 + exp(-2 * abs(x))) / 2)}

@@ -18,10 +18,10 @@ References
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable
 from fractions import Fraction
 from math import lcm
-from typing import Any, Protocol
+from typing import Any
 
 from symsimpson.graph.nodes import Exact, Graph, Value
 
@@ -33,39 +33,13 @@ LARGER = 2**89 - 1
 Element = Any
 
 
-class Arithmetic(Protocol):
-    """The operations on numbers that an evaluation needs."""
-
-    prime: int
-
-    def draw(self, *key: object) -> Element:
-        """Return a random number that is the same for the same key."""
-        ...
-
-    def inverse(self, x: Element) -> Element:
-        """Return 1/x; raises ZeroDivisionError if x is zero."""
-        ...
-
-    def root(self, x: Element) -> Element:
-        """Return a square root, or a random draw where there is none."""
-        ...
-
-    def times(self, x: Element, y: Element) -> Element:
-        """Return x y."""
-        ...
-
-    def plus(self, x: Element, y: Element) -> Element:
-        """Return x + y."""
-        ...
-
-
 class PrimeField:
     """Arithmetic modulo a prime, extended by i where a square root needs it."""
 
     def __init__(self, seed: int, prime: int = PRIME) -> None:
         self._seed, self.prime = seed, prime
 
-    def draw(self, *key: object) -> int:
+    def draw(self, *key: object) -> Element:
         """Return a random number that is the same for the same key."""
         text = repr((self._seed, *key)).encode()
         return int.from_bytes(hashlib.blake2b(text, digest_size=16).digest(), "big") % self.prime
@@ -147,29 +121,18 @@ class Angles:
 
 
 class Evaluation:
-    """The values of nodes at one random point.
+    """The values of nodes, and all that they are made of, at one random point.
 
-    Parameters
-    ----------
-    graph, arithmetic
-    roots : iterable of int
-        Nodes to evaluate, with all that they are made of.
-    opaque : collection of int
-        Nodes whose square roots are drawn as those of other functions are.
-    angles : Angles, optional
-        Those of other nodes, too, that are not evaluated here.
-
-    Raises
-    ------
-    ZeroDivisionError
-        If something is divided by zero at this point: take another one.
+    Square roots of ``opaque`` nodes are drawn as those of other functions are. The ``angles`` may
+    include those of nodes that are not evaluated here. Raises ZeroDivisionError if something is
+    divided by zero at this point: take another one.
     """
 
     def __init__(
         self,
         graph: Graph,
         roots: Iterable[int],
-        arithmetic: Arithmetic,
+        arithmetic: PrimeField,
         opaque: Collection[int] = (),
         angles: Angles | None = None,
     ) -> None:
@@ -180,40 +143,40 @@ class Evaluation:
         self.values: dict[int, Element] = {}
         self._symbols: dict[int, Element] = {}
         self._evaluate(nodes, self.values)
-        self._having: dict[int, list[int]] | None = None
+        self._having: dict[int, list[int]] = {}
+        self._moved: dict[int, set[int]] = {}
 
     def __getitem__(self, value: Value) -> Element:
         """Return the number that a pair of a coefficient and a node evaluates to."""
         coefficient, n = value
         return self.arithmetic.times(self._number(coefficient), self.values[n])
 
-    def containing(self, x: int) -> Sequence[int]:
-        """List the nodes that contain a symbol."""
-        if self._having is None:
-            self._having = {}
+    def depending_on(self, x: int) -> set[int]:
+        """Return the nodes whose values change when a symbol is drawn anew."""
+        if x not in self._moved:
+            self._moved[x] = self._depending_on(x)
+        return self._moved[x]
+
+    def _depending_on(self, x: int) -> set[int]:
+        if not self._having:
             for n in self.values:
                 for s in self._graph.nodes[n].symbols:
                     self._having.setdefault(s, []).append(n)
-        return self._having.get(x, [])
-
-    def depending_on(self, x: int) -> set[int]:
-        """Return the nodes whose values change when a symbol is drawn anew."""
-        nodes = self.containing(x)
-        if not nodes:
-            return set()
-        values = _Layered(self.values)
+        nodes = self._having.get(x, [])
+        before = {n: self.values[n] for n in nodes}
         self._symbols[x] = self.arithmetic.draw("moved", self._graph.nodes[x].parts[0])
         try:
-            self._evaluate(nodes, values)
+            self._evaluate(nodes, self.values)
+            return {n for n in nodes if self.values[n] != before[n]}
         finally:
             del self._symbols[x]
-        return {n for n in nodes if values[n] != self.values[n]}
+            self.values |= before
 
     def at(self, symbols: dict[int, Element]) -> Evaluation:
         """Return an evaluation with these symbols fixed, and all else drawn as here."""
         other = object.__new__(Evaluation)
-        other.__dict__.update(self.__dict__)
-        other._symbols, other.values, other._having = symbols, {}, None
+        fresh = {"_symbols": symbols, "values": {}, "_having": {}, "_moved": {}}
+        other.__dict__.update(self.__dict__ | fresh)
         other._evaluate(sorted(self.values), other.values)
         return other
 
@@ -324,14 +287,3 @@ def raised(times: Callable[[Any, Any], Any], unit: Any, x: Any, count: int) -> A
             unit = times(unit, x)
         x, count = times(x, x), count >> 1
     return unit
-
-
-class _Layered(dict[int, Element]):
-    """Values above others that stay as they are."""
-
-    def __init__(self, below: dict[int, Element]) -> None:
-        super().__init__()
-        self._below = below
-
-    def __missing__(self, n: int) -> Element:
-        return self._below[n]

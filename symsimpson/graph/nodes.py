@@ -12,6 +12,8 @@ from fractions import Fraction
 from math import gcd, lcm
 from typing import Any, NamedTuple, TypeAlias
 
+from sympy import integer_nthroot
+
 #: A whole number or a fraction; a fraction is never whole.
 Exact: TypeAlias = int | Fraction
 #: A coefficient and the number of a node.
@@ -26,6 +28,8 @@ ONE: Value = (1, UNIT)
 TINY = 2.0**-600
 #: Common factors of the coefficients of a sum are pulled out if no part of them reaches this.
 LARGE = 2**40
+#: Roots are taken of whole numbers of at most so many binary digits.
+LONGEST_ROOT = 10**4
 #: Functions f(-x) = -f(x), and f(-x) = f(x), with their value at zero.
 ODD = frozenset(["sin", "tan", "asin", "atan", "sinh", "tanh", "asinh", "atanh", "erf"])
 #: Nodes that are pulled out of sums, where all terms have them.
@@ -58,9 +62,6 @@ class Graph:
         self._numbers: dict[tuple[str, tuple[Any, ...]], int] = {}
         self._sets: dict[frozenset[int], frozenset[int]] = {}
         self._make("unit", (), frozenset())
-
-    def __len__(self) -> int:
-        return len(self.nodes)
 
     def _make(self, kind: str, parts: tuple[Any, ...], symbols: frozenset[int]) -> int:
         number = self._numbers.get((kind, parts))
@@ -277,23 +278,13 @@ def _content(coefficients: list[Exact]) -> Exact:
 
 
 def _root(number: Exact, exponent: Fraction) -> Exact | None:
-    """Return a power of a positive number if it is rational."""
+    """Return a power of a positive number if it is rational; None if its root would be too long."""
     parts = []
     for whole in (number.numerator, number.denominator):
-        root = _whole_root(whole, exponent.denominator)
-        if root is None:
+        if whole.bit_length() > LONGEST_ROOT:
+            return None
+        root, is_exact = integer_nthroot(whole, exponent.denominator)
+        if not is_exact:
             return None
         parts.append(root)
     return exact(Fraction(*parts) ** exponent.numerator)
-
-
-def _whole_root(number: int, degree: int) -> int | None:
-    if number in (0, 1):
-        return number
-    if number.bit_length() > 10**4 or degree > 64:
-        return None
-    low, high = 1, 1 << -(-number.bit_length() // degree)
-    while low < high:
-        middle = (low + high + 1) // 2
-        low, high = (middle, high) if middle**degree <= number else (low, middle - 1)
-    return low if low**degree == number else None

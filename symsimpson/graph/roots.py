@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.graph.field import Angles, Evaluation, raised
+from symsimpson.graph.field import Angles, Evaluation, PrimeField, raised
 from symsimpson.graph.nodes import Graph, Value
 from symsimpson.support.array_types import Ints
 
@@ -22,19 +22,13 @@ PARTIAL = frozenset(["asin", "acos", "acosh", "atanh"])
 class Signs:
     """The signs of nodes, as far as they are known.
 
-    Symbols are ``"positive"``, ``"nonnegative"``, ``"negative"`` or ``"nonpositive"``. A sign is a
-    pair: the sign itself, 1, -1 or 0 for unknown, and whether zero is excluded.
+    A sign is a pair: the sign itself, 1, -1 or 0 for unknown, and whether zero is excluded. The
+    signs of symbols are ``known``.
     """
 
-    def __init__(self, graph: Graph, known: Mapping[int, str]) -> None:
+    def __init__(self, graph: Graph, known: Mapping[int, tuple[int, bool]]) -> None:
         self._graph = graph
-        words = {
-            "positive": (1, True),
-            "nonnegative": (1, False),
-            "negative": (-1, True),
-            "nonpositive": (-1, False),
-        }
-        self._done: dict[int, tuple[int, bool]] = {n: words[word] for n, word in known.items()}
+        self._done = dict(known)
 
     def __call__(self, value: Value) -> tuple[int, bool]:
         """Return the sign of a value."""
@@ -169,12 +163,11 @@ def _dependent(graph: Graph, bases: list[int], angles: Angles, varied: int | Non
     return {bases[k] for k in places if k < len(bases)}
 
 
-class _Rows:
+class _Rows(PrimeField):
     """Rows of numbers modulo a prime below 2^31, one for each point."""
 
-    prime = PRIME
-
     def __init__(self, count: int, varied: str | None = None) -> None:
+        super().__init__(0, PRIME)
         self._count, self._varied = count, varied
 
     def draw(self, *key: object) -> Ints:
@@ -188,10 +181,6 @@ class _Rows:
     def inverse(self, x: Any) -> Ints:
         """Return 1/x."""
         return _power(np.broadcast_to(np.asarray(x, dtype=np.int64), self._count), PRIME - 2)
-
-    def root(self, x: Any) -> Ints:
-        """Radicands with roots in them are not evaluated."""
-        raise AssertionError
 
     def times(self, x: Any, y: Any) -> Any:
         """Return x y."""

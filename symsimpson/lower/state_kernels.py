@@ -7,8 +7,8 @@ from dataclasses import replace
 from functools import partial, reduce
 
 from symsimpson.declare.retimed import OWN
+from symsimpson.discrete.jet import derive_original_terms, derive_rate
 from symsimpson.discrete.reductions import Constrained, Coupled
-from symsimpson.discrete.retiming import derive_original_terms, derive_rate
 from symsimpson.lower.expression import Expression
 from symsimpson.lower.forms import drifting
 from symsimpson.lower.ir import Call, Function, Kernel, Loop, Row, Statement, Store, stored

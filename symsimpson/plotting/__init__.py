@@ -1,5 +1,5 @@
 """Figures; needs matplotlib and plotly (the extra ``plot``)."""
 
-from symsimpson.plotting.errors import plot_convergence, plot_work_precision, slope_triangle
+from symsimpson.plotting.run_figures import plot_convergence, plot_work_precision, slope_triangle
 
 __all__ = ["plot_convergence", "plot_work_precision", "slope_triangle"]

@@ -108,9 +108,6 @@ def show_config(mode: str = "stdout") -> Config | None:
     """
     if mode not in ("stdout", "dicts"):
         raise InputError(f"mode is {mode!r}.\nPass 'stdout' to print, or 'dicts' to be given it.")
-    # only who asks waits for the compiler
-    import llvmlite.binding as llvm
-
     from symsimpson.program.cache import cache_folder, usage
 
     folder = cache_folder()

@@ -88,15 +88,12 @@ class _Functions(KernelSets):
         return "none: Python, with numbers of many digits"
 
     def compile_set(self, label: str, names: list[str], *, any_angle: bool) -> list[Any]:
-        """Return functions."""
         return [self.address(name) if name else 0 for name in names]
 
     def pack(self, mode: int, kernels: list[Any]) -> tuple[Any, ...]:
-        """Return mode and functions."""
         return mode, *kernels
 
     def address(self, name: str, *, any_angle: bool = False) -> Any:
-        """Return a function, whose sines take any angle."""
         return getattr(self._module, name)
 
 
@@ -269,7 +266,7 @@ class Arb(Digits):
     def kernels(self, text: str, header: Header, lanes: int = 1) -> _Functions:
         """Bind the kernels of a module."""
         with self.working():
-            module = bind_arb(text, checking=True)
+            module = bind_arb(text)
         passing = {row for rows in scratch(header.layout).values() for row in rows}
         lasting = np.array([row for row in range(header.rows) if row not in passing])
         for name in KERNELS:

@@ -19,8 +19,7 @@ from symsimpson.program.recorders import Recorder
 from symsimpson.support.interpreter import compiles_late
 from symsimpson.targets.llvm.intrinsics import read_functions, stub, walker_digest, walking_function
 from symsimpson.targets.llvm.trees import Text
-from symsimpson.text.driver.solving import DRIVER_OPTIONS
-from symsimpson.text.driver.steps import SIGNATURES
+from symsimpson.text.driver.steps import DRIVER_OPTIONS, SIGNATURES
 from symsimpson.text.header import Header
 from symsimpson.text.interface import (
     EXPLICIT,
@@ -36,9 +35,7 @@ from symsimpson.text.syntax import outline, redefined
 
 #: The modules that are compiled as one text, in this order.
 PARTS = (
-    "solving",
     "steps",
-    "begin",
     "recovery",
     "explicit",
     "ensemble_loop",

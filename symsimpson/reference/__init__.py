@@ -4,18 +4,11 @@ The exact motion of the Lagrange top, systems in first-order form, the classical
 method, compiled, and an accurate solution of any system with an estimate of its error.
 """
 
-from symsimpson.reference.extrapolation import Truth, truth
-from symsimpson.reference.first_order import FirstOrder, canonical, reduced_top, second_order
-from symsimpson.reference.runge_kutta import rk4
-from symsimpson.reference.top import ExactTop
-
-__all__ = [
-    "ExactTop",
-    "FirstOrder",
-    "Truth",
-    "canonical",
-    "reduced_top",
-    "rk4",
-    "second_order",
-    "truth",
-]
+from symsimpson.reference.extrapolation import Truth as Truth
+from symsimpson.reference.extrapolation import truth as truth
+from symsimpson.reference.first_order import FirstOrder as FirstOrder
+from symsimpson.reference.first_order import canonical as canonical
+from symsimpson.reference.first_order import reduced_top as reduced_top
+from symsimpson.reference.first_order import second_order as second_order
+from symsimpson.reference.runge_kutta import rk4 as rk4
+from symsimpson.reference.top import ExactTop as ExactTop

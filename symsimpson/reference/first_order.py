@@ -80,7 +80,8 @@ def canonical(system: MechanicalSystem) -> FirstOrder:
     where they are those of velocities, and p' = dL/dq + f - Phi^T lambda.
     """
     plain = system.plain
-    p, n = _symbols("p", len(plain.q)), len(plain.q)
+    n = len(plain.q)
+    p = sp.symbols(f"p_:{n}", real=True)
     outputs = _mass_and_a(plain) | {("F", i): f for i, f in enumerate(plain.right_sides)}
     held = len(plain.held)
     if held:
@@ -273,7 +274,3 @@ def _solve(
         known = sp.Add(*(L[k, i] * x[n - 1 - k] for k in range(i + 1, n)))
         x.append(define(f"{name}_{i}", y[i] / D[i] - known))
     return tuple(definitions), tuple(reversed(x))
-
-
-def _symbols(name: str, count: int) -> tuple[sp.Symbol, ...]:
-    return tuple(sp.Symbol(f"{name}_{i}", real=True) for i in range(count))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -63,13 +64,9 @@ def rk4(
 _MADE: dict[tuple[Any, ...], Callable[..., Any]] = {}
 
 
-def _key(equations: FirstOrder) -> tuple[Any, ...]:
-    return (equations.unknowns, equations.definitions, equations.rates, *equations.parameters)
-
-
 def compiled_rates(equations: FirstOrder) -> Callable[..., Any]:
     """Compile f as a function (y, parameters, out)."""
-    key = _key(equations)
+    key = (equations.unknowns, equations.definitions, equations.rates, *equations.parameters)
     if key not in _MADE:
         from numba import njit
 
@@ -85,12 +82,10 @@ def compiled_rates(equations: FirstOrder) -> Callable[..., Any]:
 
 def compiled_rk4(equations: FirstOrder) -> Callable[..., Any]:
     """Compile the method as a function (y, parameters, h, steps, every, out)."""
-    key = ("rk4", *_key(equations))
-    if key not in _MADE:
-        _MADE[key] = _make_rk4(compiled_rates(equations))
-    return _MADE[key]
+    return _make_rk4(compiled_rates(equations))
 
 
+@cache
 def _make_rk4(f: Callable[..., None]) -> Callable[..., Any]:
     from numba import njit
 

@@ -81,7 +81,10 @@ class ExactTop:
             raise ValueError(f"theta0 is {theta}: this solution needs 0 < theta0 < pi.")
         self.p_psi = self._I3 * (v_psi + v_phi * self._u0)
         self.p_phi = self.p_psi * self._u0 + self._I * v_phi * sine**2
-        self.roots = self._roots(v_phi)
+        self.roots = u1, u2, u3 = self._roots(v_phi)
+        self._rate = context.sqrt(self._G * (u3 - u1) / (2 * self._I))
+        self._modulus = (u2 - u1) / (u3 - u1)
+        self._quarter = context.ellipk(self._modulus)
 
     def _roots(self, v_phi: Any) -> tuple[Any, ...]:
         """Find u1, u2, u3; the start is a root itself if theta' = 0."""
@@ -98,20 +101,6 @@ class ExactTop:
             return tuple(sorted([u0, (-b - root) / (2 * a), (-b + root) / (2 * a)]))
         roots = context.polyroots(cubic, maxsteps=200, extraprec=4 * context.prec)
         return tuple(sorted(context.re(x) for x in roots))
-
-    @cached_property
-    def _rate(self) -> Any:
-        u1, _, u3 = self.roots
-        return self._context.sqrt(self._G * (u3 - u1) / (2 * self._I))
-
-    @cached_property
-    def _modulus(self) -> Any:
-        u1, u2, u3 = self.roots
-        return (u2 - u1) / (u3 - u1)
-
-    @cached_property
-    def _quarter(self) -> Any:
-        return self._context.ellipk(self._modulus)
 
     @cached_property
     def _phase(self) -> Any:

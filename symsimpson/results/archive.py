@@ -13,10 +13,9 @@ from symsimpson.program.numbers import NO_INPUTS
 from symsimpson.program.program import Program, read_program
 from symsimpson.program.recorders import NAMED
 from symsimpson.program.status import Status
-from symsimpson.results.records import Record
-from symsimpson.results.saving import EVENTS, RECORDED, digest_of
+from symsimpson.results.events import Record
 from symsimpson.results.tables import TABLES, check_kind
-from symsimpson.results.trajectory import Trajectory
+from symsimpson.results.trajectory import EVENTS, RECORDED, Trajectory, digest_of
 from symsimpson.stepping.driving import driven
 from symsimpson.support.extras import library
 from symsimpson.support.files import read_path

@@ -1,4 +1,4 @@
-"""The energy along a run: its error, the work of forces on it."""
+"""The energy along a run: its error, the work of forces on it, what the scheme keeps of it."""
 
 from __future__ import annotations
 
@@ -6,17 +6,20 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.numbers import workspace
 from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
-from symsimpson.program.recorders import driver_layout, work
+from symsimpson.program.recorders import Recorder, driver_layout, work
 from symsimpson.results.states import States, Stored
 from symsimpson.stepping.driving import inputs_there, since
+from symsimpson.stepping.inputs import varied_program
 from symsimpson.stepping.run import FALLBACK_STRETCH
 from symsimpson.support.array_types import Reals
+from symsimpson.support.derivation import LAGRANGIAN
 
 #: The name of the sum of all forces, and of what a run may record.
 TOTAL, WORK = "total", "work"
@@ -92,7 +95,7 @@ class Energies(Stored):
         """The energy that events gave up to stored states, which impacts take; 0 without any."""
         if not self.records:
             return 0
-        from symsimpson.results.records import energies_given
+        from symsimpson.results.events import energies_given
 
         return energies_given(self)
 
@@ -132,7 +135,9 @@ class Energies(Stored):
 
         Inputs are those of the step that begins at a state; at the last, of the step before it.
         """
-        return powers(self)
+        if self.program.header.conservative:
+            return {TOTAL: 0 * self.t}
+        return named_parts(self.program, _powers_at(self))
 
     @cached_property
     def energy_balance(self) -> NDArray[Any]:
@@ -172,8 +177,6 @@ class Energies(Stored):
         >>> bool(np.ptp(run.shadow_energy) < np.ptp(run.energy) / 1000)
         True
         """
-        from symsimpson.results.shadow import shadow_energy
-
         return shadow_energy(self)
 
     def plot_energy(self, *, shadow: bool = False, ax: Any = None) -> Any:
@@ -197,14 +200,6 @@ class Energies(Stored):
         from symsimpson.plotting.run_figures import plot_energy
 
         return plot_energy(self, shadow=shadow, ax=ax)
-
-
-def powers(run: Stored) -> dict[str, Reals]:
-    """Return the power of each force at the stored states, and of all."""
-    header = run.program.header
-    if header.conservative:
-        return {TOTAL: 0 * run.t}
-    return named_parts(run.program, _powers_at(run))
 
 
 def _powers_at(run: Stored, *, arriving: bool = False) -> Reals:
@@ -315,3 +310,114 @@ def _added_up(run: Stored, count: int) -> Reals:
             out[done + 1 :] = numbers.read(np.nan)
             break
     return out
+
+
+#: What is summed of H and of its error at four steps: around a state, and at the first two states.
+AROUND = np.array([-1, 7, 7, -1]) / 12
+FIRST, SECOND = np.array([25, -23, 13, -3]) / 12, np.array([3, 13, -5, 1]) / 12
+#: Nodes of the quadrature along the better path, by its degree.
+NODES = {3: 5, 5: 7}
+
+
+def shadow_energy(run: Stored) -> Reals:
+    """Return H + dH at all states: to h^8 for schemes of order 4, to h^4 for those of order 2.
+
+    If the scheme is the flow of H + dH, then L_d - S = -(integral of dH over the step), where S is
+    the action of the exact path between the same ends. Action is stationary there, so that a path
+    with small errors gives it: a Hermite polynomial through positions and velocities at both ends,
+    of degree three for schemes up to order 4, and five, with accelerations, for order 6.
+    Raises InputError if there is none, or states are missing.
+    """
+    change = changes(run)
+    inner = [weight * change[k : len(change) - 3 + k] for k, weight in enumerate(AROUND)]
+    ends = [side[:4] @ weights for side in (change, change[::-1]) for weights in (FIRST, SECOND)]
+    at_states = np.concatenate([ends[:2], sum(inner), ends[:1:-1]])
+    return np.asarray(run.energy + at_states)
+
+
+def changes(run: Stored) -> Reals:
+    """Return dH in the mean over each step, -(L_d - S)/h, shape (N,)."""
+    _check_shadow(run)
+    program = varied_program(run.program, (), LAGRANGIAN)
+    return (_actions(program, run) - _discrete_actions(program, run)) / run.h
+
+
+def _check_shadow(run: Stored) -> None:
+    """Raise InputError unless a run has a shadow energy."""
+    header = run.program.header
+    reasons = {
+        "its energy is not constant: look at run.energy_balance": not header.conservative,
+        "its steps are fixed in another time": header.retimed,
+        "events acted on it": run.records,
+        "its paths are held by constraints": header.constraints,
+        "not all states are stored: integrate with every=1": run.every != 1,
+        "it takes four steps to tell": run.steps < 4,
+        "it is found in double precision: compile without precision": run.p.dtype != np.float64,
+    }
+    why = next((reason for reason, applies in reasons.items() if applies), None)
+    if why is not None:
+        raise InputError(f"{header.system}: there is no shadow energy of this run, {why}.")
+
+
+def _discrete_actions(program: Program, run: Stored) -> Reals:
+    """Return L_d of all steps, which are taken again."""
+    numbers, header = program.numbers, program.header
+    recorder = Recorder("step_cost", header.layout["COST"], rows=1)
+    kernels, out = program.kernels, numbers.zeros((run.steps + 1, 1))
+    W = workspace(header, numbers, numbers.read(run.parameter_values))
+    t, q, p = (np.ascontiguousarray(numbers.read(x)) for x in (run.t, run.q, run.p))
+    reached = numbers.driver("replay")(
+        kernels.set("newton", (recorder,), again=True),
+        (float(run.h), t, W, driver_layout(header, (recorder,))),
+        (q, p),
+        1,
+        True,
+        out,
+        numbers.read(run.input_values),
+    )
+    if reached < len(run):
+        raise InputError(
+            f"{program.system}: the step to t = {float(run.t[reached]):g} could not be taken again."
+            "\nTake a smaller step."
+        )
+    return out[1:, 0]
+
+
+def _actions(program: Program, run: Stored) -> Reals:
+    """Return the actions of Hermite polynomials through the states, by Gauss quadrature."""
+    degree = 3 if program.order <= 4 else 5
+    places, weights = np.polynomial.legendre.leggauss(NODES[degree])
+    h, q, v = run.h, run.q, run.v
+    ends = [q[:-1], h * v[:-1], q[1:], h * v[1:]]
+    if degree == 5:
+        a = h * h * _accelerations(q, v, h)
+        ends = [*ends[:2], a[:-1], *ends[2:], a[1:]]
+    basis = _hermite(degree)
+    total = np.zeros(run.steps)
+    for place, weight in zip((places + 1) / 2, weights / 2, strict=True):
+        here = sum(b(place) * x for b, x in zip(basis, ends, strict=True))
+        slope = sum(b.deriv()(place) * x for b, x in zip(basis, ends, strict=True)) / h
+        t = run.t[:-1] + place * h
+        states, values = (t, here, slope), run.parameter_values
+        L = evaluate(program, "running_cost", "NODE_COST", 1, states, values)
+        total += weight * h * L[:, 0]
+    return total
+
+
+def _accelerations(q: Reals, v: Reals, h: Any) -> Reals:
+    """Return accelerations at states, of fourth order, from those before and behind."""
+    inner = 2 * (q[2:] - 2 * q[1:-1] + q[:-2]) / h**2 - (v[2:] - v[:-2]) / (2 * h)
+    one_sided = np.array([-25, 48, -36, 16, -3]) / (12 * h)
+    first, last = one_sided @ v[:5], -one_sided @ v[:-6:-1]
+    return np.concatenate([first[None], inner, last[None]])
+
+
+def _hermite(degree: int) -> list[Polynomial]:
+    """Return the polynomials for value, slope (and second derivative) at 0, then at 1."""
+    count = (degree + 1) // 2
+    rows = [
+        [Polynomial.basis(k).deriv(m)(place) for k in range(degree + 1)]
+        for place in (0, 1)
+        for m in range(count)
+    ]
+    return [Polynomial(column) for column in np.linalg.inv(np.array(rows)).T]

@@ -9,7 +9,6 @@ import numpy as np
 
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
-from symsimpson.results.outcome import iterations_a_step
 from symsimpson.support.markup import Markup, box, curves, facts, scatter
 from symsimpson.support.names import counted
 
@@ -81,6 +80,12 @@ def trajectory(run: Any) -> str:
         rows += _drawn(run)
         rows.append(("energy error" if constant else "energy", curves(run.t, [energy])))
     return box(f"Trajectory of {run.program.system}", facts(rows))
+
+
+def iterations_a_step(run: Any) -> float | None:
+    """Return Newton iterations a step, up to the last stored state; None if it is the first."""
+    steps = run.steps if run.every is None else min((len(run) - 1) * run.every, run.steps)
+    return float(run.newton_iterations.sum()) / steps if steps else None
 
 
 def _drawn(some: Any) -> list[tuple[str, Any]]:

@@ -13,9 +13,8 @@ from symsimpson.program.input_values import read_array
 from symsimpson.program.numbers import workspace
 from symsimpson.program.status import Status
 from symsimpson.results.states import Stored
-from symsimpson.stepping.arrival import states_at
 from symsimpson.stepping.driving import at_places, places, since
-from symsimpson.stepping.parts import Parts, steps_from
+from symsimpson.stepping.parts import Parts, states_at, steps_from
 from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.markup import box
 

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError, UnknownNameError
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
-from symsimpson.results.outcome import Outcome
-from symsimpson.results.records import Actions, actions_of
-from symsimpson.results.states import Plotted, States
+from symsimpson.results.events import Actions, actions_of
+from symsimpson.results.states import Outcome, Plotted, States
 from symsimpson.results.tables import Savable, Variable, attribute_name, variable_of
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explaining

@@ -19,11 +19,7 @@ from symsimpson.support.extras import library
 from symsimpson.support.files import check_folder, read_path, written_beside
 from symsimpson.text.quantity import QUANTITIES, VECTORS
 
-#: Tables: what is written cannot be opened as a run again.
-TABLES = (".npz", ".csv", ".parquet")
-#: All kinds of files; the first two hold everything.
-KINDS = (".nc", ".zarr", *TABLES)
-#: What a kind needs beside the package.
+#: Kinds of files, and the libraries that they need; the first two hold everything.
 NEEDS = {
     ".nc": ("xarray", "netCDF4"),
     ".zarr": ("xarray", "zarr"),
@@ -31,6 +27,8 @@ NEEDS = {
     ".csv": (),
     ".parquet": ("pandas", "pyarrow"),
 }
+#: Tables, which cannot be opened as a run again.
+TABLES = (*NEEDS,)[2:]
 
 
 @dataclass(frozen=True)
@@ -115,7 +113,7 @@ def check_kind(place: Path) -> str:
 
     Raises InputError if the name ends otherwise, or a library is missing.
     """
-    if place.suffix not in KINDS:
+    if place.suffix not in NEEDS:
         raise InputError(
             f"unsupported file extension {place.suffix!r} of {str(place)!r}.\nUse .nc (netCDF) or "
             ".zarr, which store everything and can be opened again; or .npz, .csv or .parquet for "
@@ -274,7 +272,9 @@ class Savable(Tabular):
         elif kind == ".npz":
             np.savez(place, **arrays)
         elif kind == ".csv":
-            head, rows = csv_of(self._table())
+            table = self._table()
+            rows = np.column_stack([np.asarray(x, dtype=np.float64) for x in table.values()])
+            head = ",".join(f'"{x}"' if set(x) & set(',"\n') else x for x in table)
             np.savetxt(place, rows, delimiter=",", header=head, comments="", fmt="%.17g")
         else:
             pandas = library("pandas", "a .parquet file", "data")
@@ -287,9 +287,3 @@ class Savable(Tabular):
     def _kind_of_result(self) -> str:
         """Name the result in messages."""
         return "result"
-
-
-def csv_of(table: Mapping[str, Any]) -> tuple[str, Reals]:
-    """Return the line of names and the rows of a table."""
-    rows = np.column_stack([np.asarray(x, dtype=np.float64) for x in table.values()])
-    return ",".join(f'"{x}"' if set(x) & set(',"\n') else x for x in table), rows

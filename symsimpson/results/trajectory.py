@@ -1,7 +1,9 @@
-"""The result of a run: all its stored states, or some of them."""
+"""The result of a run: all its stored states, or some of them, and its dataset for files."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from dataclasses import dataclass, field, fields
 from functools import cached_property
@@ -13,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_array
 from symsimpson.results.energies import Energies
-from symsimpson.results.outcome import Differentiated
-from symsimpson.results.states import OF_RUNS, States, Stored
+from symsimpson.results.states import OF_RUNS, Differentiated, States, Stored
 from symsimpson.results.tables import Savable, Variable
 from symsimpson.support.array_types import Ints
 from symsimpson.support.calling import explaining
@@ -211,14 +212,13 @@ class Trajectory(Savable, Energies, Differentiated):
         >>> run.events("theta").t[:3].round(3), run.events("theta", direction=1).t.round(3)
         (array([0.535, 1.604, 2.674]), array([1.604, 3.743, 5.883]))
         """
+        from symsimpson.results.events import actions_of, gather, read_zeros, zeros
+
         if self.event_names and (name := str(expression)) in self.event_names:
-            from symsimpson.results.records import actions_of
-
             return actions_of(self, name)
-        from symsimpson.results.events import find_events
-
         try:
-            return find_events(self, expression, direction, wrap)
+            wanted = read_zeros(self.program, expression, direction, wrap)
+            return gather(self, wanted, [zeros(self, wanted)])
         except InputError as error:
             if not (isinstance(expression, str) and self.event_names):
                 raise
@@ -275,8 +275,6 @@ class Trajectory(Savable, Energies, Differentiated):
         return animate(self, seconds=seconds, fps=fps, figsize=figsize, dpi=dpi)
 
     def _contents(self) -> Any:
-        from symsimpson.results.saving import dataset_of
-
         return dataset_of(self)
 
     def _kind_of_result(self) -> str:
@@ -386,3 +384,68 @@ def part_of(run: Stored, places: Ints, key: Any) -> Part:
         _run=run,
         _places=some,
     )
+
+
+#: Before the names of what was recorded, in files.
+RECORDED = "recorded_"
+#: The name of what events did.
+EVENTS = "acted"
+
+
+def dataset_of(run: Stored) -> Any:
+    """Return an ``xarray.Dataset`` from which the trajectory can be made again."""
+    dataset = run.to_xarray()
+    text = np.frombuffer(run.program.source.encode(), dtype=np.uint8)  # long, for an attribute
+    dataset["module"] = (("byte",), text, {"long_name": "the generated module, a text in UTF-8"})
+    if run.event_names:
+        text = np.frombuffer(_of_events(run).encode(), dtype=np.uint8)
+        dataset[EVENTS] = (("byte_of_events",), text, {"long_name": "records of events, JSON"})
+    if run.input_values.size:
+        about = {"long_name": "inputs of steps, at their nodes"}
+        dataset["inputs"] = (("step", "node", "input"), run.input_values[0], about)
+    if run.begun is not None:
+        dataset.attrs["begun"] = [float(run.begun[0]), *run.begun[1].ravel().tolist()]
+    dataset.attrs |= {
+        "every": run.every or 0,
+        "parameter_values": run.parameter_values.tolist(),
+        "sha256": digest_of(run),
+    }
+    for name, rows in run.recorded_values:
+        dataset[f"{RECORDED}{name}"] = (("time", f"{name}_number"), rows)
+    if users := run.program.names.users:
+        dataset.attrs["names"] = json.dumps(users)
+    if run.reduced_values:
+        dataset.attrs["reduced"] = json.dumps(run.reduced_values)
+    if run.variations is not None:
+        about = {"long_name": "variations of the state, then of what is varied"}
+        dataset["variations"] = (("time", "state", "variation"), run.variations, about)
+        if run.varied_by is not None:
+            dataset.attrs["varied_by"] = list(run.varied_by) or [""]
+    return dataset
+
+
+def _of_events(run: Stored) -> str:
+    """Return what events did, as JSON."""
+    records = [x.as_json for x in run.records]
+    return json.dumps({"names": run.event_names, "ended_by": run.ended_by, "records": records})
+
+
+def digest_of(run: Stored) -> str:
+    """Return a digest of all that a trajectory is made of."""
+    reduced = (run.reduced_values,) if run.reduced_values else ()
+    outcome = run.status.name, run.message, run.program.source
+    acted = (_of_events(run),) if run.event_names else ()
+    users = run.program.names.users
+    named = (json.dumps(users),) if users else ()
+    estimate = () if run.error_estimate is None else (float(run.error_estimate),)
+    about = (float(run.h), run.steps, run.every, *outcome, *reduced, *acted, *named, *estimate)
+    content = hashlib.sha256(repr(about).encode())
+    tau = () if run.tau_values is None else (run.tau_values,)
+    beside = [] if run.variations is None else [run.variations]
+    beside += [] if run.begun is None else [np.array(run.begun[0]), run.begun[1]]
+    beside += [rows for _, rows in run.recorded_values]
+    states = run.t, run.q, run.p
+    arrays = run.parameter_values, run.newton_iterations, run.input_values, *tau, *beside
+    for array in (*states, *arrays):
+        content.update(np.ascontiguousarray(array).tobytes())
+    return content.hexdigest()

@@ -21,7 +21,7 @@ import numpy as np
 
 from symsimpson.errors import InputError, StorageError
 from symsimpson.program.program import Program
-from symsimpson.run.ended import Keeper
+from symsimpson.run.ended import Sink
 from symsimpson.stepping.run import KeptStates, Run
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Floats
@@ -75,7 +75,7 @@ class Record:
     last: Floats
 
 
-class Checkpoint(Keeper):
+class Checkpoint(Sink):
     """All states of a run, and the run itself, on disk.
 
     The run is at its beginning, and goes on where the file says, if there is one; ``asked`` is what
@@ -239,10 +239,7 @@ def _digest_of(file: Any, size: int) -> Any:
 
 
 def read_asked(path: Path) -> dict[str, Any]:
-    """Read what a run was asked for; its states are not looked at.
-
-    Raises StorageError if there is no whole file.
-    """
+    """Read what a run was asked for; raise StorageError if there is no whole file."""
     request: dict[str, Any] = _first_whole(path, _said)[0]["asked"]
     return request
 

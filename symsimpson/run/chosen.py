@@ -18,12 +18,11 @@ from symsimpson.results.sampled import Sampled, Saved
 from symsimpson.results.states import States
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.ended import Samples, Sink, raise_failure
-from symsimpson.run.integrate import follow
+from symsimpson.run.integrate import follow, started
 from symsimpson.run.resolution import sampling_stride
-from symsimpson.run.start import started
-from symsimpson.stepping.arrival import STRIDE
 from symsimpson.stepping.driving import driven, since
 from symsimpson.stepping.inputs import read_failure, read_step, refuse_too_many
+from symsimpson.stepping.parts import STRIDE
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec, read_run
@@ -208,7 +207,8 @@ class Pieces(Sink):
     """A sink that keeps what is taken of each piece of a run, which stores each state."""
 
     def __init__(self, program: Program, run: Run, spec: RunSpec, take: Take) -> None:
-        self._program, self._run, self._spec, self._take = program, run, spec, take
+        super().__init__(run)
+        self._program, self._spec, self._take = program, spec, take
         self._taken, self._step = list[Taken](), -1
 
     def take(self) -> None:

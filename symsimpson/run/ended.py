@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from symsimpson.errors import ConvergenceError, Interrupted, StorageError
+from symsimpson.program.program import Program
 from symsimpson.program.status import Status
-from symsimpson.results.outcome import Outcome
+from symsimpson.results.states import Outcome
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.resolution import MOST_LOOKED_AT
-from symsimpson.stepping.arrival import last_part, reduced_at_ends, with_end
 from symsimpson.stepping.driving import driven
+from symsimpson.stepping.parts import last_part, reduced_at_ends, with_end
 from symsimpson.stepping.run import KeptStates, Run
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Reals
 
 if TYPE_CHECKING:
-    from symsimpson.program.program import Program
     from symsimpson.results.events import Events
     from symsimpson.results.sampled import Sampled, Saved
 
@@ -30,7 +30,10 @@ LOOKS, JOINING = 16, 3
 
 
 class Sink:
-    """A place to which the states of each piece of a run go, before the run forgets them."""
+    """Takes the states of each piece of a run; this one leaves them in the arrays of the run."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
 
     def due(self, stop: int) -> int:
         """Return the step at which the piece is to end, ``stop`` or an earlier one."""
@@ -39,19 +42,12 @@ class Sink:
     def take(self) -> None:
         """Take what was stored since the last call, which may be nothing."""
 
-
-class Keeper(Sink):
-    """Keeps states of a run; all of them, in its own arrays, unless a subclass does otherwise."""
-
-    def __init__(self, run: Run) -> None:
-        self._run = run
-
     def states(self) -> KeptStates:
         """Return the states that the run is judged by."""
         return self._run.stored()
 
 
-class Collected(Keeper):
+class Collected(Sink):
     """All states of a run, of which nobody knows how many there will be."""
 
     def __init__(self, run: Run) -> None:
@@ -90,7 +86,7 @@ class Collected(Keeper):
         return tuple(x[first:] for x in run.stored()[:-1])
 
 
-class Samples(Keeper):
+class Samples(Sink):
     """Some states of a run that nobody wants all states of.
 
     They are ``every`` steps apart; where there are too many, each second one is left out.
@@ -223,10 +219,7 @@ def _with_end(
 
 
 def shortened(trajectory: Trajectory, steps: int) -> dict[str, Any]:
-    """Return what changes of a run that ended after fewer steps, and of its stored states.
-
-    What observed values were then is not known.
-    """
+    """Return what changes if a run ends after fewer steps; observed values are unknown then."""
     inputs, every = trajectory.driven, trajectory.every
     unknown = tuple((name, np.nan) for name, _ in trajectory.reduced_values)
     about: dict[str, Any] = {"steps": steps, "reduced_values": unknown}

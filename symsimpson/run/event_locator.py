@@ -15,8 +15,7 @@ from symsimpson.program.driver import driver_text
 from symsimpson.program.observed import observer
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
-from symsimpson.results.events import BESIDE, signs_beside
-from symsimpson.results.records import Record
+from symsimpson.results.events import BESIDE, Record, signs_beside
 from symsimpson.run.event_actions import EventActions
 from symsimpson.stepping.parts import Parts
 from symsimpson.stepping.run_events import RunEvents
@@ -26,9 +25,9 @@ from symsimpson.targets.binding import bind
 from symsimpson.text.driver.impacts import EVENT, IMPULSE, STATES_OF, STEP_OF, TIME_OF
 from symsimpson.text.interface import FADED, ZERO
 
-#: In these parts of a step, or of its rest, expressions are looked at that are zero at both ends.
 #: Forces are taken on their own side of a kink up to these parts of a step from it.
 LITTLE = [2.0**k for k in range(-50, -15, 2)]
+#: Expressions that are zero at both ends of a step, or of its rest, are evaluated at these parts.
 PLACES = (0.8625, 0.6125, 0.3625, 0.1125)
 
 #: How long a part of a step is up to events, the state there, and the events.

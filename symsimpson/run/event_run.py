@@ -12,7 +12,7 @@ from symsimpson.errors import InputError
 from symsimpson.program.observed import OF_EVENTS, Reduction
 from symsimpson.program.recorders import Recorder
 from symsimpson.program.status import Status
-from symsimpson.results.records import Record
+from symsimpson.results.events import Record
 from symsimpson.run.event_actions import EventActions
 from symsimpson.run.event_locator import LOST, EventLocator, Sides, plain_restitution
 from symsimpson.stepping.event import Impact

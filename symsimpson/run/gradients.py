@@ -18,15 +18,14 @@ from symsimpson.program.recorders import tape
 from symsimpson.program.status import Status
 from symsimpson.results.motion_derivatives import Gradient
 from symsimpson.run.ended import raise_failure, trajectory_of
-from symsimpson.run.integrate import integrate
+from symsimpson.run.integrate import integrate, started
 from symsimpson.run.resolution import real_energies
-from symsimpson.run.start import started
-from symsimpson.run.state_costs import Measured, StateCost, pull_velocities, read_cost, read_samples
+from symsimpson.run.state_costs import Measured, StateCost, pull_velocities, read_samples
 from symsimpson.stepping.driving import Samples, given_inputs, steps_a_period
+from symsimpson.stepping.inputs import read_varied, refuse_retimed, varied_program
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec, read_run
-from symsimpson.stepping.variations import read_varied, refuse_retimed, varied_program
 from symsimpson.support.array_types import Ints, Reals
 from symsimpson.support.names import spelled
 
@@ -44,29 +43,19 @@ class Objective:
     every: int  #: Steps between samples.
 
 
-@dataclass
-class Backward:
-    """The cost of a run, and its derivatives."""
-
-    value: Any
-    #: By q0 and p0, or by q0 and v0 where the run began with velocities, shape (2 n,).
-    state: Reals
-    parameters: Reals  #: By what is varied, shape (k,).
-    #: By what is varied, of inputs: through each step and node, shape (N, k, s), or (N, k, 1).
-    by_step: Reals
-
-
 def differentiate_back(
     program: Program,
     spec: RunSpec,
     objective: Objective,
     inputs: Sequence[int],
     progress: bool | None,
-) -> Backward:
+) -> tuple[Any, Reals, Reals, Reals]:
     """Run, and carry the derivatives of the cost back to the start.
 
-    The program is one that differentiates its steps; ``inputs`` says which of what is varied are
-    inputs. Raises InputError, ConvergenceError or Interrupted, as a run does.
+    The program differentiates its steps; ``inputs`` are the numbers of the inputs among what is
+    varied. Returned are the cost and its derivatives: by q0 and p0, or v0 if the run begins with
+    velocities, shape (2 n,); by what is varied, shape (k,); by inputs in each step and node, shape
+    (N, k, s) or (N, k, 1). Raises InputError, ConvergenceError or Interrupted, as a run does.
     """
     numbers = program.numbers
     with numbers.working():
@@ -212,8 +201,8 @@ class _Back:
             by_state = by_state + slopes.state
         return by_state
 
-    def arrived(self, way: Way) -> Backward:
-        """Return what there is at the start."""
+    def arrived(self, way: Way) -> tuple[Any, Reals, Reals, Reals]:
+        """Return the cost and its derivatives at the start."""
         spec, numbers = self._spec, self.program.numbers
         q0, p0 = way.q0[None], way.p0[None]
         if self._objective.samples:
@@ -229,9 +218,8 @@ class _Back:
         if "COST" in self.program.header.layout:
             self._value = self._value + self._rows("COST", 1)[0]
         result = numbers.result
-        return Backward(
-            numbers.single(self._value), result(state), result(parameters), result(self._by_step)
-        )
+        value = numbers.single(self._value)
+        return value, result(state), result(parameters), result(self._by_step)
 
 
 #: The initial state, by what was given of it.
@@ -279,25 +267,28 @@ def gradient_of(
     spec = read_run(program, request)
     every = read_count("every", wanted.every, least=1)
     samples = read_samples(program, wanted.samples, spec.steps, every)
-    objective = Objective(read_cost(program, wanted.cost), samples, every)
+    end = None if wanted.cost is None else StateCost(program, "cost", wanted.cost)
+    objective = Objective(end, samples, every)
     header = program.header
     varied = header.varied_by or ()
     of_inputs = [j for j, name in enumerate(varied) if name in header.inputs]
-    derivatives = differentiate_back(program, spec, objective, of_inputs, progress)
+    cost, by_state, by_parameter, by_step = differentiate_back(
+        program, spec, objective, of_inputs, progress
+    )
     given = given_inputs(program, request.inputs) if of_inputs else {}
     n, parts = program.n, {}
     for name, state in pairs:
         if state:
-            parts[name] = derivatives.state[:n] if STATE[name] == "q" else derivatives.state[n:]
+            parts[name] = by_state[:n] if STATE[name] == "q" else by_state[n:]
             continue
         varied_name = varied[names.index(name)]
         if varied_name in header.inputs:
-            slopes = derivatives.by_step[:, of_inputs.index(names.index(name))]
+            slopes = by_step[:, of_inputs.index(names.index(name))]
             key = program.inputs[header.inputs.index(varied_name)]
             parts[name] = _of_input(key, slopes, given[key], spec, program.numbers)
         else:
-            parts[name] = np.asarray(derivatives.parameters[names.index(name)])
-    return Gradient(derivatives.value, parts)
+            parts[name] = np.asarray(by_parameter[names.index(name)])
+    return Gradient(cost, parts)
 
 
 def _moves(running: Any) -> bool:

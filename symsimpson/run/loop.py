@@ -13,10 +13,12 @@ from symsimpson.errors import InputError, ResolutionWarning
 from symsimpson.program.input_values import MOST_STEPS
 from symsimpson.program.numbers import NOTHING
 from symsimpson.program.observed import evaluate
+from symsimpson.program.program import Program
 from symsimpson.results.states import States
+from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.ended import out_of_domain, raise_failure, trajectory_of
+from symsimpson.run.integrate import started
 from symsimpson.run.resolution import real_energies
-from symsimpson.run.start import started
 from symsimpson.run.verdict import passage_in_words
 from symsimpson.stepping.driving import driven, read_driving
 from symsimpson.stepping.request import of_a_step
@@ -28,9 +30,7 @@ from symsimpson.support.names import counted
 from symsimpson.text.quantity import velocities_by
 
 if TYPE_CHECKING:
-    from symsimpson.program.program import Program
     from symsimpson.results.events import Events
-    from symsimpson.results.trajectory import Trajectory
 
 
 @explaining()

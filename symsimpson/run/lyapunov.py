@@ -13,11 +13,10 @@ from symsimpson.program.program import Program
 from symsimpson.program.recorders import growth
 from symsimpson.results.motion_derivatives import Chaos, chaos_of
 from symsimpson.run.ended import raise_failure, trajectory_of
-from symsimpson.run.integrate import integrate
-from symsimpson.run.start import started
+from symsimpson.run.integrate import integrate, started
+from symsimpson.stepping.inputs import refuse_retimed, varied_program
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec, read_run
-from symsimpson.stepping.variations import refuse_retimed, varied_program
 from symsimpson.support.array_types import Floats
 
 Spec = TypeVar("Spec", bound=RunSpec)

@@ -259,10 +259,7 @@ def _unrounded(
 def _changes_by_text(
     program: Program, states: tuple[Reals, Reals, Reals], values: Reals
 ) -> Floats | None:
-    """Return the energy at states less that at the first, by a module's text in many digits.
-
-    None where Python would take long.
-    """
+    """Return energies relative to the first, in many digits; None if Python would take long."""
     from symsimpson.program.digits import read_precision  # loads mpmath
 
     if states[1].size > MOST_BY_TEXT:

@@ -19,12 +19,12 @@ from symsimpson.program.digits import read_precision
 from symsimpson.program.observed import observing_kernel, watching
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import tangents
-from symsimpson.run.event_maps import EventMaps, read_restitution
+from symsimpson.run.event_actions import EventMaps, read_restitution
 from symsimpson.stepping.driving import since
 from symsimpson.stepping.event import Impact
+from symsimpson.stepping.inputs import STEP_ITSELF, varied_program
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.run_events import RunEvents, check_variations
-from symsimpson.stepping.variations import STEP_ITSELF, varied_program
 from symsimpson.support.array_types import Floats, Reals, State
 from symsimpson.support.calling import warn
 

@@ -26,8 +26,8 @@ from symsimpson.run.resolution import (
     finer_stride,
     sampling_stride,
 )
-from symsimpson.stepping.arrival import STRIDE, resolution, with_end
 from symsimpson.stepping.inputs import read_steps, read_times
+from symsimpson.stepping.parts import STRIDE, resolution, with_end
 from symsimpson.stepping.request import Request
 from symsimpson.support.array_types import Floats, Ints
 from symsimpson.support.interpreter import compiles_late

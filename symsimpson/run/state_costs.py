@@ -15,7 +15,7 @@ from symsimpson.program.input_values import read_array
 from symsimpson.program.numbers import Numbers, workspace
 from symsimpson.program.observed import evaluate, read_expression
 from symsimpson.program.program import Program
-from symsimpson.stepping.variations import STEP
+from symsimpson.stepping.inputs import STEP
 from symsimpson.support.array_types import Reals
 from symsimpson.text.quantity import OBSERVABLE
 
@@ -167,11 +167,6 @@ class Measured:
         off = np.where(known, slopes.value - data, 0 * slopes.value)
         changed = slopes.times(2 * off)
         return Slopes(off * off, changed.state, changed.parameters)
-
-
-def read_cost(program: Program, cost: Any) -> StateCost | None:
-    """Read a cost of the last state."""
-    return None if cost is None else StateCost(program, "cost", cost)
 
 
 def read_samples(

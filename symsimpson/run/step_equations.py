@@ -16,11 +16,10 @@ from symsimpson.program.program import Program
 from symsimpson.results.motion_derivatives import Linearisation
 from symsimpson.run.gradients import Way
 from symsimpson.stepping.driving import read_driving
-from symsimpson.stepping.inputs import read_step
+from symsimpson.stepping.inputs import read_step, read_varied, refuse_retimed, varied_program
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec, read_run
-from symsimpson.stepping.variations import read_varied, refuse_retimed, varied_program
 from symsimpson.support.array_types import Reals
 from symsimpson.support.names import spelled
 from symsimpson.text.quantity import equations_of, held_equations_of

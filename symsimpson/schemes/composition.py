@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import SchemeError
 from symsimpson.schemes.quadrature import Quadrature
 from symsimpson.schemes.scheme import Scheme
+from symsimpson.support.markup import aligned
 from symsimpson.support.names import did_you_mean
 
 Coefficients = tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]
@@ -122,9 +123,9 @@ class Composition(Scheme):
         return matrix
 
     def _repr_latex_(self) -> str:
-        from symsimpson.schemes.latex import composition
-
-        return composition(self)
+        tables = ("b_k", self.kicks), ("a_k", self.drifts)
+        rows = [(name, sp.latex(sp.Matrix([table]).evalf(6))) for name, table in tables]
+        return aligned([self._title(f"{len(self.drifts)} drifts"), *rows])
 
     def __repr__(self) -> str:
         return f"Composition({self.name!r}: {len(self.drifts)} drifts, order {self.order})"

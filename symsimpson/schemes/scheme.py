@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import SchemeError
 from symsimpson.schemes.quadrature import Quadrature, gauss, lagrange_basis, lobatto, radau
+from symsimpson.support.markup import aligned, in_text
 from symsimpson.support.names import counted
 
 Table = tuple[tuple[sp.Expr, ...], ...]
+#: Tables of more numbers than this are not shown.
+MOST_NUMBERS = 42
 _QUADRATURES = {"gauss": gauss, "lobatto": lobatto, "radau": radau}
 
 
@@ -228,9 +231,17 @@ class Scheme:
         return tuple(_number(sp.diff(sp.expand(value), x).subs(x, c)) for value in basis)
 
     def _repr_latex_(self) -> str:
-        from symsimpson.schemes.latex import scheme
+        rule = self.quadrature
+        tables = {"c_i": sp.Matrix([rule.nodes]), "b_i": sp.Matrix([rule.weights])}
+        if self.exact and self.stages * (self.degree + 1) <= MOST_NUMBERS:
+            tables |= {"A_{ik}": sp.Matrix(self.A), "B_{ik}": sp.Matrix(self.B)}
+        else:
+            tables = {name: table.evalf(6) for name, table in tables.items()}
+        rows = [(name, sp.latex(table)) for name, table in tables.items()]
+        return aligned([self._title(f"{rule.kind} quadrature"), ("d", str(self.degree)), *rows])
 
-        return scheme(self)
+    def _title(self, kind: str) -> tuple[str, str]:
+        return "", rf"\text{{{in_text(self.name)}: {kind}, order {self.order}}}"
 
     def __repr__(self) -> str:
         kind = self.quadrature.kind.capitalize()

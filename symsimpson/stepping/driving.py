@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,15 +18,11 @@ from symsimpson.program.input_values import (
     read_number,
     values_at,
 )
-from symsimpson.program.numbers import NO_INPUTS
+from symsimpson.program.numbers import NO_INPUTS, Numbers
+from symsimpson.program.program import Program
 from symsimpson.stepping.inputs import read_step
 from symsimpson.support.array_types import Reals
 from symsimpson.support.calling import explained
-
-if TYPE_CHECKING:
-    from symsimpson.program.numbers import Numbers
-    from symsimpson.program.program import Program
-
 
 #: A period may miss a whole number of steps by so much of a step.
 STEP_FRACTION = 1e-6
@@ -302,10 +298,7 @@ def inputs_there(
 
 
 def node_times(program: Program, h: Any, steps: Any, t0: Any) -> Reals:
-    """Return the times at which inputs given at nodes are taken, shape (steps, s).
-
-    Raises InputError if the system has no inputs.
-    """
+    """Return the times of the nodes of steps, shape (steps, s); raise InputError without inputs."""
     if not program.inputs:
         raise InputError(
             f"{program.system} has no inputs, so there are no times to take them at.\n"

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, NamedTuple, Required, TypedDict
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from symsimpson.errors import InputError
+from symsimpson.stepping.event import Event
 
 
 class Request(NamedTuple):
-    """Arguments of a run, unread.
-
-    They are those of :meth:`Stepper.integrate` and :meth:`Stepper.ensemble`.
-    """
+    """Unread arguments of :meth:`Stepper.integrate` and :meth:`Stepper.ensemble`."""
 
     #: Where it begins; one of the last two is None.
     q0: Any
@@ -60,10 +60,7 @@ class Request(NamedTuple):
 
 
 def step_request(q: Any, v: Any, p: Any, h: Any, t: Any, parameters: Any, inputs: Any) -> Request:
-    """Return the request for one step.
-
-    Raises InputError if velocities and momenta are given, or neither.
-    """
+    """Return the request for one step; raise InputError unless it has one of v and p."""
     if (v is None) == (p is None):
         raise InputError(
             f"a step needs exactly one of v and p, and has {'neither' if v is None else 'both'}.\n"
@@ -85,3 +82,48 @@ def _first_axis(value: Any) -> Any:
     except ValueError:  # rows of several lengths: what reads them says what is wrong
         return value
     return array[None] if array.ndim else value
+
+
+class Options(TypedDict, total=False):
+    """Arguments of all runs."""
+
+    h: Required[Any]
+    p0: ArrayLike | None
+    t_end: Any
+    steps: int | None
+    t0: Any
+    parameters: Mapping[Any, Any] | None
+    inputs: Any
+    events: Sequence[Event] | None
+    exact_h: bool
+    progress: bool | None
+    on_failure: Literal["raise", "return"]
+
+
+class RunOptions(Options, total=False):
+    """Arguments of a run that keeps its states."""
+
+    every: int | None
+    t_eval: None
+    save: None
+    tangents: ArrayLike | None
+    sensitivities: Any
+    record: str | Sequence[str] | None
+    reduce: Mapping[str, Any] | None
+    checkpoint: str | os.PathLike[str] | None
+    checkpoint_every: int | None
+
+
+class TimesOptions(Options, total=False):
+    """Arguments of a run that keeps states at chosen times."""
+
+    t_eval: Required[ArrayLike]
+    save: None
+
+
+class SavedOptions(Options, total=False):
+    """Arguments of a run that keeps chosen quantities."""
+
+    save: Required[Any]
+    t_eval: ArrayLike | None
+    every: int | None

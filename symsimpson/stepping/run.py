@@ -20,7 +20,6 @@ from symsimpson.program.status import Status
 from symsimpson.support.array_types import Floats, Ints, Reals
 from symsimpson.support.interpreter import listening
 from symsimpson.support.progress import Watcher
-from symsimpson.text.header import Header
 from symsimpson.text.interface import ARRIVED, RATE_NOT_POSITIVE
 
 
@@ -35,35 +34,6 @@ class KeptStates(NamedTuple):
     iterations: Ints
     recorded: Reals  #: What recorders left beside them, shape (N, k).
     every: int  #: Steps from one to the next; 0 where none were kept.
-
-
-def failure(header: Header, column: Reals, *, last_resort: bool) -> Status:
-    """Return why a step failed, from the workspace of one lane.
-
-    ``last_resort`` tells whether the kernels that eliminate with pivoting took it.
-    """
-    status = Status(int(column[header.layout["STATUS"]]))
-    if status is Status.NOT_CONVERGED and _diverged(header, column):
-        return Status.DIVERGED
-    if status is Status.NOT_FINITE and last_resort and _singular(header, column):
-        return Status.SINGULAR_JACOBIAN
-    return status
-
-
-def _diverged(header: Header, column: Reals) -> bool:
-    """Return whether the increments became ten times what was predicted, and seen before."""
-    at, n, d = header.layout, header.n, header.degree
-    predicted = column[at["PREDICTED"] : at["PREDICTED"] + d * n].reshape(d, n)
-    masses = column[at["MASS_DIAGONAL"] : at["MASS_DIAGONAL"] + n]
-    expected = max((masses * predicted**2).sum(), column[at["LARGEST_SQUARED"]])
-    return bool(column[at["INCREMENT_SQUARED"]] > 100 * expected)
-
-
-def _singular(header: Header, column: Reals) -> bool:
-    """Return whether elimination with pivoting met a pivot of zero."""
-    at = header.layout
-    places = np.arange(at["SOLVE_UNKNOWNS"]) * (at["SOLVE_STRIDE"] + 1)
-    return bool((column[at["JACOBIAN"] + at["SOLVE_OFFSET"] + places] == 0).any())
 
 
 LOG = logging.getLogger(__name__)
@@ -269,10 +239,29 @@ class Run:
             return Status.INTERRUPTED
         if self.alive or self.arrived:
             return Status.SUCCESS
-        last_resort = self._fallbacks[self._set] == "robust"
-        status = failure(self.header, self._column, last_resort=last_resort)
+        status = Status(int(self._column[self._status]))
+        if status is Status.NOT_CONVERGED and self._diverged():
+            return Status.DIVERGED
+        if status is Status.NOT_FINITE and self._meets_zero_pivot():
+            return Status.SINGULAR_JACOBIAN
         lost = status is Status.SINGULAR_LEGENDRE and self.header.retimed
         return Status.RATE_NOT_POSITIVE if lost and self._loses_rate() else status
+
+    def _diverged(self) -> bool:
+        """Return whether the increments became ten times those predicted and those before."""
+        n, d = self.header.n, self.header.degree
+        predicted = self.rows("PREDICTED", d * n).reshape(d, n)
+        expected = (self.rows("MASS_DIAGONAL", n) * predicted**2).sum()
+        expected = max(expected, self.value("LARGEST_SQUARED"))
+        return bool(self.value("INCREMENT_SQUARED") > 100 * expected)
+
+    def _meets_zero_pivot(self) -> bool:
+        """Return whether the kernels that eliminate with pivoting met a pivot of zero."""
+        at = self.header.layout
+        if self._fallbacks[self._set] != "robust":
+            return False
+        places = np.arange(at["SOLVE_UNKNOWNS"]) * (at["SOLVE_STRIDE"] + 1)
+        return bool((self._column[at["JACOBIAN"] + at["SOLVE_OFFSET"] + places] == 0).any())
 
     def _loses_rate(self) -> bool:
         """Return whether dt/dtau, by which M is divided, is not positive within two steps."""

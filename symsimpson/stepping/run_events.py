@@ -12,8 +12,8 @@ from symsimpson.program.observed import Observed, read_expression, refuse_consta
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder
 from symsimpson.stepping.event import CHANGED, Change, Event, Impact
+from symsimpson.stepping.inputs import STEP
 from symsimpson.stepping.request import Request
-from symsimpson.stepping.variations import STEP
 from symsimpson.support.array_types import Reals
 from symsimpson.support.names import speed_of_approach, spelled
 from symsimpson.text.header import Header
@@ -64,10 +64,7 @@ class RunEvents:
 
 
 def read_run_events(program: Program, request: Request) -> RunEvents | None:
-    """Read the events of a run, if there are any.
-
-    Raises InputError if they do not fit the system, or what else is asked for.
-    """
+    """Read the events of a run, None without any; raise InputError if they do not fit."""
     given = request.events
     if isinstance(given, RunEvents):  # read for all members of an ensemble
         return given
@@ -99,10 +96,7 @@ def read_run_events(program: Program, request: Request) -> RunEvents | None:
 
 
 def check_variations(program: Program, inputs: Reals) -> None:
-    """Refuse derivatives of a run with events where they are not known.
-
-    Raises InputError if the system is not known, or inputs vary within a step.
-    """
+    """Raise InputError where derivatives of a run with events are not known."""
     if program.declared is None:
         raise InputError(
             f"{program.system}: derivatives of a run with events need the energies of the system, "
@@ -187,10 +181,7 @@ def _check_names(program: Program, events: Sequence[Event]) -> None:
 
 
 def _positive(condition: Any) -> Any:
-    """Return what is positive where a condition holds, an expression or an inequality.
-
-    Raises InputError if it is an equation.
-    """
+    """Return what is positive where an inequality holds; raise InputError for an equation."""
     if not hasattr(condition, "rel_op"):
         return condition
     if condition.rel_op not in ("<", "<=", ">", ">="):
@@ -210,10 +201,7 @@ def _watched(event: Event) -> Any:
 
 
 def _check_restitution(program: Program, event: Event) -> None:
-    """Refuse a restitution of something else than parameters and the speed of approach.
-
-    Raises InputError.
-    """
+    """Raise InputError unless parameters and the speed of approach make up a restitution."""
     from sympy import Derivative, Symbol  # SymPy is slow to import, and is there by now
     from sympy.core.function import AppliedUndef
 

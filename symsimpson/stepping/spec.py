@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -10,16 +11,17 @@ import numpy as np
 
 from symsimpson.errors import InputError
 from symsimpson.program.input_values import read_vector
-from symsimpson.program.observed import Reduction, read_reductions
+from symsimpson.program.observed import Reduction, observers, read_reductions
 from symsimpson.program.program import Program
+from symsimpson.program.recorders import NAMED, Recorder, tangents
 from symsimpson.stepping.constrained_start import project_start
 from symsimpson.stepping.driving import read_driving
-from symsimpson.stepping.inputs import read_every, read_given, read_times, step_taken
-from symsimpson.stepping.recording import read_record
+from symsimpson.stepping.inputs import read_every, read_given, read_tangents, read_times, step_taken
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run_events import RunEvents, read_run_events
-from symsimpson.stepping.variations import read_tangents
 from symsimpson.support.array_types import Reals
+from symsimpson.support.names import did_you_mean
+from symsimpson.text.header import Header
 
 
 @dataclass(frozen=True)
@@ -84,16 +86,9 @@ def read_run(program: Program, request: Request) -> RunSpec:
         inputs, carried = read_driving(program, request.inputs, h, steps, t0), request.carried
         tangents = None if carried is None else read_tangents(program, carried)
         run_events = read_run_events(program, request)
+        plain = q, second, given, values, h, t0, steps, stride, inputs
         return RunSpec(
-            q,
-            second,
-            given,
-            values,
-            h,
-            t0,
-            steps,
-            stride,
-            inputs,
+            *plain,
             tangents=tangents,
             t_end=end,
             record=read_record(program, request.record),
@@ -117,3 +112,35 @@ def _reductions(
                 "Ask for that of one motion: stepper.lyapunov."
             )
     return reductions
+
+
+def read_record(program: Program, given: Any) -> tuple[str, ...]:
+    """Read names of what is recorded; raise InputError for an unknown name."""
+    names = tuple(given) if isinstance(given, (list, tuple, set)) else (given,)
+    names = () if given is None else names
+    for name in names:
+        if not isinstance(name, str) or name not in NAMED:
+            raise InputError(
+                f"record={name!r} is nothing that a run adds up over its steps."
+                f"{did_you_mean(str(name), NAMED)}\nPass record='work', or reduce= for values of "
+                "states."
+            )
+    header = program.header
+    return tuple(name for name in dict.fromkeys(names) if NAMED[name](header, header.rows))
+
+
+def recorders_of(
+    header: Header,
+    variations: int | None,
+    record: Sequence[str],
+    reductions: Sequence[Reduction],
+    more: Sequence[Recorder] = (),
+) -> tuple[Recorder, ...]:
+    """Return the recorders of a run that carries so many variations along, or none."""
+    carried = (*more, *(() if variations is None else (tangents(header, variations),)))
+    first, named = header.rows + sum(carrier.room for carrier in carried), list[Recorder]()
+    for name in record:
+        if (recorder := NAMED[name](header, first)) is not None:
+            named.append(recorder)
+            first += recorder.room
+    return *carried, *named, *observers(header, reductions, first)

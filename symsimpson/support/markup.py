@@ -36,7 +36,8 @@ def facts(pairs: Sequence[tuple[str, object]]) -> str:
 def _row(cells: Sequence[object], names: int = 1) -> str:
     """Lay out cells; the first ones are names."""
     tags = ["th"] * names + ["td"] * (len(cells) - names)
-    shown = zip(tags, map(_cell, cells), strict=True)
+    escaped = (x if isinstance(x, Markup) else html.escape(str(x)) for x in cells)
+    shown = zip(tags, escaped, strict=True)
     return f"<tr>{''.join(f'<{tag}{LEFT}>{cell}</{tag}>' for tag, cell in shown)}</tr>"
 
 
@@ -63,10 +64,6 @@ def table(rows: Sequence[Sequence[object]]) -> str:
 
 class Markup(str):
     """Text that is HTML already."""
-
-
-def _cell(value: object) -> str:
-    return value if isinstance(value, Markup) else html.escape(str(value))
 
 
 def curves(x: Reals, columns: Sequence[Reals]) -> Markup:

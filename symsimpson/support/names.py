@@ -135,12 +135,14 @@ class Named:
     def by_place(self, given: Mapping[Any, Any], what: str = "") -> dict[int, Any]:
         """Return values by the places of what their names or symbols mean.
 
-        Raises InputError if there is no such thing, or a value is given twice.
+        Names of velocities are known in "v0", names of momenta in "p0". Raises InputError if there
+        is no such thing, or a value is given twice.
         """
         values: dict[int, Any] = {}
         where = f"{what}: " if what else ""
         for key, value in given.items():
-            place = self._place_by_use(what, key)
+            place = self.place_of_velocity(key) if what == "v0" else None
+            place = self._place_behind("p_", key) if what == "p0" else place
             place = self.place(key) if place is None else place
             if place is None:
                 raise InputError(f"{where}{self.unknown(key)}")
@@ -172,12 +174,6 @@ class Named:
         if name in self.places or not name.startswith(prefix):  # a coordinate's own name is first
             return None
         return self.places.get(name.removeprefix(prefix))
-
-    def _place_by_use(self, what: str, key: Any) -> int | None:
-        """Return the place of the coordinate whose velocity or momentum a key of v0 or p0 names."""
-        if what == "v0":
-            return self.place_of_velocity(key)
-        return self._place_behind("p_", key) if what == "p0" else None
 
     def in_order(self, what: str, given: Any) -> Any:
         """Return values that are given by name as a list in order; all others as they are.

@@ -12,6 +12,12 @@ from symsimpson.declare.system import MechanicalSystem
 State = Mapping[str, Any]
 
 
+def read_numbers(text: str) -> dict[str, float]:
+    """Read a table of names, each before its number."""
+    words = text.split()
+    return dict(zip(words[::2], map(float, words[1::2]), strict=True))
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class CatalogueSystem(MechanicalSystem):
     """A well-known system with a state to start from and its source.

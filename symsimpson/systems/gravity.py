@@ -70,44 +70,20 @@ def kepler_plane() -> CatalogueSystem:
 
 #: Sun with the inner planets, and the outer planets: mass in units of the Sun's, position in
 #: astronomical units, velocity in these a day, on 5 September 1994.
-SOLAR_SYSTEM = (
-    ("Sun", 1.00000597682, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-    (
-        "Jupiter",
-        0.000954786104043,
-        (-3.5023653, -3.8169847, -1.5507963),
-        (0.00565429, -0.00412490, -0.00190589),
-    ),
-    (
-        "Saturn",
-        0.000285583733151,
-        (9.0755314, -3.0458353, -1.6483708),
-        (0.00168318, 0.00483525, 0.00192462),
-    ),
-    (
-        "Uranus",
-        0.0000437273164546,
-        (8.3101420, -16.2901086, -7.2521278),
-        (0.00354178, 0.00137102, 0.00055029),
-    ),
-    (
-        "Neptune",
-        0.0000517759138449,
-        (11.4707666, -25.7294829, -10.8169456),
-        (0.00288930, 0.00114527, 0.00039677),
-    ),
-    (
-        "Pluto",
-        1 / 1.3e8,
-        (-15.5387357, -25.2225594, -3.1902382),
-        (0.00276725, -0.00170702, -0.00136504),
-    ),
-)
+SOLAR_SYSTEM = """
+    1.00000597682       0.0         0.0         0.0         0.0         0.0         0.0
+    0.000954786104043  -3.5023653  -3.8169847  -1.5507963   0.00565429 -0.00412490 -0.00190589
+    0.000285583733151   9.0755314  -3.0458353  -1.6483708   0.00168318  0.00483525  0.00192462
+    0.0000437273164546  8.3101420 -16.2901086  -7.2521278   0.00354178  0.00137102  0.00055029
+    0.0000517759138449 11.4707666 -25.7294829 -10.8169456   0.00288930  0.00114527  0.00039677
+    7.692307692307692e-09 -15.5387357 -25.2225594 -3.1902382 0.00276725 -0.00170702 -0.00136504
+    """
 
 
 def outer_solar_system() -> CatalogueSystem:
     """The Sun, the four outer planets and Pluto; days, astronomical units, solar masses."""
-    _, masses, places, velocities = zip(*SOLAR_SYSTEM, strict=True)
+    rows = [tuple(map(float, row.split())) for row in SOLAR_SYSTEM.strip().splitlines()]
+    masses, places, velocities = zip(*((row[0], row[1:4], row[4:]) for row in rows), strict=True)
     return _bodies(
         "outer_solar_system",
         masses,

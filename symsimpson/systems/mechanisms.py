@@ -12,7 +12,7 @@ import sympy as sp
 from symsimpson.declare.arms import Link, arm_energies
 from symsimpson.declare.coordinates import coordinates
 from symsimpson.errors import ModelError
-from symsimpson.systems.entry import CatalogueSystem
+from symsimpson.systems.entry import CatalogueSystem, read_numbers
 
 
 def hanging_chain(n: int = 8) -> CatalogueSystem:
@@ -106,34 +106,12 @@ _INERTIAS = (2.194e-06, 4.41e-07, 5.255e-06, 5.667e-07, 1.169e-05, 5.667e-07, 1.
 _SQUEEZER = {
     **{f"m{k}": value for k, value in enumerate(_MASSES, 1)},
     **{f"i{k}": value for k, value in enumerate(_INERTIAS, 1)},
-    "xa": -0.06934,
-    "ya": -0.00227,
-    "xb": -0.03635,
-    "yb": 0.03273,
-    "xc": 0.014,
-    "yc": 0.072,
-    "c0": 4530.0,
-    "d": 0.028,
-    "da": 0.0115,
-    "e": 0.02,
-    "ea": 0.01421,
-    "rr": 0.007,
-    "ra": 0.00092,
-    "ss": 0.035,
-    "sa": 0.01874,
-    "sb": 0.01043,
-    "sc": 0.018,
-    "sd": 0.02,
-    "zt": 0.04,
-    "ta": 0.02308,
-    "tb": 0.00916,
-    "u": 0.04,
-    "ua": 0.01228,
-    "ub": 0.00449,
-    "zf": 0.02,
-    "fa": 0.01421,
-    "l0": 0.07785,
-    "mom": 0.033,
+    **read_numbers("""
+        xa -0.06934  ya -0.00227  xb -0.03635  yb 0.03273  xc 0.014  yc 0.072  c0 4530.0
+        d 0.028  da 0.0115  e 0.02  ea 0.01421  rr 0.007  ra 0.00092
+        ss 0.035  sa 0.01874  sb 0.01043  sc 0.018  sd 0.02  zt 0.04  ta 0.02308  tb 0.00916
+        u 0.04  ua 0.01228  ub 0.00449  zf 0.02  fa 0.01421  l0 0.07785  mom 0.033
+        """),
 }
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import sympy as sp
 
 from symsimpson.declare.coordinates import coordinates
-from symsimpson.systems.entry import CatalogueSystem
+from symsimpson.systems.entry import CatalogueSystem, read_numbers
 
 
 def chaplygin_sleigh() -> CatalogueSystem:
@@ -132,34 +131,13 @@ def ball_on_turntable() -> CatalogueSystem:
 
 #: Table 1 of the benchmark, in SI units: R, B, H and F are the rear wheel, the rear frame with its
 #: rider, the front frame with the handlebar, and the front wheel.
-_TABLE = {
-    "w": 1.02,
-    "c": 0.08,
-    "lambda": math.pi / 10,
-    "g": 9.81,
-    "rR": 0.3,
-    "mR": 2.0,
-    "IRxx": 0.0603,
-    "IRyy": 0.12,
-    "xB": 0.3,
-    "zB": -0.9,
-    "mB": 85.0,
-    "IBxx": 9.2,
-    "IByy": 11.0,
-    "IBzz": 2.8,
-    "IBxz": 2.4,
-    "xH": 0.9,
-    "zH": -0.7,
-    "mH": 4.0,
-    "IHxx": 0.05892,
-    "IHyy": 0.06,
-    "IHzz": 0.00708,
-    "IHxz": -0.00756,
-    "rF": 0.35,
-    "mF": 3.0,
-    "IFxx": 0.1405,
-    "IFyy": 0.28,
-}
+_TABLE = read_numbers("""
+    w 1.02  c 0.08  lambda 0.3141592653589793  g 9.81
+    rR 0.3  mR 2.0  IRxx 0.0603  IRyy 0.12
+    xB 0.3  zB -0.9  mB 85.0  IBxx 9.2  IByy 11.0  IBzz 2.8  IBxz 2.4
+    xH 0.9  zH -0.7  mH 4.0  IHxx 0.05892  IHyy 0.06  IHzz 0.00708  IHxz -0.00756
+    rF 0.35  mF 3.0  IFxx 0.1405  IFyy 0.28
+    """)
 #: The speed of the ride: without a rider's help it is stable between 4.3 and 6.0 m/s.
 _SPEED = 4.6
 

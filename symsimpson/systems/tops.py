@@ -8,10 +8,9 @@ from collections.abc import Sequence
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from symsimpson.declare.bodies import RigidBody
+from symsimpson.declare.bodies import RigidBody, coincide
 from symsimpson.declare.coordinates import coordinates
-from symsimpson.declare.rotations import coincide
-from symsimpson.declare.system import Positions
+from symsimpson.declare.declared import Positions
 from symsimpson.systems.entry import CatalogueSystem, State
 
 

@@ -1,4 +1,4 @@
-"""Run a module's text in another arithmetic: plain floats, complex numbers, many digits.
+"""Run a module's text in another arithmetic: many digits, or numbers of Python.
 
 One text serves every arithmetic. Binding it means to leave out its imports and the definitions
 that name an arithmetic (``real``, ``compiled``, ``sincos``, ...) and to supply those from here.
@@ -7,7 +7,6 @@ that name an arithmetic (``real``, ``compiled``, ``sincos``, ...) and to supply 
 from __future__ import annotations
 
 import ast
-import cmath
 import math
 from collections.abc import Callable, Mapping
 from types import SimpleNamespace
@@ -104,21 +103,6 @@ def plain_arithmetic(
     }
 
 
-def bind_float(source: str) -> SimpleNamespace:
-    """Bind to Python floats: the same operations as compiled, without a compiler."""
-    functions = {name: getattr(math, name) for name in [*MATH, "atan2"]}
-    return bind(source, plain_arithmetic(functions, float))
-
-
-def bind_complex(source: str) -> SimpleNamespace:
-    """Bind to complex numbers, for derivatives by a complex step."""
-    functions: dict[str, Any] = {
-        name: getattr(cmath, name) for name in MATH if hasattr(cmath, name)
-    }
-    functions["sincos"] = lambda x: (cmath.sin(x), cmath.cos(x))
-    return bind(source, plain_arithmetic(functions, float))
-
-
 def bind_mpmath(
     source: str, context: Any = mpmath.mp, *, checking: bool = False
 ) -> SimpleNamespace:
@@ -154,7 +138,7 @@ def bind_mpmath(
     return bind(source, plain_arithmetic(functions, context.mpf, digits))
 
 
-def bind_arb(source: str, *, checking: bool = False) -> SimpleNamespace:
+def bind_arb(source: str) -> SimpleNamespace:
     """Bind to the balls of python-flint, at the working precision of ``flint.ctx``."""
     from flint import arb, ctx
 
@@ -182,7 +166,7 @@ def bind_arb(source: str, *, checking: bool = False) -> SimpleNamespace:
 
         return on_midpoints
 
-    arithmetic = plain_arithmetic(functions, arb, ctx.dps if checking else None)
+    arithmetic = plain_arithmetic(functions, arb, ctx.dps)
     return bind(source, arithmetic | {"compiled": checked})
 
 

@@ -74,7 +74,11 @@ def _products(exponent: Any) -> int:
     return n.bit_length() - 1 + n.bit_count() - 1 if n > 1 else 1
 
 
-def _binary(operate: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+def _binary(
+    operate: Callable[[Any, Any], Any],
+) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
+    """Return an operation that is counted, and the same with operands exchanged."""
+
     def counted(a: Any, b: Any) -> Any:
         if operate in FOLDED and not (isinstance(a, _Counted) and isinstance(b, _Counted)):
             number, other = (b, a) if isinstance(a, _Counted) else (a, b)
@@ -86,12 +90,7 @@ def _binary(operate: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
         except (ArithmeticError, ValueError):
             return _Counted(float("nan"))
 
-    return counted
-
-
-def _reflected(operate: Callable[[Any, Any], Any]) -> Callable[[Any, Any], _Counted]:
-    counted = _binary(operate)
-    return lambda a, b: counted(b, a)
+    return counted, lambda a, b: counted(b, a)
 
 
 def _comparison(compare: Callable[[Any, Any], bool]) -> Callable[[Any, Any], bool]:
@@ -99,8 +98,8 @@ def _comparison(compare: Callable[[Any, Any], bool]) -> Callable[[Any, Any], boo
 
 
 for _name in ("add", "sub", "mul", "truediv", "pow"):
-    setattr(_Counted, f"__{_name}__", _binary(getattr(operator, _name)))
-    setattr(_Counted, f"__r{_name}__", _reflected(getattr(operator, _name)))
+    for _sign, _operation in zip(("", "r"), _binary(getattr(operator, _name)), strict=True):
+        setattr(_Counted, f"__{_sign}{_name}__", _operation)
 for _name in ("lt", "le", "gt", "ge"):
     setattr(_Counted, f"__{_name}__", _comparison(getattr(operator, _name)))
 

@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from support.bindings import bind_float
 from support.forms import limited
 from support.random_systems import random_state, random_system
 from support.workspace import begin, state, take_step
@@ -12,7 +13,6 @@ from symsimpson.discrete.equations import discretise
 from symsimpson.lower import module_kernels
 from symsimpson.lower.emit import emit
 from symsimpson.schemes.scheme import MIDPOINT, SIMPSON, galerkin
-from symsimpson.targets.binding import bind_float
 
 pytestmark = pytest.mark.slow
 

@@ -5,6 +5,7 @@ from itertools import pairwise
 import mpmath
 import numpy as np
 import pytest
+from support.bindings import bind_float
 from support.cases import sweep
 from support.oracle import nodes_and_weights
 from support.workspace import new_workspace
@@ -15,7 +16,7 @@ from symsimpson.program.digits import MOST_BY_STAGES
 from symsimpson.reference import canonical
 from symsimpson.schemes.named import read_scheme
 from symsimpson.stepping.run import Run
-from symsimpson.targets.binding import bind_float, bind_mpmath
+from symsimpson.targets.binding import bind_mpmath
 
 PENDULUM, TOP = ss.systems.double_pendulum(), ss.systems.lagrange_top()
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.bindings import bind_complex, bind_float
 from support.cases import sweep
 from support.workspace import begin, state, take_step
 
@@ -9,7 +10,6 @@ import symsimpson as ss
 from symsimpson.lower.pipeline import source
 from symsimpson.schemes.composition import COMPOSITIONS
 from symsimpson.study.analysis.precise import Precise
-from symsimpson.targets.binding import bind_complex, bind_float
 
 PENDULUM = ss.systems.double_pendulum()
 TOP = ss.systems.lagrange_top()

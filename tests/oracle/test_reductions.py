@@ -4,13 +4,14 @@ import mpmath as mp
 import numpy as np
 import pytest
 import sympy as sp
+from support.bindings import bind_float
 from support.cases import sweep
 from support.random_systems import random_state, structured_system
 from support.workspace import begin, block, new_workspace, state, take_step
 
 import symsimpson as ss
 from symsimpson.lower.pipeline import source
-from symsimpson.targets.binding import bind_float, bind_mpmath
+from symsimpson.targets.binding import bind_mpmath
 from symsimpson.targets.counting import cost
 
 STEPS = 200

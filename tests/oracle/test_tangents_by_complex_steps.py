@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from support.bindings import bind_complex, bind_float
 from support.cases import sweep
 from support.workspace import new_workspace, state
 
 import symsimpson as ss
 from symsimpson.lower.pipeline import derive
-from symsimpson.targets.binding import bind_complex, bind_float
 
 H, STEPS, TINY = 0.02, 2, 1e-30
 

@@ -17,7 +17,7 @@ from support.places import DATA
 from symsimpson.errors import SchemeError
 from symsimpson.lower.pipeline import derive, source
 from symsimpson.systems import CATALOGUE, EVERY
-from symsimpson.targets.llvm.calls import Calls
+from symsimpson.targets.llvm.control_flow import Calls
 from symsimpson.targets.llvm.memory import Array, BlockBuilder
 from symsimpson.targets.llvm.trees import ARGUMENTS, read_text
 from symsimpson.targets.llvm.values import DOUBLE

@@ -10,7 +10,7 @@ from support.places import GENERATED
 
 import symsimpson as ss
 from symsimpson.cli import main
-from symsimpson.cli.find import find
+from symsimpson.cli.commands import find
 
 OWN = """
 import symsimpson as ss
@@ -355,7 +355,7 @@ def test_an_unknown_parameter_is_named(capsys):
 @pytest.mark.parametrize("behind", [0, 1, 2])
 def test_names_may_stand_behind_options(behind, tmp_path, monkeypatch):
     drawn = []
-    monkeypatch.setattr("symsimpson.cli.runs.plot", lambda options: drawn.append(options) or 0)
+    monkeypatch.setattr("symsimpson.cli.commands.plot", lambda options: drawn.append(options) or 0)
     names, out = ["q1", "energy"], ["--out", str(tmp_path / "run.png")]
     first = len(names) - behind
     assert main(["plot", "double_pendulum", *names[:first], *out, *names[first:]]) == 0

@@ -7,13 +7,13 @@ import pytest
 import sympy as sp
 from hypothesis import HealthCheck, given, settings
 from support import fuzz
+from support.bindings import bind_complex, bind_float
 from support.strategies import names, runs, states, systems
 from support.workspace import begin, state, take_step
 from sympy.physics.mechanics import dynamicsymbols
 
 import symsimpson as ss
 from symsimpson.lower.pipeline import source
-from symsimpson.targets.binding import bind_complex, bind_float
 from symsimpson.text.header import read_header
 from symsimpson.text.syntax import check_structure
 

@@ -17,13 +17,12 @@ from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.energies import WORK, named_parts
-from symsimpson.results.outcome import Differentiated
+from symsimpson.results.events import Record
 from symsimpson.results.quantities import Quantities
-from symsimpson.results.records import Record
 from symsimpson.results.sampled import Sampled, member_of
-from symsimpson.results.saving import RECORDED
-from symsimpson.results.states import about_program
+from symsimpson.results.states import Differentiated, about_program
 from symsimpson.results.tables import Savable, Variable, table_of
+from symsimpson.results.trajectory import RECORDED
 from symsimpson.stepping.driving import Driven, inputs_there
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explaining

@@ -20,18 +20,15 @@ from symsimpson.run.ensemble.ensemble import Ensemble
 from symsimpson.run.ensemble.members import Results, Task, ensemble_of
 from symsimpson.run.ensemble.singles import PAIR, RENEWAL, run_singly
 from symsimpson.run.lyapunov import first_columns, first_part
-from symsimpson.stepping.arrival import reduced_at_ends, states_at
-from symsimpson.stepping.recording import recorders_of
+from symsimpson.stepping.parts import reduced_at_ends, states_at
+from symsimpson.stepping.spec import recorders_of
 from symsimpson.support.array_types import Floats
 from symsimpson.support.interpreter import listening
 from symsimpson.text.interface import ARRIVED
 
 
 def take_last_parts(program: Program, task: Task, results: Results) -> None:
-    """Take the parts of a step from where members have arrived to their end.
-
-    Where states on the way are stored, their end is not.
-    """
+    """Take the parts of steps up to the ends of members, unless states before are stored."""
     arrived = np.flatnonzero(results.codes[:, 0] == ARRIVED)
     results.codes[arrived, 0] = Status.SUCCESS
     if task.every or not arrived.size:
@@ -101,18 +98,22 @@ def run_blocks(program: Program, task: Task, count: Callable[[int], None]) -> tu
 def _work_off(
     program: Program, task: Task, results: Results, count: Callable[[int], None]
 ) -> _Queue:
-    """Run members in blocks, on threads of our own."""
-    work_off = _prepared(program, task, results)
-    lanes = task.lanes
+    """Run members in blocks, in so many threads, this one among them; Ctrl-C stops it."""
+    work_off, lanes = _prepared(program, task, results), task.lanes
     blocks = -(-task.members // lanes)
-    queue = _Queue(blocks, task.threads)
-    threads = max(1, min(task.threads, blocks))
+    queue, more = _Queue(blocks, task.threads), max(1, min(task.threads, blocks)) - 1
 
     def work() -> None:
         while (chunk := queue.next()) is not None:
             work_off(*chunk, queue, lambda done: count(done * lanes))
 
-    _share(work, threads, queue)
+    with listening() as queue.heard, ThreadPoolExecutor(max(1, more)) as pool:
+        others = [pool.submit(work) for _ in range(more)]
+        work()
+        while wait(others, timeout=0.1).not_done:
+            pass
+    for other in others:
+        other.result()
     return queue
 
 
@@ -133,17 +134,6 @@ class _Queue:
             size = max(1, min(1024, left // (4 * self._threads)))
             self._first += size
             return self._first - size, self._first
-
-
-def _share(work: Callable[[], None], threads: int, queue: _Queue) -> None:
-    """Work in so many threads, this one among them, until all is done or Ctrl-C stops it."""
-    with listening() as queue.heard, ThreadPoolExecutor(max(1, threads - 1)) as pool:
-        others = [pool.submit(work) for _ in range(threads - 1)]
-        work()
-        while wait(others, timeout=0.1).not_done:
-            pass
-    for other in others:
-        other.result()
 
 
 def _prepared(program: Program, task: Task, results: Results) -> Callable[..., None]:
@@ -242,14 +232,6 @@ CLEARLY = 0.9
 FEW, ROUNDS = 16, 3
 
 
-def seconds_of_member(program: Program, task: Task) -> float:
-    """Estimate the time of one member on one thread, by a trial with a block of them.
-
-    Raises KeyboardInterrupt.
-    """
-    return _seconds(program, task, task.lanes, rounds=1)
-
-
 def with_fastest_lanes(program: Program, task: Task) -> Task:
     """Return a task whose members run one by one, if that is faster on this machine.
 
@@ -267,24 +249,22 @@ def with_fastest_lanes(program: Program, task: Task) -> Task:
         whole = task.members * task.steps
         steps = int(PART * whole / (2 * (1 + ROUNDS) * max(task.lanes, FEW)))
         short = replace(task, steps=min(task.steps, max(1, steps)))
-        beside, single = (_seconds(program, short, lanes, ROUNDS) for lanes in (task.lanes, 1))
+        tasks = (replace(short, lanes=lanes) for lanes in (task.lanes, 1))
+        beside, single = (seconds_of_member(program, trial, ROUNDS) for trial in tasks)
         known[task.lanes] = 1 if single < CLEARLY * beside else task.lanes
     return replace(task, lanes=known[task.lanes])
 
 
-def _seconds(program: Program, task: Task, lanes: int, rounds: int) -> float:
-    """Estimate the time of a member in blocks of so many lanes, by the best of some rounds."""
-    members = min(max(lanes, FEW), task.members)
+def seconds_of_member(program: Program, task: Task, rounds: int = 1) -> float:
+    """Estimate the time of one member on one thread, by the best of some rounds with a block.
+
+    Raises KeyboardInterrupt.
+    """
+    members = min(max(task.lanes, FEW), task.members)
     some = np.linspace(0, task.members - 1, members).astype(np.int64)
     steps = min(task.steps, TRIAL_STEPS)
     trial = replace(
-        task.part(some),
-        steps=steps,
-        every=0,
-        threads=1,
-        lanes=lanes,
-        reductions=(),
-        run_events=None,
+        task.part(some), steps=steps, every=0, threads=1, reductions=(), run_events=None
     )
     seconds = []
     for _ in range(1 + rounds):  # the first compiles

@@ -16,16 +16,14 @@ from symsimpson.program.observed import read_reductions
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder, split, with_clock
 from symsimpson.program.status import Status
-from symsimpson.results.records import Record
+from symsimpson.results.events import Record
 from symsimpson.run.ensemble.ensemble import Ensemble
 from symsimpson.stepping.constrained_start import project_start
 from symsimpson.stepping.driving import driven, read_driving
-from symsimpson.stepping.inputs import read_every, read_given, read_times, step_taken
-from symsimpson.stepping.recording import read_record, recorders_of
+from symsimpson.stepping.inputs import read_every, read_given, read_tangents, read_times, step_taken
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run_events import check_variations, read_run_events
-from symsimpson.stepping.spec import RunSpec
-from symsimpson.stepping.variations import read_tangents
+from symsimpson.stepping.spec import RunSpec, read_record, recorders_of
 from symsimpson.support.array_types import Floats, Ints
 from symsimpson.support.names import by_name
 from symsimpson.text.header import Header
@@ -46,15 +44,12 @@ class Task(RunSpec):
         """Number of members."""
         return len(self.q0)
 
-    def inputs_of(self, member: Any) -> Floats | None:
-        """Return the inputs of a member as a run of its own takes them."""
-        inputs = self.inputs[min(member, len(self.inputs) - 1)]
-        return np.broadcast_to(inputs, (self.steps, *inputs.shape[1:])) if inputs.size else None
-
     def of_member(self, member: Any, program: Program, **more: Any) -> Request:
         """Return how a run of one member is asked for."""
         names, header = program.parameters, program.header
         values = dict(zip(names, self.parameters[member], strict=True))
+        given = self.inputs[min(member, len(self.inputs) - 1)]
+        inputs = np.broadcast_to(given, (self.steps, *given.shape[1:])) if given.size else None
         return Request(
             self.q0[member],
             **{self.given: self.other0[member]},
@@ -63,7 +58,7 @@ class Task(RunSpec):
             steps=self.steps if self.t_end is None else None,
             t0=self.t0,
             parameters={name: values[name] for name in names if name not in header.from_start},
-            inputs=self.inputs_of(member),
+            inputs=inputs,
             events=self.run_events,
             **more,
         )
@@ -225,19 +220,9 @@ def read_task(
     if request.carried is not None:  # behind them those of what is varied, which begin at 0
         varied = len(program.header.varied_by or ())
         tangents = np.pad(read_tangents(program, request.carried), ((0, 0), (0, varied)))
+    plain = q, other, second, values, h, t0, count, stride, driving, workers, progress, lanes
     return Task(
-        q,
-        other,
-        second,
-        values,
-        h,
-        t0,
-        count,
-        stride,
-        driving,
-        workers,
-        progress,
-        lanes,
+        *plain,
         retimed,
         tangents=tangents,
         t_end=end,

@@ -196,10 +196,7 @@ def look_at_steps(program: Program, task: Task) -> None:
 
 
 def look_at_ends(program: Program, task: Task, ensemble: Ensemble) -> None:
-    """Say why, where no member could begin; warn of members whose motion was not resolved.
-
-    Raises InputError if no member could begin.
-    """
+    """Raise InputError if no member could begin; warn of motions that are not resolved."""
     status = np.asarray(ensemble.status[:])
     if (status == Status.BAD_INPUT).all():
         _refuse(program, task)

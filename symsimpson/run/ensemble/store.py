@@ -23,7 +23,7 @@ import numpy as np
 from symsimpson.errors import InputError, StorageError, SymsimpsonError
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
-from symsimpson.results.saving import RECORDED
+from symsimpson.results.trajectory import RECORDED
 from symsimpson.run.ensemble.ensemble import Ensemble, names_in_dataset
 from symsimpson.run.ensemble.lanes import run_blocks, seconds_of_member
 from symsimpson.run.ensemble.members import Results, Task, ensemble_of
@@ -66,11 +66,6 @@ class Store:
             pivots[self.members(chunk)] = known
         return pivots
 
-    @property
-    def chunks(self) -> int:
-        """Number of chunks."""
-        return -(-self.task.members // self.chunk)
-
     def members(self, chunk: int) -> slice:
         """Return the members of a chunk."""
         return members_of(chunk, self.chunk, self.task.members)
@@ -83,7 +78,7 @@ class Store:
     def missing(self) -> Iterator[int]:
         """Return the chunks that are not done, or of which something is damaged or gone."""
         whole = whole_group(self.group)
-        for chunk in range(self.chunks):
+        for chunk in range(-(-self.task.members // self.chunk)):
             members = self.members(chunk)
             try:
                 if (self.group["status"][members] != Status.INTERRUPTED).all():

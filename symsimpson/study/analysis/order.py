@@ -49,7 +49,9 @@ RESOLVED = 1e-28
 def order_of_errors(s: Subject) -> Iterator[Check]:
     """order: errors against Hamilton's equations of the module's own energy."""
     steps, context = STEPS, s.precise.context
-    digits = coefficient_digits(s.stepper.source)
+    # coefficients that the module states as they were published
+    decimals = re.findall(r'real\("-?[0-9]*\.([0-9]+)"\)', s.stepper.source)
+    digits = max(map(len, decimals), default=None)
     resolved = RESOLVED if digits is None else max(RESOLVED, 10.0 ** -(digits + 2))
 
     def end(level: int) -> Any:
@@ -139,9 +141,3 @@ def order_of_time(s: Subject) -> Iterator[Check]:
 
 def _parts(level: int) -> str:
     return f"h/{2**level}" if level > 0 else f"{2**-level} h".removeprefix("1 ")
-
-
-def coefficient_digits(source: str) -> int | None:
-    """Return the decimals of coefficients that a module states as they were published, if any."""
-    decimals = re.findall(r'real\("-?[0-9]*\.([0-9]+)"\)', source)
-    return max(map(len, decimals)) if decimals else None

@@ -103,7 +103,9 @@ class Precise:
         Returns the derivatives of the end and of the start by a displacement that is placed on the
         constraints; without any, the latter is the identity.
         """
-        starts = [(self.placed(up), self.placed(down)) for up, down in self._moved(z)]
+        point = np.array([self.context.convert(x) for x in z], dtype=object)
+        displacements = np.diag(self.small * self.sizes)
+        starts = [(self.placed(point + d), self.placed(point - d)) for d in displacements]
         ends = [(self.flow(up, h, steps), self.flow(down, h, steps)) for up, down in starts]
         moves = 2 * self.small * self.sizes
         of_end, of_start = (
@@ -251,12 +253,3 @@ class Precise:
         self._numbers.driver("call")(
             self.program.kernels.address("newton"), run.h, 0 * run.h, run.W
         )
-
-    def _moved(self, z: Iterable[Any]) -> list[tuple[Reals, Reals]]:
-        point = np.array([self.context.convert(x) for x in z], dtype=object)
-        pairs = []
-        for k in range(2 * self.n):
-            move = np.zeros(2 * self.n, dtype=object)
-            move[k] = self.small * self.sizes[k]
-            pairs.append((point + move, point - move))
-        return pairs

@@ -167,7 +167,9 @@ def _refined(row: Floats, matrix: Reals, context: Any) -> Reals:
     A ratio of parameters may be near a round number: where these solve nothing, all are solved for
     that are not zero, but the largest. Raises ArithmeticError if they are not determined.
     """
-    full = np.array([_fraction(x, context) for x in row], dtype=object)
+    twelfths = [(x, round(12 * x)) for x in row]
+    fractions = [context.mpf(k) / 12 if x == k / 12 else None for x, k in twelfths]
+    full = np.array(fractions, dtype=object)
     full = _solved(full, np.array([x is None for x in full]), matrix, context)
     if _off(full, matrix) > EXACT:
         others = row != 0
@@ -194,12 +196,6 @@ def _off(row: Reals, matrix: Reals) -> float:
     """Return how far a row is from a null vector, relative to its terms."""
     terms = matrix * row
     return float(abs(terms.sum(axis=1)).max() / (abs(terms).max() or 1))
-
-
-def _fraction(value: float, context: Any) -> Any:
-    """Return an entry as the number that it is a double of, None if it is none of few digits."""
-    twelfths = round(12 * value)
-    return context.mpf(twelfths) / 12 if value == twelfths / 12 else None
 
 
 def _reduced(rows: Floats, scale: Floats) -> Floats:

@@ -163,13 +163,13 @@ def held_blocks(layout: Any, rows: Any) -> list[Any]:
     return blocks
 
 
-def resolved(layout: Any, x: Floats, values: dict[int, Any]) -> bool:
+def resolved(layout: Any, x: Floats) -> bool:
     """Return whether the path is near its constraints between the points where they hold.
 
     Near against how far a step goes along them. A path that jumps to another branch is not.
     """
     read, (N, d, n) = layout.read, (layout.steps, layout.degree, layout.n)
-    m = len(read.held.phi)
+    m, values = len(read.held.phi), layout.parameter_values(x)
     if not m:
         return True
     middle = (layout.places[:-1] + layout.places[1:]) / 2
@@ -185,9 +185,9 @@ def resolved(layout: Any, x: Floats, values: dict[int, Any]) -> bool:
     return bool((np.abs(off).max(axis=2) <= near).all())
 
 
-def onto(layout: Any, q: Floats, values: dict[int, Any]) -> Floats:
+def onto(layout: Any, x: Floats) -> Floats:
     """Return points of a guess, shape (..., n), on the constraints of positions, or near them."""
-    read = layout.read
+    read, q, values = layout.read, x[layout.points], layout.parameter_values(x)
     functions = PointFunctions(read.graph, read.q, read.held.phi)
     flat = q.reshape(-1, layout.n).copy()
     for _ in range(MOST_ITERATIONS if read.held.phi else 0):
@@ -204,16 +204,15 @@ def onto(layout: Any, q: Floats, values: dict[int, Any]) -> Floats:
     return flat.reshape(q.shape)
 
 
-def projected(layout: Any, q: Floats, p: Floats, values: dict[int, Any]) -> Floats:
-    """Return the momenta of velocities that the constraints allow, nearest to given ones.
+def projected(layout: Any, x: Floats) -> Floats:
+    """Return momenta at the ends of steps, of the nearest velocities that constraints allow.
 
     They are what a step ends with: M v + a, with M v + W^T mu = p - a and W v = b.
     """
-    read, graph, count = layout.read, layout.read.graph, len(q)
-    rates = held_rates(read)
-    m, n = len(rates), layout.n
-    functions = PointFunctions(graph, read.v, [*read.momenta, *rates])
-    at = {**values, **dict(zip([*read.q, *read.v], [*q.T, *np.zeros_like(q).T], strict=True))}
+    read, rates, p = layout.read, held_rates(layout.read), x[layout.momenta]
+    m, (count, n) = len(rates), p.shape
+    functions = PointFunctions(read.graph, read.v, [*read.momenta, *rates])
+    at = layout.at_ends(x, np.zeros_like(p))
     rest = functions.values(at, count).T
     slopes = functions.jacobian(at, count)
     matrix = np.zeros((count, n + m, n + m))
@@ -227,17 +226,17 @@ def projected(layout: Any, q: Floats, p: Floats, values: dict[int, Any]) -> Floa
     return np.asarray((slopes[:, :n] @ v)[..., 0] + rest[:, :n])
 
 
-def turned(layout: Any, q: Floats, along: Floats, by_p: Floats, values: dict[int, Any]) -> Floats:
+def turned(layout: Any, x: Floats, along: Floats, by_p: Floats) -> Floats:
     """Return how the cost changes with q as momenta along the constraints, W^T mu, turn with them.
 
     Momenta between steps have such parts, which do nothing: the projection of p + W(q)^T mu is that
     of p. Held fixed while q changes, W^T mu gets a part that does something, - mu dW/dq.
     """
-    read, graph, count = layout.read, layout.read.graph, len(q)
+    read, graph, count = layout.read, layout.read.graph, len(by_p)
     rates = held_rates(read)
     rest = rebuilt(graph, rates, {v: (exact(Fraction(0)), UNIT) for v in read.v})
     moved = [graph.add([a, scaled(-1, b)]) for a, b in zip(rates, rest, strict=True)]
-    at = {**values, **dict(zip([*read.q, *read.v], [*q.T, *by_p.T], strict=True))}
+    at = layout.at_ends(x, by_p)
     rows = PointFunctions(graph, read.v, moved).jacobian(at, count)
     weights = np.einsum("kac,ka->kc", np.linalg.pinv(rows), along)
     slopes = PointFunctions(graph, read.q, moved).jacobian(at, count)

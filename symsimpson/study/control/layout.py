@@ -226,6 +226,18 @@ class Layout:
         nodes = (read.parameters[j] for j in read.found)
         return values | dict(zip(nodes, x[self.parameters].tolist(), strict=True))
 
+    @property
+    def ends(self) -> Ints:
+        """Coordinates at the ends of steps, shape (N + 1, n)."""
+        return np.concatenate([self.points[:, 0], self.points[-1:, -1]])
+
+    def at_ends(self, x: Floats, v: Floats) -> dict[int, Any]:
+        """Return coordinates, velocities v, parameters and t at the ends of steps, by nodes."""
+        read = self.read
+        state = zip([*read.q, *read.v], [*x[self.ends].T, *v.T], strict=True)
+        times = self.grid.times(self.sizes(x))
+        return {**self.parameter_values(x), read.t: times, **dict(state)}
+
     def of(self, columns: Any, count: int | None = None) -> Any:
         """Return the matrix that takes unknowns to points, one each."""
         columns = np.broadcast_to(columns, len(columns) if count is None else count)

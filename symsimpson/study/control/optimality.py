@@ -102,11 +102,8 @@ def massive(layout: Any, x: Floats) -> bool:
     It may be singular at some of them, as at a pole of spherical angles, but nowhere negative.
     """
     read, n = layout.read, layout.n
-    points = layout.points
-    q = x[np.concatenate([points[:, 0], points[-1:, -1]])]
-    count, v = len(q), np.zeros_like(q)
-    at = {**layout.parameter_values(x), read.t: layout.grid.times(layout.sizes(x))}
-    at |= dict(zip([*read.q, *read.v], [*q.T, *v.T], strict=True))
+    count = layout.steps + 1
+    at = layout.at_ends(x, np.zeros((count, n)))
     rows = [*read.momenta, *held_rates(read)]
     slopes = PointFunctions(read.graph, read.v, rows).jacobian(at, count)
     slopes = slopes[np.isfinite(slopes).all(axis=(1, 2))]
@@ -305,10 +302,9 @@ def result_of(layout: Layout, outcome: Outcome, best: bool) -> ControlResult:
     cost, _ = layout.programme[0].values(x)
     worst = int(np.argmax(off)) if off.size else 0
     status = STATUSES.get(outcome.ipopt_status, ControlStatus.RESTORATION_FAILED)
-    known = layout.parameter_values(x)
     if status in FOUND and not massive(layout, x):
         status = ControlStatus.NO_MASS
-    elif status in FOUND and not (resolved(layout, x, known) and balanced(layout, x)):
+    elif status in FOUND and not (resolved(layout, x) and balanced(layout, x)):
         status = ControlStatus.NOT_RESOLVED
     elif status in FOUND and not best:
         status = ControlStatus.NOT_OPTIMAL

@@ -6,12 +6,14 @@ import os
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
+from itertools import groupby
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from symsimpson.errors import InputError
+from symsimpson.program.input_values import read_count
 from symsimpson.program.status import Status
 from symsimpson.results.html import solution
 from symsimpson.results.trajectory import Trajectory
@@ -21,12 +23,12 @@ from symsimpson.study.control.layout import Layout
 from symsimpson.study.control.problem_parts import times_within
 from symsimpson.study.control.transcription import lagrange
 from symsimpson.study.control.uses import (
-    arcs_of,
     draw_iterations,
     draw_motion,
     draw_sparsity,
     gains,
-    simulated,
+    labels_of,
+    motions,
     write_solution,
 )
 from symsimpson.support.array_types import Floats
@@ -168,18 +170,13 @@ class ControlResult:
     @property
     def q(self) -> Floats:
         """Positions at the ends of steps, shape (N + 1, n)."""
-        points = self.layout.points
-        return self.x[np.concatenate([points[:, 0], points[-1:, -1]])]
+        return self.x[self.layout.ends]
 
     @property
     def p(self) -> Floats:
         """Momenta there."""
-        layout, p = self.layout, self.x[self.layout.momenta]
-        if not layout.read.constraints:
-            return p
-        return projected(
-            layout, self.q, p, {**layout.parameter_values(self.x), layout.read.t: self.t}
-        )
+        layout = self.layout
+        return projected(layout, self.x) if layout.read.constraints else self.x[layout.momenta]
 
     @property
     def unknowns(self) -> dict[str, float]:
@@ -261,8 +258,7 @@ class ControlResult:
                 mask = (last[entries.col] >= 0) & (k == N - 1)
                 np.add.at(by_q[-1], last[entries.col[mask]], -values[mask])
         if layout.read.constraints:
-            at = {**layout.parameter_values(self.x), layout.read.t: self.t}
-            by_q += turned(layout, self.q, self.x[layout.momenta] - self.p, by_p, at)
+            by_q += turned(layout, self.x, self.x[layout.momenta] - self.p, by_p)
         return by_q, by_p
 
     @property
@@ -324,7 +320,14 @@ class ControlResult:
         float
             How far from the end of the solution its end is, in coordinates.
         """
-        return simulated(self, refine)
+        layout, refine = self.layout, read_count("refine", refine, least=1)
+        # inputs at the nodes of finer steps, each by the polynomial of its own step
+        places = (np.arange(refine)[:, None] + layout.c) / refine
+        values = np.einsum("rsi,kim->krsm", lagrange(layout.c, places), self.input_values)
+        inputs = values.reshape(layout.steps * refine, layout.nodes, -1)
+        runs = tuple(motions(layout, self.x, (self.q[0], self.p[0]), inputs))
+        motion: Any = runs[0] if len(runs) == 1 else runs
+        return motion, float(np.abs(runs[-1].q[-1] - self.q[-1]).max())
 
     def arcs(self) -> list[dict[Any, float]]:
         """Return the arcs of the motion: which inputs stay at which bound, one arc after another.
@@ -351,7 +354,16 @@ class ControlResult:
         >>> round(exact.duration**2, 8), exact.switches.round(8)  # 3 and 2 / sqrt(3)
         (3.0, array([1.15470054]))
         """
-        return arcs_of(self)
+        read, means = self.layout.read, self.input_values.mean(axis=1)
+        labels = np.zeros(means.shape, dtype=np.int64)
+        for k, (low, high) in read.of_inputs.items():
+            if np.isfinite(low) and np.isfinite(high) and low < high:
+                labels[:, k] = labels_of((means[:, k] - low) / (high - low))
+        inputs, bounds = read.system.inputs, read.of_inputs
+        return [
+            {inputs[k]: bounds[k][bound > 0] for k, bound in enumerate(row) if bound}
+            for row, _ in groupby(map(tuple, labels.tolist()))
+        ]
 
     def lqr(self, Q: ArrayLike, R: ArrayLike, of: tuple[str, str] = ("q", "p")) -> Floats:
         """Return gains that hold a run near the solution: u = u_k - K_k (z - z_k) on step k.

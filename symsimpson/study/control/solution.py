@@ -132,19 +132,15 @@ def _read_guess(read: Reading, guess: Any) -> dict[str, Any]:
 
 def _with_momenta(layout: Layout, x: Floats) -> Floats:
     """Put the path of a guess onto its constraints, and give it its own momenta."""
-    read, x, known, sizes = layout.read, x.copy(), layout.parameter_values(x), layout.sizes(x)
-    x[layout.points] = q = onto(layout, x[layout.points], known)
-    h = sizes[layout.grid.phase]
+    read, x, h = layout.read, x.copy(), layout.sizes(x)[layout.grid.phase]
+    x[layout.points] = q = onto(layout, x)
     # momenta of the path at the ends of steps; slopes of a step's polynomials add up to 0
     further = np.array(layout.scheme.end_slope, dtype=np.float64)
     at_end = np.array([-further.sum(), *further])
     at_start = -at_end[::-1]
     v = np.concatenate([at_start @ q / h[:, None], (at_end @ q[-1])[None] / h[-1]])
-    at = np.concatenate([q[:, 0], q[-1:, -1]])
     momenta = PointFunctions(read.graph, [], read.momenta)
-    state: dict[int, Any] = dict(zip([*read.q, *read.v], [*at.T, *v.T], strict=True))
-    state |= {**known, read.t: layout.grid.times(sizes)}
-    x[layout.momenta] = momenta.values(state, layout.steps + 1).T
+    x[layout.momenta] = momenta.values(layout.at_ends(x, v), layout.steps + 1).T
     x[layout.velocities] = v[[0, -1]]
     return np.clip(x, *layout.bounds)
 
@@ -156,7 +152,7 @@ def violation(layout: Layout, x: Floats, among: Any = None) -> float:
     value. ``among`` chooses rows.
     """
     cost, off = layout.programme[0].values(x)[0], violations(layout, x)
-    if not (np.isfinite([cost, *off]).all() and resolved(layout, x, layout.parameter_values(x))):
+    if not (np.isfinite([cost, *off]).all() and resolved(layout, x)):
         return np.inf
     beside = np.setdiff1d(np.arange(len(off)), layout.step_rows - 1) if among is None else among
     return float(off[beside].sum())

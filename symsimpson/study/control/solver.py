@@ -79,10 +79,6 @@ class Scaled:
         """Return unknowns in these units."""
         return x / self.of_unknowns
 
-    def outside(self, x: Floats) -> Floats:
-        """Return unknowns in the units of the programme."""
-        return x * self.of_unknowns
-
     def outcome(self, outcome: Outcome) -> Outcome:
         """Return what a solver came to in the units of the programme."""
         costs = [x * self.of_cost for x in outcome.history.get("obj", [])]

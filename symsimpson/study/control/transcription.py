@@ -22,7 +22,7 @@ from scipy import sparse
 from scipy.special import erf, erfc
 
 from symsimpson.graph.derive import gradient
-from symsimpson.graph.exponentials import without_overflow
+from symsimpson.graph.evaluate import without_overflow
 from symsimpson.graph.nodes import TINY, Exact, Graph, Value
 from symsimpson.support.array_types import Floats, Ints
 

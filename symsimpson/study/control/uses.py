@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 
 from symsimpson.errors import InputError, StorageError
 from symsimpson.plotting.axes import axes, colours, label, name_axis
-from symsimpson.program.input_values import read_count, read_reals
-from symsimpson.study.control.transcription import PointFunctions, lagrange
+from symsimpson.program.input_values import read_reals
+from symsimpson.study.control.transcription import PointFunctions
 from symsimpson.support.array_types import Floats, Ints
 from symsimpson.support.files import read_path, written_beside
 from symsimpson.support.names import shortened
@@ -56,18 +56,6 @@ def _phases(layout: Layout, x: Floats, inputs: Floats) -> Iterator[tuple[slice, 
         of_names = {name: values[..., j] for j, name in enumerate(read.inputs)}
         given = {"h": float(h) / refine, "steps": len(values), "t0": float(begin[phase.start])}
         yield phase, {**given, "inputs": of_names or None, "parameters": parameters or None}
-
-
-def simulated(result: Any, refine: int) -> tuple[Any, float]:
-    """Run the inputs of a solution with finer steps; return the runs, and how far off they end."""
-    layout, refine = result.layout, read_count("refine", refine, least=1)
-    # inputs at the nodes of finer steps, each by the polynomial of its own step
-    places = (np.arange(refine)[:, None] + layout.c) / refine
-    values = np.einsum("rsi,kim->krsm", lagrange(layout.c, places), result.input_values)
-    inputs = values.reshape(layout.steps * refine, layout.nodes, -1)
-    runs = tuple(motions(layout, result.x, (result.q[0], result.p[0]), inputs))
-    motion: Any = runs[0] if len(runs) == 1 else runs
-    return motion, float(np.abs(runs[-1].q[-1] - result.q[-1]).max())
 
 
 def gains(result: Any, Q: ArrayLike, R: ArrayLike, of: Any = ("q", "p")) -> Floats:
@@ -110,11 +98,9 @@ def _by_velocities(result: Any) -> Floats:
     layout, read, n = result.layout, result.layout.read, result.layout.n
     runs = result.trajectories
     v = np.concatenate([*(run.v[:-1] for run in runs), runs[-1].v[-1:]])
-    state = zip([*read.q, *read.v], [*result.q.T, *v.T], strict=True)
-    at = {**layout.parameter_values(result.x), read.t: result.t, **dict(state)}
     turned = np.broadcast_to(np.eye(2 * n), (len(v), 2 * n, 2 * n)).copy()
     momenta = PointFunctions(read.graph, [*read.q, *read.v], read.momenta)
-    turned[:, n:] = momenta.jacobian(at, len(v))
+    turned[:, n:] = momenta.jacobian(layout.at_ends(result.x, v), len(v))
     if not (np.linalg.cond(turned[:, n:, n:]) < SINGULAR).all():
         raise InputError(
             "the mass matrix is singular on the way, and velocities do not tell momenta.\n"
@@ -147,21 +133,6 @@ def linearised(result: Any) -> Iterator[tuple[Floats, Floats]]:
 
 #: An input is at a bound if the rest is this part of its range; in as many steps a switch is seen.
 AT_BOUND, OF_A_SWITCH = 0.02, 2
-
-
-def arcs_of(result: Any) -> list[dict[Any, float]]:
-    """Return which inputs stay at a bound, arc by arc."""
-    layout = result.layout
-    read, means = layout.read, result.input_values.mean(axis=1)
-    labels = np.zeros(means.shape, dtype=np.int64)
-    for k, (low, high) in read.of_inputs.items():
-        if np.isfinite(low) and np.isfinite(high) and low < high:
-            labels[:, k] = labels_of((means[:, k] - low) / (high - low))
-    inputs, bounds = read.system.inputs, read.of_inputs
-    return [
-        {inputs[k]: bounds[k][bound > 0] for k, bound in enumerate(row) if bound}
-        for row, _ in groupby(map(tuple, labels.tolist()))
-    ]
 
 
 def labels_of(part: Floats) -> Ints:

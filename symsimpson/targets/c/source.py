@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import itertools
+import os
 import re
 import textwrap
 import unicodedata
@@ -15,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
+from pathlib import Path
 from string import Template
 from typing import Any
 
@@ -25,8 +27,8 @@ from symsimpson.program.driver import KernelSets, driver_text
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.stepping.run import FALLBACK_STRETCH, HOPELESS
-from symsimpson.targets.c.kinds import INT, KERNEL, POINTER, REAL, SET, Kinds
-from symsimpson.targets.c.single import Functions, Source
+from symsimpson.support.files import read_path, write_text
+from symsimpson.targets.c.kinds import INT, KERNEL, POINTER, REAL, SET, Functions, Kinds, Source
 from symsimpson.targets.c.statements import (
     HELPERS,
     WIDTH,
@@ -52,6 +54,7 @@ OF_RUNS = (
     Status.RATE_NOT_POSITIVE,
     Status.TOLERANCE_NOT_MET,
 )
+OUTCOMES = "Outcomes of a call: 0, or why the step was not taken; q and p are then unchanged."
 #: Copies of a workspace stand on the stack, of which programs have 8 MB.
 MOST_STACK = 2**22
 #: What other files see, behind the prefix.
@@ -250,7 +253,8 @@ class _Writer:
         yield "/* sizes and strides, limits, outcomes */"
         yield "enum {"
         pairs = ", ".join(f"{name}~=~{number(x)}" for name, x in whole.items())
-        yield from (line.replace("~", " ") for line in _wrapped(pairs))
+        lines = textwrap.wrap(pairs, WIDTH, initial_indent="    ", subsequent_indent="    ")
+        yield from (line.replace("~", " ") for line in lines)
         yield "};"
         yield ""
         for name, value in values.items():
@@ -297,6 +301,7 @@ class _Writer:
                 rf"^ *//if {part}\n(.*?)^ *//end {part}\n", replacement, text, flags=re.M | re.S
             )
         width = max(len(x.name) for x in outcomes)
+        sentences = [f"  {x.name}: {x.message}" for x in outcomes[1:]]  # lines that stay lines
         return Template(text).substitute(
             prefix=self.prefix,
             PREFIX=self.prefix.upper(),
@@ -314,7 +319,7 @@ class _Writer:
             outcomes=",\n".join(
                 f"    {self.prefix.upper()}_{x.name:<{width}} = {x.value}" for x in outcomes
             ),
-            meanings="\n".join(comment("\n".join(_meanings(outcomes)))),
+            meanings="\n".join(comment("\n".join([OUTCOMES, *sentences]))),
         )
 
 
@@ -334,13 +339,6 @@ def _in_ascii(letter: str) -> str:
     """Return a letter, or the last word of its name in Unicode, as "omega"."""
     word = letter if letter.isascii() else unicodedata.name(letter, "unknown").split()[-1]
     return word.lower() if letter.islower() else word
-
-
-def _meanings(outcomes: list[Status]) -> Iterator[str]:
-    """Give a sentence for each outcome, as lines that stay lines."""
-    yield "Outcomes of a call: 0, or why the step was not taken; q and p are then unchanged."
-    for outcome in outcomes[1:]:
-        yield f"  {outcome.name}: {outcome.message}"
 
 
 def _in_order(kinds: Kinds) -> Iterator[str]:
@@ -367,6 +365,21 @@ def _entries(table: Any) -> str:
     return number(table.item())
 
 
-def _wrapped(text: str) -> list[str]:
-    inner = " " * 4
-    return textwrap.wrap(text, WIDTH, initial_indent=inner, subsequent_indent=inner)
+#: Names of C, but for those that belong to the compiler.
+NAME = re.compile("[A-Za-z][A-Za-z0-9_]*", re.ASCII)
+
+
+def write_files(program: Program, path: str | os.PathLike[str]) -> tuple[Path, Path]:
+    """Write the header and the source file of a stepper; raises InputError or StorageError."""
+    place = read_path("path", path)
+    name = place.name.removesuffix(".c").removesuffix(".h")
+    if not NAME.fullmatch(name) or name in {*WORDS, "math"}:
+        raise InputError(
+            f"path is {os.fspath(path)!r}, and {name!r} begins no name of C.\n"
+            "Take letters and digits, and a letter first: 'firmware/top'."
+        )
+    texts = written_c(program, name)
+    paths = place.with_name(f"{name}.h"), place.with_name(f"{name}.c")
+    for target, text in zip(paths, texts, strict=True):
+        write_text(target, text, "C file")
+    return paths

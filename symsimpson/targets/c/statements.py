@@ -13,8 +13,16 @@ from typing import Any
 import numpy as np
 
 from symsimpson.errors import InputError
-from symsimpson.targets.c.kinds import INT, REAL, Kinds, Scopes, constant_of, used, with_lengths
-from symsimpson.targets.c.single import Function
+from symsimpson.targets.c.kinds import (
+    INT,
+    REAL,
+    Function,
+    Kinds,
+    Scopes,
+    constant_of,
+    used,
+    with_lengths,
+)
 
 #: How tightly operators bind: what is looser stands in parentheses.
 CHOICE, OR, AND, EQUAL, LESS, SUM, PRODUCT, SIGN, WHOLE = range(9)
@@ -326,7 +334,8 @@ class _Body:
             case ast.Assign(targets=[target], value=ast.Call(func=func, args=[shape])) if (
                 ast.unparse(func) in ("np.empty", "np.zeros")
             ):
-                yield from self._array(target, func, shape, indent)
+                zeros = " = {0}" if "zeros" in ast.unparse(func) else ""
+                yield f"{indent}double {self._text(target)}[{self._text(shape)}]{zeros};"
             case ast.Assign(targets=[target], value=value):
                 yield from self._assigned(statement, target, write(value, name), indent)
             case ast.AugAssign(target=target, op=op, value=value):
@@ -368,14 +377,6 @@ class _Body:
         yield from _broken(f"{called}({', '.join([*given, place])});", indent)
         for k, target in enumerate(targets):
             yield from self._assigned(statement, target, f"{place}[{k}]", indent)
-
-    def _array(
-        self, target: ast.expr, func: ast.expr, shape: ast.expr, indent: str
-    ) -> Iterator[str]:
-        """Write an array of a function's own, of a length that the compiler knows."""
-        size = self._text(shape)
-        name = self._name(ast.unparse(target))
-        yield f"{indent}double {name}[{size}]{' = {0}' if 'zeros' in ast.unparse(func) else ''};"
 
     def _assigned(
         self, statement: ast.stmt, target: ast.expr, value: str, indent: str

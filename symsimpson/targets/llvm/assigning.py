@@ -15,14 +15,14 @@ from typing import Any
 from llvmlite import ir
 
 from symsimpson.targets.llvm.control_flow import Slot
-from symsimpson.targets.llvm.expressions import Env, Functions, Product
+from symsimpson.targets.llvm.expressions import Env, Expressions, Product
 from symsimpson.targets.llvm.memory import Array
 from symsimpson.targets.llvm.trees import assigned
 from symsimpson.targets.llvm.values import DOUBLE, Refused, known
 from symsimpson.targets.llvm.vectors import Item, in_order
 
 
-class Assigning(Functions):
+class Assigning(Expressions):
     """Walks assignments and branches."""
 
     #: The branch that is all that is left of a kernel; whether that, and none in it, is walked.

@@ -1,8 +1,8 @@
-"""Loops, branches, variables and tables in LLVM."""
+"""Loops, branches, calls, variables or tables in LLVM."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,9 @@ from llvmlite import ir
 
 from symsimpson.targets.llvm.memory import BYTE, Array, Rows
 from symsimpson.targets.llvm.values import BIT, DOUBLE, FLAGS, INT, LaneNumber, Refused, known
+
+#: Results stand behind each other in so much memory.
+MOST_RESULTS = 8
 
 
 @dataclass(frozen=True)
@@ -33,8 +36,8 @@ class Loop:
     mask: Any = None
 
 
-class Blocks(Rows):
-    """Values with control flow, variables and tables."""
+class Calls(Rows):
+    """Values with control flow, variables, tables and functions beside the one that is walked."""
 
     def __init__(self, builder: ir.IRBuilder, flags: tuple[str, ...] = FLAGS) -> None:
         super().__init__(builder, flags)
@@ -156,8 +159,12 @@ class Blocks(Rows):
                 incoming[k] = self.bit(incoming[k]) if kinds == {BIT} else self.whole(incoming[k])
             builder.branch(blocks[2])
         builder.position_at_end(blocks[2])
-        result = builder.phi(incoming[0].type)
-        for value, end in zip(incoming, ends, strict=True):
+        return self._either_of(incoming, ends)
+
+    def _either_of(self, values: list[Any], ends: list[Any]) -> Any:
+        """Return the value of the block that came before."""
+        result = self.builder.phi(values[0].type)
+        for value, end in zip(values, ends, strict=True):
             result.add_incoming(value, end)
         return result
 
@@ -167,11 +174,7 @@ class Blocks(Rows):
         def join(parts: list[Any]) -> Any:
             if all(known(x) and x == parts[0] for x in parts):
                 return parts[0]
-            values = [self.whole(x) if known(x) else x for x in parts]
-            result = self.builder.phi(values[0].type)
-            for value, end in zip(values, ends, strict=True):
-                result.add_incoming(value, end)
-            return result
+            return self._either_of([self.whole(x) if known(x) else x for x in parts], ends)
 
         shape, strides = (
             tuple(join(list(x)) for x in zip(*parts, strict=True))
@@ -264,3 +267,85 @@ class Blocks(Rows):
         """Free what a function had."""
         for place in freed[1:]:
             self.builder.call(freed[0], [self.builder.load(place)])
+
+    # -- functions
+
+    def packed(self, name: str, arguments: list[Any]) -> tuple[Any, list[Any]]:
+        """Return what a function is made for, and the values to call it with.
+
+        Numbers that are known are part of the function. An array is a pointer, and what is not
+        known of its shape and strides; a tuple is what stands in it.
+        """
+        given: list[Any] = []
+
+        def take(value: Any) -> Any:
+            if isinstance(value, Array):
+                return "array", tuple(map(take, (value.pointer, *value.shape, *value.strides)))
+            if isinstance(value, list):
+                return "several", tuple(map(take, value))
+            if known(value):
+                return type(value).__name__, value
+            given.append(value)
+            return str(value.type)
+
+        return (name, tuple(map(take, arguments))), given
+
+    def unpacked(self, key: Any, values: list[Any]) -> list[Any]:
+        """Return the arguments of a function, made of the values that it was called with."""
+        rest = iter(values)
+
+        def back(kind: Any) -> Any:
+            match kind:
+                case "array", parts:
+                    pointer, *numbers = map(back, parts)
+                    axes = len(numbers) // 2
+                    return Array(pointer, tuple(numbers[:axes]), tuple(numbers[axes:]))
+                case "several", parts:
+                    return list(map(back, parts))
+                case _, value:
+                    return value
+            return next(rest)
+
+        return list(map(back, key[1]))
+
+    def apart(
+        self,
+        name: str,
+        given: list[Any],
+        walk: Callable[[list[Any]], Any],
+        attributes: Sequence[str] = (),
+    ) -> tuple[Any, Any]:
+        """Walk a function by itself; returns it, and the types of its results."""
+        module, builder = self.builder.module, self.builder
+        kind = ir.FunctionType(ir.VoidType(), [INT.as_pointer(), *(x.type for x in given)])
+        function = ir.Function(module, kind, module.get_unique_name(f"walked_{name}"))
+        function.linkage = "internal"
+        machine = (text for text in builder.function.attributes if text.startswith('"'))
+        for attribute in (*machine, *attributes):
+            set.add(function.attributes, attribute)
+        self.builder = ir.IRBuilder(function.append_basic_block("entry"))
+        result = walk(list(function.args[1:]))
+        results = result if isinstance(result, list) else [] if result is None else [result]
+        typed = [self.typed(x, x) if known(x) else x for x in results]
+        for k, value in enumerate(typed):
+            self.builder.store(value, self._result(function.args[0], k, value.type))
+        self.builder.ret_void()
+        self.builder = builder
+        types = [value.type for value in typed]
+        return function, types if isinstance(result, list) else types[0] if types else None
+
+    def call_apart(self, function: Any, given: list[Any], results: Any) -> Any:
+        """Call such a function."""
+        with self.builder.goto_entry_block():
+            place = self.builder.alloca(INT, MOST_RESULTS)
+        self.builder.call(function, [place, *given])
+        if results is None:
+            return None
+        if not isinstance(results, list):
+            return self.builder.load(self._result(place, 0, results))
+        return [self.builder.load(self._result(place, k, x)) for k, x in enumerate(results)]
+
+    def _result(self, place: Any, number: int, kind: Any) -> Any:
+        assert kind in (BIT, DOUBLE, INT)
+        pointer = self.builder.gep(place, [INT(number)], inbounds=True)
+        return self.builder.bitcast(pointer, kind.as_pointer())

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.targets.llvm.calls import Calls
-from symsimpson.targets.llvm.control_flow import Loop, Slot
+from symsimpson.targets.llvm.control_flow import Calls, Loop, Slot
 from symsimpson.targets.llvm.memory import BYTE, Array, Range
 from symsimpson.targets.llvm.trees import Text, must_wait, used_once
 from symsimpson.targets.llvm.values import DOUBLE, INT, KNOWN, PrivateRow, Refused, known
@@ -24,6 +23,8 @@ from symsimpson.targets.llvm.vectors import Item
 Env = dict[str, Any]
 #: A loop over constants with fewer operations in all its turns is walked turn by turn.
 FEW = 400
+#: Numbers of arrays that a function makes for itself.
+KINDS = {"np.float64": DOUBLE, "np.int64": INT, "np.bool_": BYTE}
 COMPARED = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 
 
@@ -57,7 +58,7 @@ class Frame:
 
 
 class Expressions(ABC):
-    """Walks expressions of a text.
+    """Walks expressions of a text, with calls.
 
     ``call`` makes a call, with a builder, of a function of ``math`` with values that are no
     vectors. Loops of fewer operations in all than ``few`` are no loops; functions that stand
@@ -94,20 +95,10 @@ class Expressions(ABC):
         self._orders: dict[ast.AST, list[Item]] = {}
 
     @abstractmethod
-    def _called(self, name: str, arguments: list[Any]) -> Any:
-        """Call a function by its name."""
-
-    @abstractmethod
-    def _library(self, function: Any, arguments: list[Any]) -> Any:
-        """Call a function of ``math``."""
-
-    @abstractmethod
-    def _numpy(self, name: str, kind: str, arguments: list[Any]) -> Any:
-        """Call a function of numpy."""
-
-    @abstractmethod
-    def _method(self, array: Array, name: str, arguments: list[Any]) -> Any:
-        """Call a method of an array."""
+    def _inside(
+        self, function: ast.FunctionDef, arguments: list[Any], *, last: bool = False
+    ) -> Any:
+        """Walk a function where it is called; it may be the last of a statement."""
 
     def _places(self, target: ast.expr, env: Env) -> Any:
         """Return an array and places in it; None for a name."""
@@ -283,20 +274,6 @@ class Expressions(ABC):
             raise Refused("something else where an array is wanted")
         return value
 
-
-#: Numbers of arrays that a function makes for itself.
-KINDS = {"np.float64": DOUBLE, "np.int64": INT, "np.bool_": BYTE}
-
-
-class Functions(Expressions):
-    """Walks calls."""
-
-    @abstractmethod
-    def _inside(
-        self, function: ast.FunctionDef, arguments: list[Any], *, last: bool = False
-    ) -> Any:
-        """Walk a function where it is called; it may be the last of a statement."""
-
     def _called(self, name: str, arguments: list[Any]) -> Any:
         values = self._values
         if name in self._text.functions:
@@ -310,7 +287,10 @@ class Functions(Expressions):
             case "abs", [value]:
                 return values.absolute(value)
             case (("min" | "max"), _):
-                return self._extreme("<" if name == "min" else ">", arguments)
+                sign, extreme = "<" if name == "min" else ">", arguments[0]
+                for value in arguments[1:]:
+                    extreme = values.choose(values.compare(sign, value, extreme), value, extreme)
+                return extreme
             case "len", [table]:
                 return table.size if isinstance(table, Array) else len(table)
             case "call", [address, h, t, Array(pointer=workspace)]:
@@ -366,14 +346,6 @@ class Functions(Expressions):
             case "reshape", [1, -1]:
                 return Array(array.pointer, (1, array.size), (array.size, *array.strides))
         raise Refused(f"a call of .{name}")
-
-    def _extreme(self, sign: str, arguments: list[Any]) -> Any:
-        extreme = arguments[0]
-        for value in arguments[1:]:
-            extreme = self._values.choose(
-                self._values.compare(sign, value, extreme), value, extreme
-            )
-        return extreme
 
     def _outside(self, function: ast.FunctionDef, arguments: list[Any]) -> Any:
         """Walk a function by itself, once for each kind of its arguments, and call it."""

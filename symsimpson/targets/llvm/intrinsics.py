@@ -12,7 +12,7 @@ from typing import Any
 from llvmlite import ir
 
 from symsimpson.errors import GenerationError
-from symsimpson.targets.llvm.calls import Calls
+from symsimpson.targets.llvm.control_flow import Calls
 from symsimpson.targets.llvm.memory import Array, BlockBuilder
 from symsimpson.targets.llvm.trees import ARGUMENTS, Text, read_text
 from symsimpson.targets.llvm.values import DOUBLE, INT, Refused

@@ -6,8 +6,7 @@ This text is appended to that of the driver, whose names it uses, and compiled w
 from numba import njit, types
 
 from symsimpson.text.driver.between import BETWEEN, GIVEN, STATES_GIVEN
-from symsimpson.text.driver.solving import DRIVER_OPTIONS, call
-from symsimpson.text.driver.steps import INPUTS, SETTING, SIGNATURES, STATES, WORKSPACE, give
+from symsimpson.text.driver.steps import *
 from symsimpson.text.interface import *
 
 SIGNATURES |= {

@@ -8,18 +8,8 @@ Compiled behind the text of the driver, whose names it uses.
 import numpy as np
 from numba import njit, types
 
-from symsimpson.text.driver.begin import begin
 from symsimpson.text.driver.explicit import finite, take_explicit_steps
-from symsimpson.text.driver.solving import DRIVER_OPTIONS, RARE, call
-from symsimpson.text.driver.steps import (
-    DRIVER_LAYOUT_ROWS,
-    INPUTS,
-    SET,
-    SIGNATURES,
-    SUSPICIOUS,
-    WORKSPACE,
-    take_steps,
-)
+from symsimpson.text.driver.steps import *
 from symsimpson.text.interface import *
 
 #: Newton's method for a time within a step takes four to six iterations, and halving, where it

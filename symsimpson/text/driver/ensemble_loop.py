@@ -7,20 +7,9 @@ with a workspace of its own; what a lane computes does not depend on its neighbo
 import numpy as np
 from numba import njit, types
 
-from symsimpson.text.driver.begin import begin, begin_growth
 from symsimpson.text.driver.explicit import finite, take_explicit_steps
 from symsimpson.text.driver.recovery import recover
-from symsimpson.text.driver.solving import DRIVER_OPTIONS, LANES, RARE, call
-from symsimpson.text.driver.steps import (
-    INPUTS,
-    RENEWING,
-    SET,
-    SETTING,
-    SIGNATURES,
-    record,
-    store_lane,
-    take_steps,
-)
+from symsimpson.text.driver.steps import *
 from symsimpson.text.interface import *
 
 #: Where in the cursor what stands.

@@ -6,20 +6,7 @@ Compiled behind the text of the driver, whose names it uses.
 import numpy as np
 from numba import njit, types
 
-from symsimpson.text.driver.solving import DRIVER_OPTIONS, INLINE, LANES, call
-from symsimpson.text.driver.steps import (
-    DRIVER_LAYOUT_ROWS,
-    INPUTS,
-    RENEWING,
-    SIGNATURES,
-    WORKSPACE,
-    give,
-    keep,
-    put_back,
-    record,
-    renew,
-    store,
-)
+from symsimpson.text.driver.steps import *
 from symsimpson.text.interface import *
 
 SIGNATURES |= {

@@ -9,22 +9,9 @@ fails), the loop is left after the step as it was taken, and nothing else has ch
 import numpy as np
 from numba import njit, types
 
-from symsimpson.text.driver.begin import begin
 from symsimpson.text.driver.between import take
 from symsimpson.text.driver.short_run import take_all
-from symsimpson.text.driver.solving import DRIVER_OPTIONS, RARE, call
-from symsimpson.text.driver.steps import (
-    COUNTS,
-    DRIVER_LAYOUT_ROWS,
-    INPUTS,
-    SET,
-    SETTING,
-    SIGNATURES,
-    STATES,
-    STORES,
-    WORKSPACE,
-    store_lane,
-)
+from symsimpson.text.driver.steps import *
 from symsimpson.text.interface import *
 
 #: A rest of a step below this part of it is none; events that are so near act together.

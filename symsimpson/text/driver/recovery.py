@@ -6,20 +6,7 @@ Compiled behind the text of the driver, whose names it uses.
 import numpy as np
 from numba import njit, types
 
-from symsimpson.text.driver.solving import LANES, RARE, call, rounding, solve
-from symsimpson.text.driver.steps import (
-    DRIVER_LAYOUT_ROWS,
-    FAILED,
-    SET,
-    SIGNATURES,
-    SUSPICIOUS,
-    TAKEN_BACK,
-    WORKSPACE,
-    keep,
-    put_back,
-    step_back,
-    watch,
-)
+from symsimpson.text.driver.steps import *
 from symsimpson.text.interface import *
 
 SIGNATURES |= {

@@ -6,23 +6,10 @@ Compiled behind the text of the driver, whose names it uses.
 import numpy as np
 from numba import njit, types
 
-from symsimpson.text.driver.begin import START_OF_RUN, begin, begin_anew
 from symsimpson.text.driver.between import states_at
 from symsimpson.text.driver.explicit import finite, steady, take_explicit_steps
 from symsimpson.text.driver.recovery import recover
-from symsimpson.text.driver.solving import DRIVER_OPTIONS, call
-from symsimpson.text.driver.steps import (
-    COUNTS,
-    DRIVER_LAYOUT_ROWS,
-    INPUTS,
-    SET,
-    SETTING,
-    SIGNATURES,
-    SUSPICIOUS,
-    WORKSPACE,
-    store_lane,
-    take_steps,
-)
+from symsimpson.text.driver.steps import *
 from symsimpson.text.interface import *
 
 SIGNATURES |= {

@@ -1,4 +1,4 @@
-"""The compiled loop over steps: Newton, closing a step, catching what goes wrong.
+"""The compiled loop over steps that are solved by iteration, from its beginning.
 
 One piece of code drives every generated module. It calls kernels by address, with the step, the
 time and the workspace; everything that a run must remember stands in the workspace, so that a run
@@ -9,17 +9,127 @@ compiled as one text, behind the agreement with modules, and import nothing else
 import numpy as np
 from numba import njit, types
 
-from symsimpson.text.driver.solving import (
-    DRIVER_OPTIONS,
-    INLINE,
-    LANES,
-    RARE,
-    UNSOLVED,
-    call,
-    solve_for,
-    solve_to_rounding,
-)
 from symsimpson.text.interface import *
+
+#: Lanes of a block; known here, their loops cost nothing for a single trajectory (a third of the
+#: time of a small step). This text is compiled with other numbers too.
+LANES = 1
+MOST_ITERATIONS = 40
+#: What is no status: a step that is not solved yet.
+UNSOLVED = -1
+#: After so many iterations it is asked whether corrections are made of rounding.
+FEW_ITERATIONS = 16
+#: They are below this part of positions, of moves in a step and of what forces add to them,
+#: squared: 2^-52 with room.
+ROUND_OFF = 2.0**-92
+#: By what the ratio of a correction to the square of the one before is raised in each step (it is
+#: kept squared), until it is 1 or seen again: trust fades, so that it is measured anew.
+FADING = 1.05**2
+#: What is called by compiled code alone has no way in from Python, which takes long to compile.
+INNER = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+DRIVER_OPTIONS = {"nogil": True, "error_model": "numpy", **INNER}
+#: For what is called once a run, or where a step fails: it may be slow, and compiles fast. It is no
+#: part of the loop: arrays that it hands on would be counted in every step.
+RARE = {**DRIVER_OPTIONS}
+#: For what is called in each step: a call costs reference counts of its arrays.
+INLINE = {"inline": "always", **DRIVER_OPTIONS}
+
+
+def call(address, h, t, workspace):
+    """Call a kernel ``void(double, double, double*)`` at an address; the walker does."""
+    raise NotImplementedError
+
+
+@njit(**RARE)
+def give_up(active):
+    """Mark the lanes that have not converged."""
+    for lane in range(LANES):
+        if active[lane] > 0.0:
+            active[lane] = -NOT_CONVERGED
+    return NOT_CONVERGED
+
+
+@njit(**RARE)
+def rounding(W, at, h, lane):
+    """Bound the squared size of corrections that are made of rounding, in the metric of M(q0).
+
+    Positions are rounded, and momenta and the terms of forces that take them on. Where these
+    cancel, as at an equilibrium, increments may be as small as that.
+    """
+    size = W[at[LARGEST_SQUARED], lane] + h * h * h * h * W[W.shape[0] - 1, lane]
+    for a in range(at[DIMENSION]):
+        mass, q = W[at[MASS_DIAGONAL] + a, lane], W[at[POSITION] + a, lane]
+        if mass > 0.0:
+            moved = h * W[at[MOMENTUM] + a, lane]
+            size += mass * q * q + moved * moved / mass
+    return ROUND_OFF * size
+
+
+@njit(**RARE)
+def solve_to_rounding(iterate, h, t, W, at):
+    """Iterate on; lanes are done, too, whose corrections are made of rounding and do not shrink.
+
+    Corrections are kept in the row IN_DOUBT, which is free until the step is closed.
+    """
+    active, before = W[at[ACTIVE]], W[at[IN_DOUBT]]
+    for lane in range(LANES):
+        before[lane] = np.inf
+    for _ in range(FEW_ITERATIONS, MOST_ITERATIONS):
+        busy = 0
+        for lane in range(LANES):
+            if active[lane] > 0.0:
+                correction = W[at[RELATIVE], lane] * W[at[INCREMENT_SQUARED], lane]
+                if correction >= before[lane] and correction <= rounding(W, at, h, lane):
+                    active[lane] = 0.0
+                before[lane] = correction
+            busy += active[lane] > 0.0
+        if busy == 0:
+            return worst_of(active)
+        call(iterate, h, t, W)
+    return give_up(active)
+
+
+@njit(**RARE)
+def worst_of(active):
+    """Return 0 if all lanes are solved, else the status of one that is not."""
+    worst = 0
+    for lane in range(LANES):
+        if active[lane] < 0.0:
+            worst = NOT_FINITE
+    return worst
+
+
+@njit(**INLINE)
+def solve_for(iterate, h, t, W, active, relative, contraction):
+    """Iterate until every active lane is done; give 0, UNSOLVED, or the status of one that failed.
+
+    The kernel checks that: lanes that are done have ``active`` = 0, failed ones -status. The last
+    correction may be left out: it is a part of the one before, which tells how large it would be.
+    """
+    for lane in range(LANES):
+        relative[lane] = np.inf
+        contraction[lane] = min(1.0, contraction[lane] * FADING)
+    # of a length that the compiler does not know: unrolled, the loop would count references
+    for _ in range(FEW_ITERATIONS + (h == 0.0)):
+        call(iterate, h, t, W)
+        busy = 0
+        for lane in range(LANES):
+            busy += active[lane] > 0.0
+        if busy == 0:
+            worst = 0
+            for lane in range(LANES):
+                if active[lane] < 0.0:
+                    worst = NOT_FINITE
+            return worst
+    return UNSOLVED
+
+
+@njit(**DRIVER_OPTIONS)
+def solve(iterate, h, t, W, at):
+    """Iterate until every active lane is done, on the rows of a workspace."""
+    status = solve_for(iterate, h, t, W, W[at[ACTIVE]], W[at[RELATIVE]], W[at[CONTRACTION]])
+    return solve_to_rounding(iterate, h, t, W, at) if status == UNSOLVED else status
+
 
 #: Such a step may change the energy by about half the largest kinetic energy before: this, divided
 #: by the degree, of the largest squared increments, over h^2.
@@ -274,3 +384,98 @@ def take_steps(kernels, setting, progress, stop, every, stores, inputs):
         if every != 0 and step % every == 0:
             store(W, at, step // every, stores)
     progress[0] = step
+
+
+#: Parameters, positions, and momenta or velocities.
+START_OF_RUN = types.UniTuple(types.float64[::1], 3)
+SIGNATURES |= {
+    "begin_growth": types.void(WORKSPACE, DRIVER_LAYOUT_ROWS, types.int64, types.float64[:, ::1]),
+    "begin": types.void(
+        SET, types.int64, types.float64, types.float64, WORKSPACE, DRIVER_LAYOUT_ROWS
+    ),
+    "begin_anew": types.void(SET, types.int64, SETTING, START_OF_RUN),
+    "change_to": types.void(
+        SET, types.boolean, types.float64, types.float64, WORKSPACE, DRIVER_LAYOUT_ROWS
+    ),
+}
+
+
+@njit(**DRIVER_OPTIONS)
+def begin(kernels, legendre, h, t, W, at):
+    """Begin at the q and p (or, with the address of legendre, the q and v) in the workspace."""
+    for lane in range(LANES):
+        W[at[ACTIVE], lane] = 1.0
+        W[at[STATUS], lane] = 0.0
+        W[at[CONTRACTION], lane] = 1.0
+        W[at[LARGEST_SQUARED], lane] = 0.0
+        W[at[PIVOT_LIMIT], lane] = SMALL_PIVOT
+        W[at[PIVOT_TIME], lane] = np.inf
+        W[at[ITERATIONS], lane] = 0.0
+    call(kernels[PREPARE], h, t, W)
+    if legendre != 0:
+        call(legendre, h, t, W)
+    call(kernels[START], h, t, W)
+
+
+@njit(**DRIVER_OPTIONS)
+def begin_anew(kernels, legendre, setting, start):
+    """Begin in a workspace in which another run may have been, with parameters, q and p, or v."""
+    (h, t, W, at), (parameters, q, other) = setting, start
+    second = at[MOMENTUM] if legendre == 0 else at[VELOCITY]
+    for row in range(W.shape[0]):
+        W[row, 0] = 0.0
+    for k in range(parameters.size):
+        W[at[PARAMETER] + k, 0] = parameters[k]
+    for a in range(at[DIMENSION]):
+        W[at[POSITION] + a, 0] = q[a]
+        W[second + a, 0] = other[a]
+    begin(kernels, legendre, h, t, W, at)
+
+
+@njit(**RARE)
+def change_to(kernels, anew, h, t, W, at):
+    """Go on with other kernels of the same layout, from the state and the predicted increments.
+
+    Kernels that begin ``anew`` predict the increments themselves. Pivots of M are compared with
+    those at the start of the run in both cases.
+    """
+    first, last, before = at[INCREMENT], at[STATE_END], np.empty((W.shape[0], LANES))
+    for lane in range(LANES):
+        keep(W, 0, W.shape[0], lane, before)
+        W[at[STATUS], lane] = 0.0
+    if anew:
+        begin(kernels, 0, h, t, W, at)
+    else:
+        call(kernels[PREPARE], h, t, W)
+        call(kernels[START], h, t, W)
+    for lane in range(LANES):
+        if not anew:  # the increments are the predicted ones, too
+            for row in range(first, last):
+                W[row, lane] = before[row, lane]
+                W[row + last - first, lane] = before[row, lane]
+        for row in range(at[PIVOT_SCALE], at[PIVOT_TIME] + 1):
+            if before[row, lane] != 0.0:
+                W[row, lane] = before[row, lane]
+        W[at[ITERATIONS], lane] = before[at[ITERATIONS], lane]
+        W[at[LARGEST_SQUARED], lane] = before[at[LARGEST_SQUARED], lane]
+
+
+@njit(**RARE)
+def begin_growth(W, at, first, columns):
+    """Begin variations of members from a ``first`` one on, and what tells how they grow.
+
+    Each member has 2 n rows of ``columns``: orthonormal variations, then the weights of dq and dp.
+    """
+    size, count = 2 * at[DIMENSION], at[RENEWED]
+    product = at[GROWN] + 2 * count + 4
+    weight = product + 2 * count * count
+    for lane in range(LANES):
+        member = min(first + lane, columns.shape[0] // size - 1)
+        for row in range(at[GROWN], weight):
+            W[row, lane] = 0.0
+        for j in range(count):
+            W[product + j * (count + 1), lane] = 1.0
+        for a in range(size):
+            W[weight + a, lane] = columns[member * size + a, count]
+            for j in range(count):
+                W[at[TANGENT] + j * size + a, lane] = columns[member * size + a, j]

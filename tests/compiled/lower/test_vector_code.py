@@ -5,6 +5,7 @@ import re
 import mpmath
 import numpy as np
 import pytest
+from support.bindings import bind_float
 from support.cases import sweep
 from support.workspace import new_workspace, walked
 
@@ -12,7 +13,6 @@ import symsimpson as ss
 from symsimpson.lower.pipeline import source
 from symsimpson.program.driver import driver
 from symsimpson.program.numbers import NO_INPUTS
-from symsimpson.targets.binding import bind_float
 from symsimpson.text.interface import NEWTON
 
 

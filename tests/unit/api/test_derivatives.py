@@ -8,7 +8,7 @@ import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.stepping.variations import varied_program
+from symsimpson.stepping.inputs import varied_program
 
 H = 0.01
 

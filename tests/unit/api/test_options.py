@@ -6,10 +6,9 @@ from typing import get_type_hints
 import pytest
 
 import symsimpson as ss
-from symsimpson.stepping import options
-from symsimpson.stepping.request import Request
+from symsimpson.stepping.request import Request, RunOptions, SavedOptions, TimesOptions
 
-KINDS = (options.RunOptions, options.TimesOptions, options.SavedOptions)
+KINDS = (RunOptions, TimesOptions, SavedOptions)
 #: Arguments that say how a call behaves, and not what is computed.
 OF_A_CALL = {"checkpoint_every", "progress", "on_failure"}
 

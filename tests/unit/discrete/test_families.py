@@ -24,8 +24,8 @@ def lagrangian(plain):
         )
         / 2
     )
-    linear = sum(a * v for a, v in zip(plain.gyroscopic, plain.v, strict=True))
-    return quadratic + linear - plain.potential
+    linear = sum(plain.written(a) * v for a, v in zip(plain.a, plain.v, strict=True))
+    return quadratic + linear - plain.written(plain.V)
 
 
 def total(found, plain):

@@ -9,6 +9,7 @@ import textwrap
 
 import pytest
 import sympy
+from support.bindings import bind_float
 from support.cases import sweep
 from support.places import GENERATED
 from support.workspace import begin, state, take_step
@@ -16,7 +17,6 @@ from support.workspace import begin, state, take_step
 import symsimpson as ss
 from symsimpson.cli.commands import SCHEMES
 from symsimpson.lower.pipeline import source
-from symsimpson.targets.binding import bind_float
 
 SYSTEMS = {make().name: make for make in ss.systems.CATALOGUE.values()}
 PINNED = "1.14.0"

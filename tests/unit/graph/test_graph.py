@@ -9,9 +9,8 @@ import sympy as sp
 from symsimpson.graph import lines, nodes
 from symsimpson.graph.derive import Derivatives, gradient
 from symsimpson.graph.evaluate import evaluated, line_value, moduli
-from symsimpson.graph.findings import Findings
+from symsimpson.graph.findings import Findings, merged
 from symsimpson.graph.lines import Program
-from symsimpson.graph.merge import merged
 from symsimpson.graph.nodes import Graph
 from symsimpson.graph.read import Reader, tree_size, written
 from symsimpson.graph.rebuild import fixed, rebuilt, same
@@ -205,7 +204,7 @@ def test_nothing_is_expanded():
     for _ in range(20):
         total = total * (total + y)
     graph, (value,), _ = read(total)
-    assert len(graph) < 100
+    assert len(graph.nodes) < 100
     assert tree_size(graph, value) > 10**6
 
 
@@ -269,7 +268,7 @@ WALKS = {
 def test_shared_nodes_are_visited_once_and_not_on_every_path(walk, monkeypatch):
     """Each of 100 levels is reached twice from the one above it: on 2^100 paths in all."""
     graph, value = diamond(100)
-    size, visits = len(graph), [0]
+    size, visits = len(graph.nodes), [0]
     look = nodes.arguments
 
     def counted(*given):

@@ -6,11 +6,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import sympy as sp
+from support.bindings import bind_float
 from support.workspace import block, new_workspace
 
 import symsimpson as ss
 from symsimpson.lower.pipeline import source
-from symsimpson.targets.binding import bind_float
 
 MASSES = [Fraction(k + 3, 7) for k in range(10)]
 

@@ -3,6 +3,7 @@
 import mpmath as mp
 import numpy as np
 import pytest
+from support.bindings import bind_float
 from support.cases import sweep
 from support.workspace import begin, block
 
@@ -11,7 +12,7 @@ from symsimpson.discrete.equations import discretise
 from symsimpson.lower.module_kernels import lower
 from symsimpson.lower.pipeline import source
 from symsimpson.lower.storage import Held
-from symsimpson.targets.binding import bind_float, bind_mpmath
+from symsimpson.targets.binding import bind_mpmath
 
 #: Seven coordinates in an order of its own; constraints on neighbours, one of them alone.
 ORDER = (3, 1, 4, 0, 2, 6, 5)

@@ -4,6 +4,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 import sympy as sp
+from support.bindings import bind_float
 from support.cases import sweep
 from support.forms import limited
 from support.in_c import InC
@@ -13,7 +14,7 @@ from support.workspace import TABLES, begin, block, state, take_step
 import symsimpson as ss
 from symsimpson.discrete.reductions import Routh
 from symsimpson.lower.pipeline import source
-from symsimpson.targets.binding import bind_float, bind_mpmath
+from symsimpson.targets.binding import bind_mpmath
 from symsimpson.targets.counting import cost
 
 H = 0.05

@@ -7,6 +7,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 import sympy as sp
+from support.bindings import bind_float
 from support.cases import sweep
 from support.chains import damped_chain
 from support.oracle import DIGITS, discrete_lagrangian, gradient, virtual_work
@@ -15,7 +16,6 @@ from support.workspace import TABLES, begin, block, newton_gaps, take_step
 
 import symsimpson as ss
 from symsimpson.lower.pipeline import source
-from symsimpson.targets.binding import bind_float
 
 SCHEMES = ("simpson", "midpoint", "gauss4", "simpson", "midpoint")
 H = 0.125

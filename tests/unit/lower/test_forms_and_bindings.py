@@ -7,6 +7,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 import sympy as sp
+from support.bindings import bind_complex, bind_float
 from support.cases import sweep
 from support.chains import swinging_chain
 from support.forms import limited
@@ -20,7 +21,7 @@ from symsimpson.lower import module_kernels
 from symsimpson.lower.emit import emit
 from symsimpson.lower.pipeline import source
 from symsimpson.schemes.named import read_scheme
-from symsimpson.targets.binding import bind_complex, bind_float, bind_mpmath
+from symsimpson.targets.binding import bind_mpmath
 
 SYSTEMS = [
     ss.systems.lagrange_top(),

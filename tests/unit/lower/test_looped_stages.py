@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 import sympy as sp
+from support.bindings import bind_float
 from support.cases import sweep
 from support.forms import limited
 from support.workspace import block, new_workspace
@@ -14,7 +15,6 @@ from symsimpson.lower import module_kernels, pipeline
 from symsimpson.lower.stages import looped_stages
 from symsimpson.run.requested import program_for
 from symsimpson.stepping.request import Request
-from symsimpson.targets.binding import bind_float
 
 H = 0.0625
 

@@ -7,6 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 import sympy as sp
+from support.bindings import bind_float
 from support.cases import sweep
 from support.workspace import new_workspace
 
@@ -18,7 +19,6 @@ from symsimpson.lower.module_kernels import lower
 from symsimpson.lower.pipeline import derive, source
 from symsimpson.schemes.named import read_scheme
 from symsimpson.support import derivation
-from symsimpson.targets.binding import bind_float
 
 
 def test_values_move_to_the_next_step_in_the_order_of_their_names():

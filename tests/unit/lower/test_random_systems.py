@@ -3,6 +3,7 @@
 import mpmath as mp
 import numpy as np
 import pytest
+from support.bindings import bind_float
 from support.cases import sweep
 from support.oracle import DIGITS, discrete_lagrangian, gradient, hessian
 from support.random_systems import random_state, random_system
@@ -10,7 +11,6 @@ from support.workspace import TABLES, begin, block, newton_gaps, take_step
 
 import symsimpson as ss
 from symsimpson.lower.pipeline import source
-from symsimpson.targets.binding import bind_float
 
 SCHEMES = ("simpson", "midpoint", "gauss4", "simpson", "midpoint")
 H = 0.125

@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 import sympy as sp
+from support.bindings import bind_float
 from support.cases import sweep
 from support.workspace import begin, block, take_step
 from sympy.physics.mechanics import dynamicsymbols
@@ -13,7 +14,6 @@ from sympy.physics.mechanics import dynamicsymbols
 import symsimpson as ss
 from symsimpson.lower.emitted_names import NameTable, reserved
 from symsimpson.lower.pipeline import derive, source
-from symsimpson.targets.binding import bind_float
 from symsimpson.text.header import read_header
 from symsimpson.text.workspace_layout import BLOCKS
 

@@ -9,7 +9,7 @@ from support.cases import sweep
 from support.places import DATA
 
 import symsimpson as ss
-from symsimpson.results import shadow
+from symsimpson.results import energies
 
 GOLDEN = json.loads((DATA / "golden_forced.json").read_text("utf-8"))["modified_energy"]
 
@@ -25,7 +25,7 @@ def half_swings(energies, steps=(0.04, 0.02, 0.01), scheme="simpson"):
 
 def step_means(run):
     """H + dH in the mean over each step: to h^6 for schemes of order 4."""
-    return (run.energy[1:] + run.energy[:-1]) / 2 + shadow.changes(run)
+    return (run.energy[1:] + run.energy[:-1]) / 2 + energies.changes(run)
 
 
 def orders(swings):

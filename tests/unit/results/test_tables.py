@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import symsimpson as ss
-from symsimpson.results.tables import KINDS
+from symsimpson.results.tables import NEEDS
 
 pandas = pytest.importorskip("pandas")
 
@@ -88,7 +88,7 @@ def test_tables_are_no_runs(tmp_path):
     for some in (run_of(), many_of()):
         with pytest.raises(ss.InputError, match="unsupported file extension") as said:
             some.save(tmp_path / "run.xls")
-        assert all(kind in str(said.value) for kind in KINDS)
+        assert all(kind in str(said.value) for kind in NEEDS)
 
 
 def two_of_a_name(**positions):

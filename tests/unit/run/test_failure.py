@@ -6,7 +6,7 @@ from support.cases import sweep
 from support.places import ROOT
 
 import symsimpson as ss
-from symsimpson.run.start import started
+from symsimpson.run.integrate import started
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import read_run

@@ -5,7 +5,7 @@ import pytest
 
 import symsimpson as ss
 from symsimpson.run.ended import Samples
-from symsimpson.run.start import started
+from symsimpson.run.integrate import started
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import read_run

@@ -6,7 +6,7 @@ import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.run.start import started
+from symsimpson.run.integrate import started
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import read_run
 

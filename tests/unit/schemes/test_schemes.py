@@ -2,6 +2,7 @@ import mpmath
 import numpy as np
 import pytest
 import sympy as sp
+from support.bindings import bind_float
 from support.cases import sweep
 from support.oracle import interpolate, nodes_and_weights
 
@@ -10,7 +11,6 @@ from symsimpson.discrete.combined_rows import elimination_order
 from symsimpson.lower.pipeline import derive
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.quadrature import gauss, lobatto
-from symsimpson.targets.binding import bind_float
 
 FAMILY = [("gauss", s, s) for s in range(1, 6)] + [("lobatto", s, s - 1) for s in range(2, 7)]
 FAMILY += [

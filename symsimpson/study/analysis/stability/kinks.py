@@ -10,10 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import partial, reduce
+from functools import lru_cache, partial, reduce
 from operator import mul
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import mpmath
 import numpy as np
@@ -58,19 +57,9 @@ class _Root:
     negative: Value | None = None
 
 
-_FOUND: WeakKeyDictionary[MechanicalSystem, tuple[Plain, tuple[_Root, ...]]] = WeakKeyDictionary()
-
-
-def _square_roots(system: MechanicalSystem) -> tuple[Plain, tuple[_Root, ...]]:
-    """Return the plain system and its roots of sums of squares, found once per system."""
-    if system not in _FOUND:
-        _FOUND[system] = _roots(system)
-    return _FOUND[system]
-
-
 def has_kinks(system: MechanicalSystem) -> bool:
     """Return whether forces of a system, or V, may jump."""
-    return bool(_square_roots(system)[1])
+    return bool(_roots(system)[1])
 
 
 def kink_passed(
@@ -94,7 +83,7 @@ def kink_passed(
     >>> kink_passed(cone, np.array([0.0, 1.0]), np.array([[1.0, 0.0], [-1.0, 0.0]]), [])[:2]
     (0.5, 'a zero of sqrt(x**2 + y**2)')
     """
-    plain, roots = _square_roots(system)
+    plain, roots = _roots(system)
     t, q = np.asarray(t, dtype=np.float64), np.asarray(q, dtype=np.float64)
     if not roots or len(t) < 2:
         return None
@@ -117,8 +106,9 @@ def kink_passed(
     return first
 
 
+@lru_cache(maxsize=64)
 def _roots(system: MechanicalSystem) -> tuple[Plain, tuple[_Root, ...]]:
-    """List the roots of sums of squares, and the cuts, in V and in the forces."""
+    """Return the plain system, and the roots of sums of squares and the cuts in V and forces."""
     retiming = system.retiming
     plain = system.plain if retiming is None else retiming.plain
     graph, moving = plain.graph, {*plain.numbers(plain.q), plain.time}
@@ -186,7 +176,8 @@ def _near_passages(
     there: Any = True
     if root.negative is not None:
         c, n = root.negative
-        there = float(c) * np.broadcast_to(_evaluated(plain, n, known, at), t.shape)[:-1] < 0
+        x = evaluated(plain.graph, [n], {**known, **at}, _ARRAYS)[n]
+        there = float(c) * np.broadcast_to(x, t.shape)[:-1] < 0
     with np.errstate(all="ignore"):
         start, change = u[:, :-1], np.diff(u, axis=1)
         length = (change**2).sum(axis=0)
@@ -210,10 +201,6 @@ def _root_terms(
             moved = evaluated(graph, [b for _, b in bases], symbols, context)
             rows.append(factor**0.5 * context.fprod(moved[b] ** int(e) for e, b in bases))
     return np.array(rows) if rows else None
-
-
-def _evaluated(plain: Plain, n: int, known: dict[int, float], at: dict[int, Any]) -> Any:
-    return evaluated(plain.graph, [n], {**known, **at}, _ARRAYS)[n]
 
 
 def _at(plain: Plain, t: Any, q: Any) -> dict[int, Any]:

@@ -278,11 +278,11 @@ def _apart(program: Program, system: MechanicalSystem, run: Trajectory, place: i
         return np.inf
     if not finer.success:
         return np.inf
-    turn = np.where(_periodic(system), 2 * np.pi, np.inf)
-    gap = _within(np.asarray(run.q[last] - finer.q[-1], dtype=np.float64), turn)
+    angles = _periodic(system)
+    gap = _within(np.asarray(run.q[last] - finer.q[-1], dtype=np.float64), angles)
     t, q, values = _states(run)
     masses = _masses(system, t[first:last], q[first:last], values)
-    moves = _within(np.diff(q[first : last + 1], axis=0), turn)
+    moves = _within(np.diff(q[first : last + 1], axis=0), angles)
     moved = np.einsum("ki,kij,kj->k", moves, masses, moves).max()
     end = _masses(system, t[last : last + 1], q[last : last + 1], values)[0]
     return float(gap @ end @ gap / moved) if moved > 0 else 0.0
@@ -296,11 +296,10 @@ def _rate(program: Program, q: Floats, p: Floats, values: Floats) -> float:
     return float(evaluate(program, "energy", "RATE", 1, here, values).item())
 
 
-def _within(moves: Floats, turn: Floats) -> Floats:
-    """Leave whole turns out of moves."""
-    known = np.where(np.isfinite(turn), turn, 1.0)
-    whole = np.where(np.isfinite(turn), known * np.round(moves / known), 0.0)
-    return moves - whole
+def _within(moves: Floats, angles: Sequence[bool]) -> Floats:
+    """Leave whole turns of angles out of moves."""
+    turn = 2 * np.pi
+    return moves - np.where(angles, turn * np.round(moves / turn), 0.0)
 
 
 @lru_cache(maxsize=64)

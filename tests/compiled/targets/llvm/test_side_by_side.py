@@ -5,12 +5,12 @@ import ctypes
 
 import numpy as np
 import pytest
+from support.bindings import bind_float
 from support.small_texts import run, text_of
 from support.workspace import new_workspace, walked
 
 import symsimpson as ss
 from symsimpson.lower.pipeline import source
-from symsimpson.targets.binding import bind_float
 from symsimpson.targets.llvm import vectors
 from symsimpson.targets.llvm.trees import read_text
 from symsimpson.targets.llvm.vectors import in_order

@@ -13,7 +13,7 @@ import pytest
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.run.ensemble import cluster as cluster_module
+from symsimpson.run.ensemble import dispatch
 from symsimpson.run.ensemble import store as module
 from symsimpson.run.ensemble.members import read_task
 from symsimpson.stepping.request import Request
@@ -280,11 +280,11 @@ def test_a_worker_is_killed(stepper, client, sent, tmp_path, after):
     given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 2000, "reduce": WATCH}
     expected = stepper.ensemble(many, **given)
     victim = next(iter(client.run(os.getpid).values()))
-    after(cluster_module, "_result", 5, lambda: os.kill(victim, signal.SIGKILL))
+    after(dispatch, "_result", 5, lambda: os.kill(victim, signal.SIGKILL))
     found = stepper.ensemble(many, **given, store=tmp_path / "s", client=client)
     assert victim not in client.run(os.getpid).values()
     assert_same(found, expected)
-    assert {function for function, _ in sent} == {cluster_module.compute_chunk}
+    assert {function for function, _ in sent} == {dispatch.compute_chunk}
     assert {tuple(map(type, given)) for _, given in sent} == {(str, str, int)}
     sent.clear()
     assert_same(stepper.ensemble(many, **given, store=tmp_path / "s", client=client), expected)
@@ -294,14 +294,12 @@ def test_a_worker_is_killed(stepper, client, sent, tmp_path, after):
 @pytest.mark.slow
 def test_a_module_changed_in_the_store_is_not_executed(stepper, client, tmp_path, monkeypatch):
     canary = tmp_path / "canary"
-    plain = cluster_module.run_on_cluster
+    plain = dispatch.run_on_cluster
 
     def tampered(store, client):
         source = store.group.attrs["source"]
         store.group.attrs["source"] = source + f"\nopen({str(canary)!r}, 'w')\n"
         return plain(store, client)
-
-    from symsimpson.run.ensemble import dispatch
 
     monkeypatch.setattr(dispatch, "run_on_cluster", tampered)
     with pytest.raises(ss.StorageError, match="not the one that was asked for"):
@@ -313,7 +311,7 @@ def test_a_module_changed_in_the_store_is_not_executed(stepper, client, tmp_path
 def test_interrupt_on_a_cluster(stepper, client, tmp_path, after):
     many = np.tile(ANGLES, (10, 1))
     given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 2000, "store": tmp_path / "s"}
-    after(cluster_module, "_result", 3, lambda: signal.raise_signal(signal.SIGINT))
+    after(dispatch, "_result", 3, lambda: signal.raise_signal(signal.SIGINT))
     found = stepper.ensemble(many, **given, client=client, on_failure="return")
     assert (found.status == ss.Status.INTERRUPTED).any()
     assert (found.status == ss.Status.SUCCESS).any()

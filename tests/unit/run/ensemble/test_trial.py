@@ -19,12 +19,12 @@ def tried(monkeypatch):
     """Let any task be worth a trial, and say how long members take by their lanes."""
     seconds, found = {}, []
 
-    def told(program, task, lanes, rounds):
-        found.append(lanes)
-        return seconds.get(lanes, 1.0)
+    def told(program, task, rounds):
+        found.append(task.lanes)
+        return seconds.get(task.lanes, 1.0)
 
     monkeypatch.setattr(trial, "WORTH_IT", 0)
-    monkeypatch.setattr(trial, "_seconds", told)
+    monkeypatch.setattr(trial, "seconds_of_member", told)
     return seconds, found
 
 
@@ -67,7 +67,7 @@ def test_where_bits_would_differ_there_is_no_trial(tried, lanes, scheme):
 
 
 def test_short_tasks_are_not_tried(monkeypatch):
-    monkeypatch.setattr(trial, "_seconds", None)
+    monkeypatch.setattr(trial, "seconds_of_member", None)
     ss.compile(ss.systems.double_pendulum(), "gauss8").ensemble(STARTS, **ASKED)
 
 

@@ -5,7 +5,7 @@ import pytest
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.study.analysis import to_error
+from symsimpson.study.analysis import choose as choosing
 from symsimpson.study.analysis.choose import select
 
 PENDULUM = ss.systems.pendulum()
@@ -21,7 +21,7 @@ def choices(monkeypatch, tmp_path):
         made.append(asked)
         return select(*asked, strict=strict)
 
-    monkeypatch.setattr(to_error, "select", choose)
+    monkeypatch.setattr(choosing, "select", choose)
     monkeypatch.setattr("symsimpson.study.analysis.candidates.SCOUT", 0)  # no run of many steps
     monkeypatch.setattr("symsimpson.program.cache.cache_folder", lambda: tmp_path)
     return made

@@ -12,9 +12,16 @@ import symsimpson as ss
 from symsimpson.cli import main
 from symsimpson.reference.first_order import second_order
 from symsimpson.study.bench import work_precision
-from symsimpson.study.bench.benchmark_problem import make_problem
-from symsimpson.study.bench.contenders import PROGRAMS, Contender, Outcome, in_heyoka, ours, peers
-from symsimpson.study.bench.record import WorkPrecision
+from symsimpson.study.bench.contenders import (
+    PROGRAMS,
+    Contender,
+    Outcome,
+    in_heyoka,
+    make_problem,
+    ours,
+    peers,
+)
+from symsimpson.study.bench.work_precision import WorkPrecision
 
 
 @pytest.fixture(

@@ -6,8 +6,7 @@ import ctypes
 import pytest
 from support.in_c import COMPILER, build
 
-from symsimpson.targets.c.kinds import REAL, Kinds
-from symsimpson.targets.c.single import Functions, Source
+from symsimpson.targets.c.kinds import REAL, Functions, Kinds, Source
 from symsimpson.targets.c.statements import HELPERS, Expressions, written_function
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no compiler of C")
