@@ -5,7 +5,7 @@ Every message says what is wrong, where, why it matters and what to do about it.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NoReturn
 
 __all__ = [
     "ConvergenceError",
@@ -137,3 +137,21 @@ class Interrupted(SymsimpsonError, KeyboardInterrupt):
     def __init__(self, message: str, *, trajectory: Any) -> None:
         super().__init__(message)
         self.trajectory = trajectory
+
+
+def reject(
+    what: str,
+    where: str = "",
+    why: str = "",
+    remedy: str = "",
+    *,
+    error: type[SymsimpsonError] = InputError,
+    cause: BaseException | None = None,
+) -> NoReturn:
+    """Raise an error about the user's input: "where: what why", and the remedy on the next line.
+
+    Each part is a whole sentence. ``where`` names the system, the argument or the file; leave it
+    out where ``what`` names it. ``cause`` is the error of a library to show as well.
+    """
+    head = " ".join(part for part in (f"{where}:" if where else "", what, why) if part)
+    raise error(f"{head}\n{remedy}" if remedy else head) from cause

@@ -17,7 +17,7 @@ from symsimpson.declare.retimed import RetimedSystem, extended
 from symsimpson.declare.system import MechanicalSystem
 from symsimpson.discrete.equations import check_differentiable
 from symsimpson.discrete.reductions import read_exploit
-from symsimpson.errors import GenerationError, StorageError
+from symsimpson.errors import GenerationError, StorageError, reject
 from symsimpson.lower.emitted_names import NameTable
 from symsimpson.lower.pipeline import derive
 from symsimpson.program.cache import kept_text
@@ -237,9 +237,11 @@ def generate(
     method = read_scheme(scheme)
     path = read_path("directory", directory) / f"{system.name}__{method.name}.py"
     if derivatives is not None and isinstance(system, RetimedSystem):
-        raise GenerationError(
-            f"{system.name} is retimed, and derivatives of its runs take more than one module.\n"
-            "Make a stepper with symsimpson.compile, whose runs carry tangents= and sensitivities=."
+        reject(
+            f"{system.name} is retimed, and derivatives of its runs take more than one module.",
+            remedy="Make a stepper with symsimpson.compile, whose runs carry tangents= "
+            "and sensitivities=.",
+            error=GenerationError,
         )
     names = None if derivatives is None else map(spelled, in_a_row(derivatives))
     content = derive(system, method, exploit, names).text.encode()
@@ -249,12 +251,14 @@ def generate(
             with written_beside(path, "generated module") as whole:
                 whole.write_bytes(content)
     except StorageError as error:
-        raise GenerationError(str(error)) from error
+        reject(str(error), error=GenerationError, cause=error)
     except OSError as error:
-        raise GenerationError(
-            f"{path}: the generated module cannot be written: {error.strerror}.\n"
-            "Choose another directory."
-        ) from error
+        reject(
+            f"{path}: the generated module cannot be written: {error.strerror}.",
+            remedy="Choose another directory.",
+            error=GenerationError,
+            cause=error,
+        )
     return path
 
 
@@ -286,11 +290,14 @@ def load(path: str | os.PathLike[str]) -> Stepper:
     try:
         text = place.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise GenerationError(
-            f"{os.fspath(path)}: the file cannot be read: {error}.\n"
-            "Generate it with symsimpson.generate(system, scheme). A run that was saved is read by "
-            "symsimpson.open_trajectory."
-        ) from error
+        reject(
+            f"{os.fspath(path)}: the file cannot be read: {error}.",
+            remedy="Generate it with symsimpson.generate(system, scheme). A run that was "
+            "saved is read by "
+            "symsimpson.open_trajectory.",
+            error=GenerationError,
+            cause=error,
+        )
     program = read_program(text, os.fspath(path), TOOLS)
     check_interface(program.header.layout, program.where, (INTERFACE,))
     return Stepper(program)
@@ -379,12 +386,14 @@ def check_system(system: object) -> None:
 
         what, name = type(system).__name__, getattr(system, "__name__", system)
         if isinstance(name, str) and name in EVERY and system in (name, EVERY[name]):
-            raise GenerationError(
+            reject(
                 f"{name} is the {'name of a' if system == name else 'function that makes the'} "
-                f"system.\nCall it: symsimpson.systems.{name}()."
+                "system.",
+                remedy=f"Call it: symsimpson.systems.{name}().",
+                error=GenerationError,
             )
         method = {"LagrangesMethod": "lagranges_method", "KanesMethod": "kanes_method"}.get(what)
         how = "Declare one: symsimpson.MechanicalSystem(name, coordinates=..., kinetic=..., ...)."
         if method is not None:
             how = f"Read it: symsimpson.MechanicalSystem.from_{method}(name, method, parameters)."
-        raise GenerationError(f"{what} is not a MechanicalSystem.\n{how}")
+        reject(f"{what} is not a MechanicalSystem.", remedy=f"{how}", error=GenerationError)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.observed import evaluate_energy
 from symsimpson.program.program import Program
 from symsimpson.run.requested import end_of_step
@@ -35,9 +35,10 @@ class Evaluator:
 
     def __init__(self, program: Program) -> None:
         if not isinstance(program, Program):
-            raise InputError(
-                f"a stepper is made of a program, and {type(program).__name__} is none.\n"
-                "Make one with symsimpson.compile(system, scheme), or symsimpson.load(path)."
+            reject(
+                f"a stepper is made of a program, and {type(program).__name__} is none.",
+                remedy="Make one with symsimpson.compile(system, scheme), or "
+                "symsimpson.load(path).",
             )
         #: The module, compiled, as the package knows it.
         self.program = program

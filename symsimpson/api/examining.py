@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from numpy.typing import ArrayLike
 
 from symsimpson.api.evaluator import Evaluator, Parameters
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.program import report_of
 from symsimpson.results.motion_derivatives import Chaos, Gradient, Linearisation
 from symsimpson.run.gradients import Wanted, gradient_of
@@ -428,8 +428,8 @@ class Examining(Evaluator):
         """
         tools = self.program.tools
         if tools is None:
-            raise InputError(
-                f"this stepper of {self.system} came with a stored result: it has no certificate.\n"
-                "Certify one that symsimpson.compile or symsimpson.load made."
+            reject(
+                f"this stepper of {self.system} came with a stored result: it has no certificate.",
+                remedy="Certify one that symsimpson.compile or symsimpson.load made.",
             )
         return tools.certify(self, q0, v0, p0=p0, h=h, parameters=parameters, inputs=inputs)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from symsimpson.errors import InputError, ResolutionWarning, SymsimpsonError
+from symsimpson.errors import ResolutionWarning, SymsimpsonError, reject
 from symsimpson.run.ended import uninterrupted
 from symsimpson.support.files import check_folder, written_beside
 from symsimpson.support.names import counted, did_you_mean
@@ -76,10 +76,11 @@ def check(options: argparse.Namespace) -> int:
             expected[f"{system.name}__{scheme}.py"] = source(system, scheme)
     present = {path.name for path in directory.glob("*.py")}
     if not expected.keys() & present:
-        raise InputError(
-            f"{directory}: there are no modules of the catalogue to compare.\nThis command is for "
+        reject(
+            f"{directory}: there are no modules of the catalogue to compare.",
+            remedy="This command is for "
             "changes of the generator: run it in a clone of the repository, or name a folder by "
-            "--directory. symsimpson certify FILE measures a module of your own."
+            "--directory. symsimpson certify FILE measures a module of your own.",
         )
     for name in sorted(present - expected.keys()):
         print(f"other    {name}, which is not of the catalogue")
@@ -106,14 +107,15 @@ def certify(options: argparse.Namespace) -> int:
     path = Path(options.stepper)
     if path.suffix == ".py":
         if options.retimed:
-            raise InputError(
-                "--retimed does not go with a generated file.\n"
-                "Generate the file from the retimed system."
+            reject(
+                "--retimed does not go with a generated file.",
+                remedy="Generate the file from the retimed system.",
             )
         stepper = load(path)
     elif options.save:
-        raise InputError(
-            f"--save: {options.stepper} is no generated file.\nWrite it with symsimpson generate."
+        reject(
+            f"--save: {options.stepper} is no generated file.",
+            remedy="Write it with symsimpson generate.",
         )
     else:
         stepper = compile_system(find(options.stepper, options.retimed), options.scheme)
@@ -166,7 +168,7 @@ def bench(options: argparse.Namespace) -> int:
     if options.plot:  # before hours of measurements
         check_figure("plot", options.plot)
     if options.out and Path(options.out).suffix != ".json":
-        raise InputError(f"--out {options.out}: unknown format.\nUse a name in .json.")
+        reject(f"--out {options.out}: unknown format.", remedy="Use a name in .json.")
     if options.out:
         check_folder(Path(options.out), "record")
     before = WorkPrecision.load(options.against) if options.against else None
@@ -225,14 +227,14 @@ def plot(options: argparse.Namespace) -> int:
     """Draw a run to a file."""
     check_figure("out", options.out)
     if options.names and options.kind not in ("time", "phase"):
-        raise InputError(
-            f"--kind {options.kind} draws no {', '.join(options.names)}.\nLeave the names out, or "
-            "draw them by --kind time or --kind phase."
+        reject(
+            f"--kind {options.kind} draws no {', '.join(options.names)}.",
+            remedy="Leave the names out, or draw them by --kind time or --kind phase.",
         )
     if options.kind == "phase" and len(options.names) > 2:
-        raise InputError(
-            f"--kind phase draws one quantity over another, not {', '.join(options.names)}.\n"
-            "Name two, x and y, or one to draw its momentum over it."
+        reject(
+            f"--kind phase draws one quantity over another, not {', '.join(options.names)}.",
+            remedy="Name two, x and y, or one to draw its momentum over it.",
         )
     trajectory = _integrated(options, *_made(find(options.system, options.retimed), options))
     if options.kind == "time":
@@ -288,10 +290,11 @@ def _steps(options: argparse.Namespace) -> int:
 def _inputs(options: argparse.Namespace, stepper: Stepper, steps: int) -> dict[str, Any]:
     """Read inputs that are held over each of so many steps."""
     if options.inputs is None and stepper.inputs:
-        raise InputError(
+        reject(
             f"{stepper.system} has the inputs {', '.join(stepper.inputs)}, of which no values are "
-            "given.\nPass --inputs FILE: a .csv file whose first line names the inputs, and each "
-            f"further line has their values over a step; {steps} lines here."
+            "given.",
+            remedy="Pass --inputs FILE: a .csv file whose first line names the inputs, and each "
+            f"further line has their values over a step; {steps} lines here.",
         )
     if options.inputs is None:
         return {}
@@ -304,19 +307,22 @@ def _inputs(options: argparse.Namespace, stepper: Stepper, steps: int) -> dict[s
             )
     except (OSError, ValueError, UserWarning) as error:
         why = str(error).rstrip(".")
-        raise InputError(
-            f"--inputs {path}: it cannot be read: {why}.\nThe first line names the inputs, "
-            "each further line has their values over a step, with commas between."
-        ) from None
+        reject(
+            f"--inputs {path}: it cannot be read: {why}.",
+            remedy="The first line names the inputs, "
+            "each further line has their values over a step, with commas between.",
+        )
     names = table.dtype.names or ()
     if set(names) != set(stepper.inputs):
-        raise InputError(
+        reject(
             f"--inputs {path}: its columns are {', '.join(names) or 'none'}; the inputs of "
-            f"{stepper.system} are {', '.join(stepper.inputs) or 'none'}.\nName each once."
+            f"{stepper.system} are {', '.join(stepper.inputs) or 'none'}.",
+            remedy="Name each once.",
         )
     if len(table) < steps:
-        raise InputError(
-            f"--inputs {path}: it has {len(table)} rows for {steps} steps.\nGive a row for each."
+        reject(
+            f"--inputs {path}: it has {len(table)} rows for {steps} steps.",
+            remedy="Give a row for each.",
         )
     return {"inputs": {name: table[name][:steps] for name in names}}
 
@@ -355,9 +361,9 @@ def check_figure(option: str, path: str) -> None:
     Raises InputError or StorageError.
     """
     if Path(path).suffix not in FIGURES:
-        raise InputError(
-            f"--{option} {path}: unknown format.\nUse a name in {', '.join(FIGURES[:-1])} or "
-            f"{FIGURES[-1]}."
+        reject(
+            f"--{option} {path}: unknown format.",
+            remedy=f"Use a name in {', '.join(FIGURES[:-1])} or {FIGURES[-1]}.",
         )
     check_folder(Path(path), "figure")
 
@@ -373,9 +379,9 @@ def state_of(system: MechanicalSystem, options: argparse.Namespace) -> dict[str,
     if "q0" not in state:
         what = f"{' and '.join(f'--{k}' for k in asked)} without --q0"
         what = what if asked else f"{system.name} has no reference state"
-        raise InputError(f"{what}.\nPass --q0 and --v0 or --p0.")
+        reject(f"{what}.", remedy="Pass --q0 and --v0 or --p0.")
     if ("v0" in state) == ("p0" in state):
-        raise InputError("--q0 needs exactly one of --v0 and --p0.\nPass numbers, as --v0 0,0.")
+        reject("--q0 needs exactly one of --v0 and --p0.", remedy="Pass numbers, as --v0 0,0.")
     return state
 
 
@@ -398,17 +404,19 @@ def _named(name: str) -> MechanicalSystem:
     path, separator, attribute = name.rpartition(":")
     if not separator:
         if name.endswith(".py") and Path(name).is_file():
-            raise InputError(
-                f"{name} is a file, of which this command needs a system.\nName the variable that "
-                f"holds it: {name}:system. Generated modules are taken by symsimpson certify alone."
+            reject(
+                f"{name} is a file, of which this command needs a system.",
+                remedy="Name the variable that "
+                f"holds it: {name}:system. Generated modules are taken by symsimpson "
+                "certify alone.",
             )
-        raise InputError(
-            f"there is no system {name!r} in the catalogue.{did_you_mean(name, EVERY)}\n"
-            "Run symsimpson list to see the catalogue. For your own system give "
-            "path/to/file.py:attribute."
+        reject(
+            f"there is no system {name!r} in the catalogue.{did_you_mean(name, EVERY)}",
+            remedy="Run symsimpson list to see the catalogue. For your own system give "
+            "path/to/file.py:attribute.",
         )
     if not Path(path).is_file():
-        raise InputError(f"there is no file {path}.\nGive path/to/file.py:attribute.")
+        reject(f"there is no file {path}.", remedy="Give path/to/file.py:attribute.")
     with _as_a_script(path):
         remedy = f"python {path} runs it by itself."
         with _of_the_user(f"{path}: the file cannot be run", remedy):
@@ -428,9 +436,9 @@ def _named(name: str) -> MechanicalSystem:
             with _of_the_user(f"{path}: {attribute}() makes no system", called):
                 candidate = candidate()
     if not isinstance(candidate, MechanicalSystem):
-        raise InputError(
-            f"{path}: {attribute!r} is no MechanicalSystem.\n"
-            "Give the name of a variable that holds one, or of a function that makes one."
+        reject(
+            f"{path}: {attribute!r} is no MechanicalSystem.",
+            remedy="Give the name of a variable that holds one, or of a function that makes one.",
         )
     return candidate
 
@@ -460,6 +468,6 @@ def _of_the_user(what: str, remedy: str) -> Iterator[None]:
     except SymsimpsonError:
         raise
     except SystemExit as error:
-        raise InputError(f"{what}: it calls sys.exit({error.code!r}).\n{remedy}") from None
+        reject(f"{what}: it calls sys.exit({error.code!r}).", remedy=f"{remedy}")
     except Exception as error:
-        raise InputError(f"{what}: {type(error).__name__}: {error}.\n{remedy}") from error
+        reject(f"{what}: {type(error).__name__}: {error}.", remedy=f"{remedy}", cause=error)

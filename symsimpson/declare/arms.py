@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from symsimpson.declare.checks import fail, read_name, spell
 from symsimpson.declare.coordinates import coordinates
 from symsimpson.declare.system import MechanicalSystem
-from symsimpson.errors import ModelError
+from symsimpson.errors import ModelError, reject
 
 #: Three expressions, or three rows of them, as objects of NumPy.
 Vector = NDArray[Any]
@@ -137,17 +137,19 @@ def arm_energies(
     Messages name the system. Raises ModelError.
     """
     if not isinstance(links, Sequence) or not all(isinstance(link, Link) for link in links):
-        raise ModelError(
-            f"system '{name}': the links are {spell(links)}, not a sequence of symsimpson.Link.\n"
-            "Write links=[ss.Link(a=0.5, mass=2.0, inertia=(0, 0.04, 0.04)), ...]."
+        reject(
+            f"system '{name}': the links are {spell(links)}, not a sequence of symsimpson.Link.",
+            remedy="Write links=[ss.Link(a=0.5, mass=2.0, inertia=(0, 0.04, 0.04)), ...].",
+            error=ModelError,
         )
     for link in links:
         for what in ("a", "alpha", "d", "theta", "mass", "rotor"):
             _entries(name, what, (getattr(link, what),))
     if not links or len(links) != len(q):
-        raise ModelError(
-            f"system '{name}': {len(links)} links and {len(q)} joints.\n"
-            "An arm has a link after each joint, one at least."
+        reject(
+            f"system '{name}': {len(links)} links and {len(q)} joints.",
+            remedy="An arm has a link after each joint, one at least.",
+            error=ModelError,
         )
     zero = np.full(3, sp.S.Zero)
     omega, velocity, origin, height = zero, zero, zero, sp.S.Zero

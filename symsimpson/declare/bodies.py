@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from sympy.core.function import AppliedUndef
 
 from symsimpson.declare.coordinates import coordinates, time
-from symsimpson.errors import InputError, ModelError, ModelWarning
+from symsimpson.errors import ModelError, ModelWarning, reject
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explaining, warn
 
@@ -41,9 +41,10 @@ def read_scalar(what: str, given: Any) -> sp.Expr:
     except (sp.SympifyError, AttributeError, TypeError):
         scalar = None
     if not isinstance(scalar, sp.Expr) or scalar.is_Matrix:
-        raise ModelError(
-            f"{what} is {given!r}, neither a number nor an expression.\n"
-            "Text is never evaluated here. Write it with SymPy symbols and numbers, unquoted."
+        reject(
+            f"{what} is {given!r}, neither a number nor an expression.",
+            remedy="Text is not evaluated. Write SymPy symbols and numbers without quotes.",
+            error=ModelError,
         )
     return scalar
 
@@ -73,8 +74,10 @@ def quaternion(name: str) -> tuple[AppliedUndef, ...]:
     (q0(t), q1(t), q2(t), q3(t))
     """
     if not isinstance(name, str) or not name.isidentifier():
-        raise ModelError(
-            f"the quaternion's name {name!r} is no name.\nWrite q = symsimpson.quaternion('q')."
+        reject(
+            f"the quaternion's name {name!r} is no name.",
+            remedy="Write q = symsimpson.quaternion('q').",
+            error=ModelError,
         )
     return coordinates(" ".join(f"{name}{i}" for i in range(4)))
 
@@ -179,9 +182,10 @@ def coincide(first: Any, second: Any) -> list[sp.Expr]:
     """
     a, b = map(read_components, (first, second))
     if len(a) != len(b):
-        raise ModelError(
-            f"a point with {len(a)} components and one with {len(b)} cannot coincide.\n"
-            "Give both in the same space."
+        reject(
+            f"a point with {len(a)} components and one with {len(b)} cannot coincide.",
+            remedy="Give both in the same space.",
+            error=ModelError,
         )
     return [x - y for x, y in zip(a, b, strict=True)]
 
@@ -190,9 +194,10 @@ def read_components(point: Any) -> list[sp.Expr]:
     """Read the components of a point: a sequence or a matrix."""
     components = _listed(point)
     if components is None:
-        raise ModelError(
-            f"a point has components, and {point!r} has none.\n"
-            "Write them in a row: coincide((x, y), (1, 2)), or body.point((0, 0, 1))."
+        reject(
+            f"a point has components, and {point!r} has none.",
+            remedy="Write them in a row: coincide((x, y), (1, 2)), or body.point((0, 0, 1)).",
+            error=ModelError,
         )
     return [read_scalar("a component of a point", x) for x in components]
 
@@ -210,9 +215,10 @@ def _four(q: Sequence[Any]) -> tuple[sp.Expr, sp.Expr, sp.Expr, sp.Expr]:
     components = _listed(q)
     parts = tuple(read_scalar("a component of a quaternion", x) for x in components or ())
     if len(parts) != 4:
-        raise ModelError(
-            f"a quaternion has four components, and {q!r} has {len(parts) or 'none'}.\n"
-            "Make one: q = symsimpson.quaternion('q')."
+        reject(
+            f"a quaternion has four components, and {q!r} has {len(parts) or 'none'}.",
+            remedy="Make one: q = symsimpson.quaternion('q').",
+            error=ModelError,
         )
     return parts
 
@@ -330,9 +336,10 @@ class RigidBody:
         """Return the components in space of a vector given in the body, 3 by 1."""
         components = read_components(vector)
         if len(components) != 3:
-            raise ModelError(
-                f"a vector in the body {self.name!r} has {len(components)} components, not three.\n"
-                "Write (x, y, z)."
+            reject(
+                f"a vector in the body {self.name!r} has {len(components)} components, not three.",
+                remedy="Write (x, y, z).",
+                error=ModelError,
             )
         return sp.ImmutableDenseMatrix(self.rotation * sp.Matrix(components))
 
@@ -383,9 +390,7 @@ class RigidBody:
         """
         given = [x is not None for x in (angles, rotation, quaternion)]
         if sum(given) > 1:
-            raise InputError(
-                "angles, rotation and quaternion say the same thing.\nGive one of them."
-            )
+            reject("angles, rotation and quaternion exclude one another.", remedy="Pass one.")
         if angles is not None:
             q = _from_angles(_numbers("angles", angles, (3,)))
         elif rotation is not None:
@@ -394,17 +399,15 @@ class RigidBody:
             q = _numbers("quaternion", (1, 0, 0, 0) if quaternion is None else quaternion, (4,))
         size = float(np.linalg.norm(q))
         if not abs(size - 1) <= ROUNDED:
-            raise InputError(
-                f"the quaternion has the length {size:.12g}, not 1.\nDivide it by its length."
-            )
+            reject(f"the quaternion has the length {size:.12g}, not 1.", remedy="Normalise it.")
         q = q / size
         w = np.concatenate([[0.0], _numbers("angular_velocity", angular_velocity, (3,))])
         turning = _product(q, w) / 2
         if self.mass is None:
             if np.any(position) or np.any(velocity):
-                raise InputError(
-                    f"the body {self.name!r} turns about a fixed point, and has no position.\n"
-                    "Give it a mass, RigidBody(name, inertia, mass), to let it move."
+                reject(
+                    f"the body {self.name!r} turns about a fixed point, and has no position.",
+                    remedy="Give it a mass, RigidBody(name, inertia, mass), to let it move.",
                 )
             return q, turning
         place, speed = _numbers("position", position, (3,)), _numbers("velocity", velocity, (3,))
@@ -422,9 +425,10 @@ def _inertia(name: str, given: Any) -> sp.ImmutableDenseMatrix:
         if matrix.shape == (3, 3) and matrix == matrix.T:
             least, excess = _moments(matrix)
             if least < 0 or any(moment.is_negative for moment in matrix.diagonal()):
-                raise ModelError(
-                    f"the body {name!r} has a moment of inertia that is negative.\n"
-                    "Moments are integrals of squares of distances: look at the signs."
+                reject(
+                    f"the body {name!r} has a moment of inertia that is negative.",
+                    remedy="Moments are integrals of squares of distances: look at the signs.",
+                    error=ModelError,
                 )
             if excess > 0:
                 warn(
@@ -436,9 +440,10 @@ def _inertia(name: str, given: Any) -> sp.ImmutableDenseMatrix:
             return matrix
     except (TypeError, ValueError, sp.SympifyError):
         pass
-    raise ModelError(
-        f"the inertia of {name!r} is neither three moments nor a symmetric 3 by 3 matrix.\n"
-        "Write inertia=(I1, I2, I3)."
+    reject(
+        f"the inertia of {name!r} is neither three moments nor a symmetric 3 by 3 matrix.",
+        remedy="Write inertia=(I1, I2, I3).",
+        error=ModelError,
     )
 
 
@@ -460,7 +465,7 @@ def _numbers(name: str, given: ArrayLike, shape: tuple[int, ...]) -> Floats:
     except (TypeError, ValueError, OverflowError):
         array = np.array(np.nan)
     if array.shape != shape or not np.isfinite(array).all():
-        raise InputError(f"{name} is {given!r}.\nPass finite numbers of shape {shape}.")
+        reject(f"{name} is {given!r}.", remedy=f"Pass finite numbers of shape {shape}.")
     return array
 
 
@@ -479,9 +484,9 @@ def _from_angles(angles: Floats) -> Floats:
 def _from_matrix(R: Floats) -> Floats:
     """Return the quaternion of a rotation, its largest component from the diagonal."""
     if not (np.abs(R @ R.T - np.eye(3)).max() <= ROUNDED and np.linalg.det(R) > 0):
-        raise InputError(
-            "rotation is no matrix of a rotation: its rows are not orthonormal, or it mirrors.\n"
-            "Pass one with R R^T = 1 and det R = 1, or angles=(phi, theta, psi)."
+        reject(
+            "rotation is no matrix of a rotation: its rows are not orthonormal, or it mirrors.",
+            remedy="Pass one with R R^T = 1 and det R = 1, or angles=(phi, theta, psi).",
         )
     K = np.array(
         [

@@ -18,7 +18,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from symsimpson.declare.coordinates import time
-from symsimpson.errors import ModelError
+from symsimpson.errors import ModelError, reject
 from symsimpson.support.names import is_masked
 from symsimpson.text.quantity import SCALARS
 
@@ -38,10 +38,12 @@ def fail(system: str, what: str, remedy: str) -> ModelError:
 def read_name(name: Any) -> str:
     """Check that the name can be that of a file and of a module."""
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,63}", name):
-        raise ModelError(
-            f"the system's name {name!r} cannot be the name of a file and a Python module.\n"
-            "Generated modules are called <name>__<scheme>.py. Use up to 64 ASCII letters, digits "
-            "and underscores, the first a letter: 'cart_pole'."
+        reject(
+            f"the system's name {name!r} cannot be the name of a file and a Python module.",
+            remedy="Generated modules are called <name>__<scheme>.py. Use up to 64 ASCII "
+            "letters, digits "
+            "and underscores, the first a letter: 'cart_pole'.",
+            error=ModelError,
         )
     return name
 

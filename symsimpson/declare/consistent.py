@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from symsimpson.declare import constraints
 from symsimpson.declare.declared import Declared, read_values, read_vector
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.graph.evaluate import doubles
 from symsimpson.graph.nodes import Value
 from symsimpson.support.array_types import Floats
@@ -47,16 +47,17 @@ def consistent(
     except (TypeError, ValueError, OverflowError):
         t = np.nan
     if not np.isfinite(t):
-        raise InputError(f"{system.name}: t is no finite number.\nPass one, as t=0.0.")
+        reject(f"{system.name}: t is no finite number.", remedy="Pass one, as t=0.0.")
     single = isinstance(fixed, str) or hasattr(fixed, "free_symbols")
     if not (single or isinstance(fixed, Iterable)):
-        raise InputError(
-            f"{system.name}: fixed is {fixed!r}, no coordinates.\nName them: fixed=[{names[0]!r}]."
+        reject(
+            f"{system.name}: fixed is {fixed!r}, no coordinates.",
+            remedy=f"Name them: fixed=[{names[0]!r}].",
         )
     held = {spelled(x) for x in ((fixed,) if single else fixed)}
     unknown = held - set(names)
     if unknown:
-        raise InputError(
+        reject(
             f"{system.name}: fixed names {', '.join(sorted(unknown))}, but the coordinates are "
             f"{', '.join(names)}."
         )
@@ -80,7 +81,7 @@ def consistent(
         if left <= MET or _rounded(of_positions, configuration):
             break
     else:
-        raise InputError(
+        reject(
             f"{system.name}: there is no state near q0={_shown(q)} "
             "that satisfies the constraints"
             + (f" with {', '.join(sorted(held))} as given" if held else "")
@@ -91,9 +92,10 @@ def consistent(
     b, slopes, mass = at(q)
     b = np.where(np.arange(len(b)) < m, 0.0, b)
     if not all(np.isfinite(x).all() for x in (b, slopes, mass)):
-        raise InputError(
+        reject(
             f"{system.name}: constraints or the mass matrix have no finite value at "
-            f"q0={_shown(q)}, t={t:g}.\nGive a start where they have one."
+            f"q0={_shown(q)}, t={t:g}.",
+            remedy="Give a start where they have one.",
         )
     metric, given = _positive(mass, slopes)[np.ix_(free, free)], v.copy()
     for _ in range(2):  # once more, for what rounding has left
@@ -102,7 +104,7 @@ def consistent(
     off = _relative(b - slopes @ v, slopes, speed)
     if not off.max() <= ALLOWED:
         names = [*system.constraints, *system.velocity_constraints]
-        raise InputError(
+        reject(
             f"{system.name}: no velocities at q0={_shown(q)} satisfy the constraint "
             f"{constraint_called(names[int(np.argmax(off))])}"
             + (f" with those of {', '.join(sorted(held))} as given" if held else "")

@@ -7,7 +7,7 @@ from typing import Any, NoReturn
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from symsimpson.errors import ModelError
+from symsimpson.errors import ModelError, reject
 from symsimpson.support.calling import explained
 from symsimpson.support.names import speed_of_approach
 
@@ -50,24 +50,29 @@ def coordinates(names: str, *more: str, **assumed: object) -> tuple[AppliedUndef
     """
     if more or not (isinstance(names, str) and names.replace(",", " ").split()):
         given = ", ".join(map(repr, (names, *more)))
-        raise ModelError(
-            f"coordinates are named by one text with their names, not by {given}.\n"
-            "Write q1, q2 = symsimpson.coordinates('q1 q2')."
+        reject(
+            f"coordinates are named by one text with their names, not by {given}.",
+            remedy="Write q1, q2 = symsimpson.coordinates('q1 q2').",
+            error=ModelError,
         )
     if assumed:
         words = [f"{name}={value!r}" for name, value in assumed.items()]
-        raise ModelError(
-            f"coordinates accept no assumptions such as {', '.join(words)}.\nA coordinate is a "
+        reject(
+            f"coordinates accept no assumptions such as {', '.join(words)}.",
+            remedy="A coordinate is a "
             "real function of time, and its motion may change its sign. Leave them out. "
-            "Parameters accept them: sympy.symbols('m', positive=True)."
+            "Parameters accept them: sympy.symbols('m', positive=True).",
+            error=ModelError,
         )
     try:
         functions = sp.symbols(names, cls=sp.Function)
     except ValueError as error:
-        raise ModelError(
-            f"coordinates cannot be called {names!r}: {error}.\nA colon stands for a range, as in "
-            "'q0:3'; write q1, q2 = symsimpson.coordinates('q1 q2')."
-        ) from None
+        reject(
+            f"coordinates cannot be called {names!r}: {error}.",
+            remedy="A colon stands for a range, as in "
+            "'q0:3'; write q1, q2 = symsimpson.coordinates('q1 q2').",
+            error=ModelError,
+        )
     if isinstance(functions, (tuple, list)):
         return tuple(function(time) for function in functions)
     return _Single((functions(time),))
@@ -83,9 +88,11 @@ class _Single(tuple[AppliedUndef, ...]):
 
     def _refuse(self, *_: object) -> NoReturn:
         name = self[0].func.__name__
-        raise ModelError(
-            f"this is the tuple ({name},) of one coordinate, not the coordinate.\n"
-            f"Write ({name},) = symsimpson.coordinates({name!r}), with brackets and a comma."
+        reject(
+            f"this is the tuple ({name},) of one coordinate, not the coordinate.",
+            remedy=f"Write ({name},) = symsimpson.coordinates({name!r}), with brackets "
+            "and a comma.",
+            error=ModelError,
         )
 
     def __add__(self, other: Any) -> Any:
@@ -126,9 +133,10 @@ def momenta(*coordinates: AppliedUndef) -> tuple[sp.Symbol, ...]:
     """
     for q in coordinates:
         if not isinstance(q, AppliedUndef):
-            raise ModelError(
-                f"momenta belong to coordinates, not to {q!r}.\n"
-                "Make q1, q2 = symsimpson.coordinates('q1 q2'), and write "
-                "p1, p2 = symsimpson.momenta(q1, q2)."
+            reject(
+                f"momenta belong to coordinates, not to {q!r}.",
+                remedy="Make q1, q2 = symsimpson.coordinates('q1 q2'), and write "
+                "p1, p2 = symsimpson.momenta(q1, q2).",
+                error=ModelError,
             )
     return tuple(sp.Symbol(f"p_{q.func.__name__}", real=True) for q in coordinates)

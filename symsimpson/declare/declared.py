@@ -15,7 +15,7 @@ from sympy.core.function import AppliedUndef
 
 from symsimpson.declare.coordinates import time
 from symsimpson.declare.plain import Plain, Symbols
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.graph.read import tree_size
 from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.literals import float_literals
@@ -117,7 +117,7 @@ def read_vector(system: Declared, name: str, given: Any) -> Floats:
     except (TypeError, ValueError, OverflowError):
         vector = np.empty(0)
     if vector.shape != (system.n,) or not np.isfinite(vector).all():
-        raise InputError(
+        reject(
             f"{name} is {given!r}, not {system.n} finite numbers, one for each of "
             f"{', '.join(table.shown)}."
         )
@@ -136,9 +136,9 @@ def read_values(
         except (TypeError, ValueError, OverflowError):
             values[place] = np.nan
         if not np.isfinite(values[place]):
-            raise InputError(
-                f"{name}: the {what} {table.shown[place]} is {value!r}, not a finite number.\n"
-                "Pass a number."
+            reject(
+                f"{name}: the {what} {table.shown[place]} is {value!r}, not a finite number.",
+                remedy="Pass a number.",
             )
     return values
 

@@ -17,7 +17,7 @@ from symsimpson.declare.constraints import accelerations
 from symsimpson.declare.coordinates import time
 from symsimpson.declare.declared import Declared, read_values, read_vector
 from symsimpson.declare.plain import Plain, Symbols
-from symsimpson.errors import InputError, ModelError
+from symsimpson.errors import ModelError, reject
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.evaluate import doubles
 from symsimpson.graph.nodes import Value, scaled
@@ -86,9 +86,9 @@ def _check_held(
     nearest = consistent(system, q, v, (), parameters, t)
     for name, given, near in zip(("q0", "v0"), (q, v), nearest, strict=True):
         if np.abs(near - given).max() > NEAR * np.abs(near).max():
-            raise InputError(
-                f"{system.name}: {name} does not satisfy the constraints.\n"
-                "Take the nearest state that does: q0, v0 = system.consistent(q0, v0)."
+            reject(
+                f"{system.name}: {name} does not satisfy the constraints.",
+                remedy="Take the nearest state that does: q0, v0 = system.consistent(q0, v0).",
             )
 
 
@@ -170,9 +170,10 @@ class Described(Declared):
         Eq(2*x(t)*y(t) + x(t) + Derivative(x(t), (t, 2)), 0)
         """
         if self.too_large_for_sympy:
-            raise ModelError(
-                f"system {self.name!r}: T and V are too long for equations in SymPy.\n"
-                "Use stepper.residual and stepper.jacobian, which evaluate them as numbers."
+            reject(
+                f"system {self.name!r}: T and V are too long for equations in SymPy.",
+                remedy="Use stepper.residual and stepper.jacobian, which evaluate them as numbers.",
+                error=ModelError,
             )
         multipliers = [sp.Symbol(f"lambda_{name}") for name in self.plain.held]
         written = [
@@ -258,9 +259,9 @@ class Described(Declared):
         A = np.vstack([np.eye(n, 2 * n, n), changes[:, : 2 * n]])
         B = np.vstack([np.zeros((n, m)), changes[:, 2 * n :]])
         if not (np.isfinite(A).all() and np.isfinite(B).all()):
-            raise InputError(
-                f"{self.name}: the linear equations have no finite values there.\n"
-                "Choose a state at which T, V and forces are smooth."
+            reject(
+                f"{self.name}: the linear equations have no finite values there.",
+                remedy="Choose a state at which T, V and forces are smooth.",
             )
         return A, B
 

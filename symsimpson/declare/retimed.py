@@ -26,7 +26,7 @@ from symsimpson.declare.declared import Declared
 from symsimpson.declare.expression_checks import read_expression
 from symsimpson.declare.plain import Plain, Symbols
 from symsimpson.declare.system import MechanicalSystem
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.evaluate import numbers_of
 from symsimpson.graph.nodes import Graph, Value
@@ -167,9 +167,9 @@ class RetimedSystem(MechanicalSystem):
         ------
         InputError
         """
-        raise InputError(
-            f"{self.name} keeps a time of its own, in which its equations hold for one energy.\n"
-            "Linearise those in t: system.original.linearise(...)."
+        reject(
+            f"{self.name} keeps a time of its own, in which its equations hold for one energy.",
+            remedy="Linearise those in t: system.original.linearise(...).",
         )
 
     @cached_property

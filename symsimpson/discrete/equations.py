@@ -27,7 +27,7 @@ from symsimpson.discrete.reductions import (
     read_exploit,
     reduce,
 )
-from symsimpson.errors import SchemeError
+from symsimpson.errors import SchemeError, reject
 from symsimpson.graph.nodes import ZERO, Value
 from symsimpson.graph.read import Reader
 from symsimpson.graph.rebuild import rebuilt
@@ -204,9 +204,11 @@ def discretise(
     if varied is not None:
         check_differentiable(scheme)
     if second and plain.velocity_constraints:
-        raise SchemeError(
+        reject(
             f"{system.name} has velocity constraints, of whose steps there are no second "
-            "derivatives yet.\nTake differences of the first ones, as of stepper.gradient."
+            "derivatives yet.",
+            remedy="Take differences of the first ones, as of stepper.gradient.",
+            error=SchemeError,
         )
     parts = reduce(structure, scheme, wanted)
     explicit = any(isinstance(part, Composed) for part in parts)
@@ -250,16 +252,20 @@ def _composed_in_time(
         check_differentiable(scheme)
     _check_explicit(original, scheme)
     if system.retiming.of_potential is None:
-        raise SchemeError(
+        reject(
             f"{system.name}: kicks and drifts in another time take a rate that is a function of V, "
-            f"and {spell(system.rate)} is none.\nGive one, as (-V)**(-3/2), which is "
-            "'encounters', or choose a scheme of the family, as 'gauss8'."
+            f"and {spell(system.rate)} is none.",
+            remedy="Give one, as (-V)**(-3/2), which is "
+            "'encounters', or choose a scheme of the family, as 'gauss8'.",
+            error=SchemeError,
         )
     if not scheme.of_verlet:
-        raise SchemeError(
+        reject(
             f"the order {scheme.order} of {scheme.name} rests on a kinetic energy that is quadratic"
-            ", which f(T) is not.\nChoose a composition of steps of Verlet, as 'kahan_li8', or a "
-            "scheme of the family, as 'gauss8'."
+            ", which f(T) is not.",
+            remedy="Choose a composition of steps of Verlet, as 'kahan_li8', or a "
+            "scheme of the family, as 'gauss8'.",
+            error=SchemeError,
         )
     plain = replace(original.plain, parameters=system.plain.parameters)
     part = Composed(every, scheme.kicks, scheme.drifts)
@@ -277,9 +283,10 @@ def _free_of(plain: Plain, value: Value | None, symbols: Iterable[sp.Symbol]) ->
 def check_differentiable(scheme: Scheme) -> None:
     """Refuse derivatives of steps that are none of the equations of a scheme of the family."""
     if isinstance(scheme, Composition):
-        raise SchemeError(
-            f"steps of {scheme.name} are kicks and drifts, of which no derivatives are taken yet."
-            "\nChoose a scheme of the family, as 'simpson' or 'gauss8'."
+        reject(
+            f"steps of {scheme.name} are kicks and drifts, of which no derivatives are taken yet.",
+            remedy="Choose a scheme of the family, as 'simpson' or 'gauss8'.",
+            error=SchemeError,
         )
 
 
@@ -289,10 +296,11 @@ def _check_explicit(system: MechanicalSystem, scheme: Scheme) -> None:
         return
     names, plain = [q.func.__name__ for q in system.coordinates], system.plain
     if plain.velocity_constraints:
-        raise SchemeError(
+        reject(
             f"{scheme.name} has drifts that leave the velocity constraints "
-            f"{', '.join(map(repr, plain.velocity_constraints))}.\n"
-            "Choose a scheme of the family, as 'simpson' or 'gauss8'."
+            f"{', '.join(map(repr, plain.velocity_constraints))}.",
+            remedy="Choose a scheme of the family, as 'simpson' or 'gauss8'.",
+            error=SchemeError,
         )
     if plain.constraints and (plain.dragged or not scheme.of_verlet):
         why = (
@@ -300,19 +308,22 @@ def _check_explicit(system: MechanicalSystem, scheme: Scheme) -> None:
             if plain.dragged
             else (f"the order {scheme.order} of {scheme.name} rests on drifts along straight lines")
         )
-        raise SchemeError(
+        reject(
             f"a drift of a system with constraints follows them, and {why}.\nChoose "
             + ("a" if plain.dragged else "a composition of steps of RATTLE, as 'kahan_li8', or a")
-            + " scheme of the family, as 'simpson' or 'gauss8'."
+            + " scheme of the family, as 'simpson' or 'gauss8'.",
+            error=SchemeError,
         )
     structure = system.structure
     linear = plain.dragged and structure.constant_mass and not structure.gyroscopic
     if linear and decay_rates(structure.plain):
         if scheme.order > LOW_ORDER and not scheme.of_verlet:
-            raise SchemeError(
+            reject(
                 f"{scheme.name} has order {scheme.order} for forces of positions alone; with "
-                f"friction it would fall to order {LOW_ORDER}.\nChoose a composition of steps of "
-                "Verlet, as 'kahan_li6', or a scheme of the family, as 'gauss8'."
+                f"friction it would fall to order {LOW_ORDER}.",
+                remedy="Choose a composition of steps of "
+                "Verlet, as 'kahan_li6', or a scheme of the family, as 'gauss8'.",
+                error=SchemeError,
             )
         return
     for subsystem in structure.subsystems:
@@ -321,9 +332,10 @@ def _check_explicit(system: MechanicalSystem, scheme: Scheme) -> None:
             moving = plain.mass.free_symbols & {*plain.q, plain.t}
             on = "the time" if moving == {plain.t} else "positions"
             what = f"mass matrix depends on {on}" if moving else "force depends on velocities"
-            raise SchemeError(
+            reject(
                 f"{scheme.name} is explicit: it takes a constant mass matrix and forces that "
                 f"depend on positions alone, beside friction in proportion to each momentum by a "
-                f"positive rate, but the {what} in {subsystem_names}.\n"
-                "Choose a scheme of the family, as 'simpson' or 'gauss8'."
+                f"positive rate, but the {what} in {subsystem_names}.",
+                remedy="Choose a scheme of the family, as 'simpson' or 'gauss8'.",
+                error=SchemeError,
             )

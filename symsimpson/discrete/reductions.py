@@ -18,7 +18,7 @@ import sympy as sp
 from symsimpson.declare.plain import Plain
 from symsimpson.declare.structure import MOST_AFFINE, Structure, Subsystem
 from symsimpson.discrete.combined_rows import Table, annihilating, elimination_order, shear_factors
-from symsimpson.errors import GenerationError
+from symsimpson.errors import GenerationError, reject
 from symsimpson.graph.read import tree_size
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.scheme import Scheme
@@ -274,10 +274,11 @@ def read_exploit(exploit: str | Iterable[str]) -> frozenset[str]:
     for name in wanted:
         if not isinstance(name, str) or name not in ("all", *EXPLOITABLE):
             choices = ", ".join(repr(choice) for choice in EXPLOITABLE)
-            raise GenerationError(
+            reject(
                 f"exploit names {name!r}, which is nothing that can be exploited."
-                f"{did_you_mean(name, EXPLOITABLE)}\n"
-                f"Choose 'all', () for the general path, or some of {choices}."
+                f"{did_you_mean(name, EXPLOITABLE)}",
+                remedy=f"Choose 'all', () for the general path, or some of {choices}.",
+                error=GenerationError,
             )
     return frozenset(wanted) - {"all"} | frozenset(ALL if "all" in wanted else ())
 

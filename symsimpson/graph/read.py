@@ -9,7 +9,7 @@ from typing import Any
 
 import sympy as sp
 
-from symsimpson.errors import GenerationError
+from symsimpson.errors import GenerationError, reject
 from symsimpson.graph.evaluate import without_overflow
 from symsimpson.graph.nodes import TINY, Exact, Graph, Value, exact, magnitude, scaled
 
@@ -204,9 +204,10 @@ def in_doubles(value: int | Fraction) -> int | Fraction:
     Raises GenerationError if the number itself is.
     """
     if magnitude(value) > sys.float_info.max:
-        raise GenerationError(
-            "a number that stands in the equations is larger than doubles can be.\n"
-            "Choose other units, or do not raise such sums to high powers."
+        reject(
+            "a number that stands in the equations is larger than doubles can be.",
+            remedy="Choose other units, or do not raise such sums to high powers.",
+            error=GenerationError,
         )
     huge = max(abs(value.numerator), value.denominator).bit_length() > 1000
     return exact(Fraction(float(value))) if huge else value

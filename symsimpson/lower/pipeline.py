@@ -14,7 +14,7 @@ from symsimpson.declare.system import MechanicalSystem
 from symsimpson.discrete.equations import discretise
 from symsimpson.discrete.jet import Cost
 from symsimpson.discrete.reductions import read_exploit
-from symsimpson.errors import GenerationError
+from symsimpson.errors import GenerationError, reject
 from symsimpson.lower.emit import emit
 from symsimpson.lower.emitted_names import NameTable
 from symsimpson.lower.forms import unrolled
@@ -86,9 +86,10 @@ def _varied(system: MechanicalSystem, names: Iterable[str]) -> tuple[sp.Symbol, 
     by_name |= {"(h)": plain.step[0], "(t)": plain.t}  # whatever parameters are called
     for name in names:
         if name not in by_name:
-            raise GenerationError(
-                f"derivatives names {name!r}, which is no parameter or input of {system.name}.\n"
-                f"It has {', '.join(users) or 'none'}, and steps have 'h' and 't'."
+            reject(
+                f"derivatives names {name!r}, which is no parameter or input of {system.name}.",
+                remedy=f"It has {', '.join(users) or 'none'}, and steps have 'h' and 't'.",
+                error=GenerationError,
             )
     return tuple(by_name[name] for name in names)
 

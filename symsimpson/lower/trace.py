@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import sympy as sp
 
 from symsimpson.discrete.combined_rows import simplified
-from symsimpson.errors import GenerationError
+from symsimpson.errors import GenerationError, reject
 from symsimpson.graph.nodes import exact
 from symsimpson.lower.expression import Expression
 from symsimpson.lower.levels import Definitions, Level
@@ -129,7 +129,9 @@ class TracedRows:
     def raw(self, row: int) -> Any:
         """Return a row's value without a name. Raises GenerationError if the row was not set."""
         if row not in self.values:
-            raise GenerationError(f"A text reads the row {self._name(row)} before it is set.")
+            reject(
+                f"A text reads the row {self._name(row)} before it is set.", error=GenerationError
+            )
         value = self.values[row]
         if callable(value):
             value = self.values[row] = value()
@@ -272,9 +274,10 @@ class Trace:
 def _known(value: Any) -> Any:
     """Return what a condition asks about. Raises GenerationError for a value of the run."""
     if isinstance(value, Expression):
-        raise GenerationError(
-            f"A text that is traced has a condition on the value {value}.\n"
-            "Call the function that it stands in behind what is traced."
+        reject(
+            f"A text that is traced has a condition on the value {value}.",
+            remedy="Call the function that it stands in behind what is traced.",
+            error=GenerationError,
         )
     return value
 

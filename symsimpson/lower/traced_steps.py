@@ -18,7 +18,7 @@ from symsimpson.discrete.reductions import (
     Routh,
     Separable,
 )
-from symsimpson.errors import GenerationError
+from symsimpson.errors import GenerationError, reject
 from symsimpson.lower.expression import Expression
 from symsimpson.lower.facts import facts, solve_constants, solve_tables
 from symsimpson.lower.ir import Function, Row, Store
@@ -221,9 +221,10 @@ class TracedSteps(TracedPart):
                 return self.run_step(self._step)
             except ZeroDivisionError:
                 continue
-        raise GenerationError(
-            "forces that are linear have no value at any point that was tried.\n"
-            "Simplify the potential, or compile with exploit=()."
+        reject(
+            "forces that are linear have no value at any point that was tried.",
+            remedy="Simplify the potential, or compile with exploit=().",
+            error=GenerationError,
         )
 
     def begin(self) -> None:

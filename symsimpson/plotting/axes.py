@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.support.extras import library
 from symsimpson.support.names import spelled
 
@@ -19,9 +19,9 @@ def axes(ax: Any, size: tuple[float, float], **how: Any) -> Any:
     if ax is None:
         return plt.subplots(figsize=size, layout="constrained", **how)[1]
     if not isinstance(ax, library("matplotlib.axes", "a figure", "plot").Axes):
-        raise InputError(
-            f"ax is {type(ax).__name__}, not axes of matplotlib.\n"
-            "Pass one of plt.subplots()[1], or leave ax out."
+        reject(
+            f"ax is {type(ax).__name__}, not axes of matplotlib.",
+            remedy="Pass one of plt.subplots()[1], or leave ax out.",
         )
     return ax
 

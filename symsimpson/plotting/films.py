@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.plotting.axes import axes, colours, label, legend, name_axis, style
 from symsimpson.plotting.run_figures import curve_of
 from symsimpson.plotting.scene import Film, Scene, places_of, scene_of
@@ -83,9 +83,10 @@ class Animation:
             return write_text(path, self._page, "animation")
         known = whole_number(frame)
         if place.suffix not in KINDS or known not in range(-self.frames, self.frames):
-            raise InputError(
-                f"{os.fspath(path)!r}, frame={frame!r}: there is no such kind of film, or frame."
-                f"\nEnd the name in .html, .gif, .mp4 or .png; frames are 0 to {self.frames - 1}."
+            reject(
+                f"{os.fspath(path)!r}, frame={frame!r}: there is no such kind of film, or frame.",
+                remedy="End the name in .html, .gif, .mp4 or .png; frames are 0 to "
+                f"{self.frames - 1}.",
             )
         with written_beside(place, "animation") as whole:
             self._write(whole, place.suffix, int(frame) % self.frames)
@@ -114,16 +115,17 @@ def animate(
     """Film the points and bodies of a system."""
     numbers = all(isinstance(x, Real) for x in (fps, 1 if seconds is None else seconds))
     if not numbers or not 1 <= fps <= 100 or not (seconds is None or 0 < seconds <= 600):
-        raise InputError(
-            f"seconds={seconds!r}, fps={fps!r} make no film.\n"
-            "Pass up to 600 seconds, and from 1 to 100 frames in each."
+        reject(
+            f"seconds={seconds!r}, fps={fps!r} make no film.",
+            remedy="Pass up to 600 seconds, and from 1 to 100 frames in each.",
         )
     sizes = [dpi, *np.ravel((1, 1) if figsize is None else figsize)]
     real = all(isinstance(x, Real) for x in sizes)
     if len(sizes) != 3 or not real or not all(0 < x < MOST_DOTS for x in sizes):
-        raise InputError(
-            f"figsize={figsize!r}, dpi={dpi!r} are no size of a figure.\n"
-            "Pass a width and a height in inches, and dots per inch: figsize=(6, 4), dpi=100."
+        reject(
+            f"figsize={figsize!r}, dpi={dpi!r} are no size of a figure.",
+            remedy="Pass a width and a height in inches, and dots per inch: figsize=(6, "
+            "4), dpi=100.",
         )
     span = abs(float(run.t[-1] - run.t[0]))
     length = seconds or (span if 1 <= span <= LONGEST else LONGEST)
@@ -152,9 +154,9 @@ def plot_path(run: Any, *, connected: bool = True, ax: Any = None) -> Any:
     in_space = {"subplot_kw": {"projection": "3d"}} if scene.spatial else {}
     ax = axes(ax, (5, 5) if scene.spatial else (4.5, 4.5), **in_space)
     if scene.spatial and not hasattr(ax, "set_zlim"):
-        raise InputError(
-            f"{run.program.system} moves in space, and these axes are plane.\n"
-            "Make axes with plt.subplots(subplot_kw={'projection': '3d'}), or leave ax out."
+        reject(
+            f"{run.program.system} moves in space, and these axes are plane.",
+            remedy="Make axes with plt.subplots(subplot_kw={'projection': '3d'}), or leave ax out.",
         )
     acted = np.flatnonzero(np.diff(curve.states.t) == 0)  # an event may move points at once
     paths = np.insert(scene.fine, acted + 1, np.nan, axis=0)

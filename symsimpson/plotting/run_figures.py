@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from symsimpson.errors import ConvergenceError, InputError
+from symsimpson.errors import ConvergenceError, InputError, reject
 from symsimpson.plotting.axes import axes, colours, label, legend, name_axes, name_axis, style
 from symsimpson.support.array_types import Floats
 from symsimpson.support.names import counted, in_a_row, shortened, spelled
@@ -137,10 +137,11 @@ def read_names(given: Any, default: Sequence[Any]) -> list[Any]:
         return list(default)
     wanted = list(in_a_row(given))
     if not all(isinstance(x, str) or hasattr(x, "free_symbols") for x in wanted):
-        raise InputError(
-            f"{shortened(given)} is given to be drawn, which is no name of a quantity.\nPass names "
+        reject(
+            f"{shortened(given)} is given to be drawn, which is no name of a quantity.",
+            remedy="Pass names "
             "or symbols, as plot('q1', 'energy'); matplotlib draws arrays: plt.plot(run.t, "
-            "run['q1'])."
+            "run['q1']).",
         )
     return wanted or list(default)
 

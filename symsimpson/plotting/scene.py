@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from symsimpson.declare.declared import points_of
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.support.array_types import Floats
 from symsimpson.support.names import spelled
 
@@ -97,13 +97,14 @@ def places_of(some: Any) -> dict[str, Floats]:
     declared = some.program.declared
     positions = getattr(declared, "positions", None)
     if not positions:
-        raise InputError(
-            f"{some.program.system}: nothing says where its points are.\n"
-            "Declare them: MechanicalSystem(..., positions={'bob': (l*sin(q), -l*cos(q))}), and "
-            "compile that system; a stepper from a file has none."
+        reject(
+            f"{some.program.system}: nothing says where its points are.",
+            remedy="Declare them: MechanicalSystem(..., positions={'bob': (l*sin(q), "
+            "-l*cos(q))}), and "
+            "compile that system; a stepper from a file has none.",
         )
     if not len(some):
-        raise InputError("there are no states to draw.\nTake a longer run, or another part of it.")
+        reject("there are no states to draw.", remedy="Take a longer run, or another part of it.")
     places = points_of(declared, some.t, some.q, some.parameter_values)
     dimension = max(2, *(x.shape[-1] for x in places.values()))
     return {

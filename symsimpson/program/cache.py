@@ -28,7 +28,7 @@ import numba
 import numpy as np
 from filelock import FileLock, Timeout
 
-from symsimpson.errors import GenerationError, StorageError, SymsimpsonError
+from symsimpson.errors import GenerationError, StorageError, SymsimpsonError, reject
 from symsimpson.support.calling import warn
 from symsimpson.support.derivation import Derivation
 from symsimpson.support.files import written_beside
@@ -76,10 +76,12 @@ def cache_folder() -> Path:
     if not stat.S_ISDIR(info.st_mode):
         why = "it is a link"
     if why:
-        raise GenerationError(
-            f"the cache folder {folder} is not private to you: {why}.\n"
-            "Files in it are executed, so nobody else may write there. Name another folder in "
-            f"${_VARIABLE}."
+        reject(
+            f"the cache folder {folder} is not private to you: {why}.",
+            remedy="Files in it are executed, so nobody else may write there. Name "
+            "another folder in "
+            f"${_VARIABLE}.",
+            error=GenerationError,
         )
     return folder if writable else _temporary_folder(folder, "it cannot be written to")
 
@@ -164,10 +166,12 @@ def _content(text: str, label: str) -> str:
 
 def _load_or_build(text: str, key: str, use: Callable[[ModuleType, bool], Result]) -> Result:
     if getattr(numba.config, "DISABLE_JIT", False):
-        raise GenerationError(
-            "numba compiles nothing here, as NUMBA_DISABLE_JIT says, and steps are compiled code."
-            "\nUnset that variable and begin Python anew; symsimpson.compile(..., precision=20) "
-            "needs no compiler."
+        reject(
+            "numba compiles nothing here, as NUMBA_DISABLE_JIT says, and steps are compiled code.",
+            remedy="Unset that variable and begin Python anew; symsimpson.compile(..., "
+            "precision=20) "
+            "needs no compiler.",
+            error=GenerationError,
         )
     folder = cache_folder()
     result = _loaded(folder, key, use)

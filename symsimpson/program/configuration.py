@@ -12,7 +12,7 @@ from typing import Literal, overload
 
 import llvmlite.binding as llvm
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 
 VARIABLE = "SYMSIMPSON_VECTOR_BITS"
 #: The widths that machines have, by the feature that tells of them.
@@ -34,9 +34,9 @@ def vector_bits() -> int:
         return _widest()
     widths = sorted([_NARROW, *_WIDTHS.values()])
     if wanted not in map(str, widths):
-        raise InputError(
-            f"${VARIABLE} is {wanted!r}, and vectors have {', '.join(map(str, widths))} bits.\n"
-            "Set it to one of them, or take it away for the widest that the machine has."
+        reject(
+            f"${VARIABLE} is {wanted!r}, and vectors have {', '.join(map(str, widths))} bits.",
+            remedy="Set it to one of them, or take it away for the widest that the machine has.",
         )
     return min(int(wanted), _widest())
 
@@ -107,7 +107,7 @@ def show_config(mode: str = "stdout") -> Config | None:
     ['versions', 'machine', 'compiled code']
     """
     if mode not in ("stdout", "dicts"):
-        raise InputError(f"mode is {mode!r}.\nPass 'stdout' to print, or 'dicts' to be given it.")
+        reject(f"mode is {mode!r}.", remedy="Pass 'stdout' to print, or 'dicts' to be given it.")
     from symsimpson.program.cache import cache_folder, usage
 
     folder = cache_folder()

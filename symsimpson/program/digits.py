@@ -19,7 +19,7 @@ import numpy as np
 from mpmath.libmp import from_man_exp, from_pickable, to_pickable
 from numpy.typing import NDArray
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.driver import KernelSets, driver_text
 from symsimpson.program.input_values import whole_number
 from symsimpson.program.numbers import Numbers
@@ -47,14 +47,14 @@ def read_precision(precision: Any, arithmetic: Any) -> Digits:
     Raises InputError if there is no such precision or arithmetic, or python-flint is not installed.
     """
     if arithmetic not in ARITHMETICS:
-        raise InputError(
-            f"arithmetic is {arithmetic!r}.\nChoose 'mpmath', or 'arb' with python-flint."
+        reject(
+            f"arithmetic is {arithmetic!r}.", remedy="Choose 'mpmath', or 'arb' with python-flint."
         )
     digits = whole_number(precision) or 0
     if not FEWEST <= digits <= MOST:
-        raise InputError(
-            f"precision is {precision!r}, not a number of decimal digits from {FEWEST} to "
-            f"{MOST}.\nPass precision=64; for double precision, neither precision= nor arithmetic=."
+        reject(
+            f"precision is {precision!r}, not a number of decimal digits from {FEWEST} to {MOST}.",
+            remedy="Pass precision=64; for double precision, neither precision= nor arithmetic=.",
         )
     if arithmetic == "arb":
         library("flint", "arithmetic='arb' (python-flint)", "precise")

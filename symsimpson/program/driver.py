@@ -12,7 +12,7 @@ from typing import Any
 
 from numba import njit
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.cache import compiled
 from symsimpson.program.configuration import vector_bits
 from symsimpson.program.recorders import Recorder
@@ -201,7 +201,7 @@ class KernelSets(ABC):
         The workspace has so many more rows, from what was ROWS on. Raises InputError if nothing is
         compiled here.
         """
-        raise InputError(
-            "expressions are evaluated in double precision, and this stepper has many digits.\n"
-            "Compile without precision."
+        reject(
+            "expressions are evaluated in double precision, and this stepper has many digits.",
+            remedy="Compile without precision.",
         )

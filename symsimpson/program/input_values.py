@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.names import Named, is_masked, read_mapping, shortened
 
@@ -26,16 +26,17 @@ def read_vector(name: str, value: Any, coordinates: Named, numbers: Numbers) -> 
     vector = read_array(name, coordinates.in_order(name, value), numbers)
     n = len(coordinates)
     if vector.shape != (n,):
-        raise InputError(
+        reject(
             f"{name} has shape {vector.shape}, expected ({n},): one number for each of "
-            f"{', '.join(coordinates.shown)}.\nThe order is that of the coordinates in the "
-            f"declaration; or name them: {{{coordinates.shown[0]!r}: ...}}."
+            f"{', '.join(coordinates.shown)}.",
+            remedy="The order is that of the coordinates in the "
+            f"declaration; or name them: {{{coordinates.shown[0]!r}: ...}}.",
         )
     if not numbers.all_finite(vector):
         where = coordinates.shown[int(np.argmin(numbers.finite(vector)))]
-        raise InputError(
-            f"{name} is not finite for {where}: {value!r}.\n"
-            "A run must begin at a finite state. Look where the number comes from."
+        reject(
+            f"{name} is not finite for {where}: {value!r}.",
+            remedy="A run must begin at a finite state. Look where the number comes from.",
         )
     return vector
 
@@ -49,23 +50,24 @@ def read_number(name: str, value: Any, numbers: Numbers) -> Any:
     except (TypeError, ValueError, OverflowError):
         array = None
     if array is None or array.shape != () or not numbers.all_finite(array):
-        raise InputError(f"{name} is {shortened(value)}, not a finite real number.\nPass a number.")
+        reject(f"{name} is {shortened(value)}, not a finite real number.", remedy="Pass a number.")
     return array.item()
 
 
 def read_array(name: str, value: Any, numbers: Numbers) -> Reals:
     """Read an array of real numbers of any shape."""
     if is_masked(value):
-        raise InputError(
-            f"{name} has masked entries, which have no value.\n"
-            "Fill them, or leave these members out: x.compressed(), x[~x.mask.any(axis=1)]."
+        reject(
+            f"{name} has masked entries, which have no value.",
+            remedy="Fill them, or leave these members out: x.compressed(), x[~x.mask.any(axis=1)].",
         )
     try:
         return numbers.read(value)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(
-            f"{name} is {shortened(value)}, not real numbers.\nPass a list or an array of floats."
-        ) from None
+        reject(
+            f"{name} is {shortened(value)}, not real numbers.",
+            remedy="Pass a list or an array of floats.",
+        )
 
 
 def read_count(name: str, value: Any, least: int) -> int:
@@ -73,9 +75,9 @@ def read_count(name: str, value: Any, least: int) -> int:
     whole = isinstance(value, float) and value.is_integer()
     number = int(value) if whole else whole_number(value)
     if number is None:
-        raise InputError(f"{name} is {value!r}, not a whole number.\nPass an int.")
+        reject(f"{name} is {value!r}, not a whole number.", remedy="Pass an int.")
     if not least <= number <= MOST_STEPS:
-        raise InputError(f"{name} is {number}.\nPass a whole number from {least} to 2**53.")
+        reject(f"{name} is {number}.", remedy=f"Pass a whole number from {least} to 2**53.")
     return number
 
 
@@ -104,10 +106,10 @@ def read_parameters(
         if (signs[slot] == "positive" and number <= 0) or (
             signs[slot] == "negative" and number >= 0
         ):
-            raise InputError(
-                f"parameter {name} is declared {signs[slot]} and given as "
-                f"{float(number):g}.\nThe equations were simplified with that sign. "
-                "Change the value or the declaration."
+            reject(
+                f"parameter {name} is declared {signs[slot]} and given as {float(number):g}.",
+                remedy="The equations were simplified with that sign. "
+                "Change the value or the declaration.",
             )
         values[slot] = number
     return values
@@ -130,7 +132,7 @@ def read_reals(what: str, given: Any, how: str) -> Floats:
     except (TypeError, ValueError, OverflowError):  # of rows, and of objects that are no numbers
         array = None
     kind = "complex" if array is not None and array.dtype.kind == "c" else "not real"
-    raise InputError(f"{what} is {shortened(given)}: {kind}, where real numbers belong.\n{how}")
+    reject(f"{what} is {shortened(given)}: {kind}, where real numbers belong.", remedy=f"{how}")
 
 
 def values_at(what: str, function: Callable[[Any], Any], times: Reals) -> Reals:
@@ -154,8 +156,8 @@ def values_at(what: str, function: Callable[[Any], Any], times: Reals) -> Reals:
         else:
             shape = np.shape(each[-1])
         if shape:
-            raise InputError(
-                f"{what}: its function gives shape {shape} where one number for each time belongs."
-                "\nReturn a number for a time, or an array in the shape of the times."
+            reject(
+                f"{what}: its function gives shape {shape} where one number for each time belongs.",
+                remedy="Return a number for a time, or an array in the shape of the times.",
             )
     return np.array(each).reshape(times.shape)

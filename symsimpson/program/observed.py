@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.input_values import read_array
 from symsimpson.program.numbers import NO_INPUTS, workspace
 from symsimpson.program.program import Program
@@ -124,9 +124,9 @@ def refuse_constant(observed: Observed, what: str) -> None:
     Raises InputError.
     """
     if observed.constant:
-        raise InputError(
-            f"{what} has no coordinate, velocity or time in it: it never changes.\n"
-            "Write what is zero where the event takes place."
+        reject(
+            f"{what} has no coordinate, velocity or time in it: it never changes.",
+            remedy="Write what is zero where the event takes place.",
         )
 
 
@@ -141,40 +141,43 @@ def read_reductions(
     if given is None:
         return ()
     if not isinstance(given, Mapping):
-        raise InputError(
-            f"reduce is {type(given).__name__}, not a mapping.\n"
-            "Pass reduce={'highest': ('max', 'q1')}."
+        reject(
+            f"reduce is {type(given).__name__}, not a mapping.",
+            remedy="Pass reduce={'highest': ('max', 'q1')}.",
         )
     reductions = []
     for name, pair in given.items():
         kind, expression = pair if isinstance(pair, tuple) and len(pair) == 2 else (pair, None)
         kind = kind if isinstance(kind, str) else ""
         if event_names and kind in OF_VARIATIONS:
-            raise InputError(
-                f"reduce[{name!r}] tells how variations grow, which is not measured through events."
-                "\nLeave it out, or the events."
+            reject(
+                f"reduce[{name!r}] tells how variations grow, which is not measured "
+                "through events.",
+                remedy="Leave it out, or the events.",
             )
         if kind in OF_VARIATIONS and str(expression) in ("None", ""):
             reductions.append(Reduction("", "0.0", False, name=str(name), kind=kind))
             continue
         if kind == OF_EVENTS and expression is not None:
             if event_names is not None and str(expression) not in event_names:
-                raise InputError(
-                    f"reduce[{name!r}] counts {str(expression)!r}, and no event is called so.\n"
-                    f"Events of this call are {', '.join(event_names) or 'none: pass events='}."
+                reject(
+                    f"reduce[{name!r}] counts {str(expression)!r}, and no event is called so.",
+                    remedy="Events of this call are "
+                    f"{', '.join(event_names) or 'none: pass events='}.",
                 )
             reductions.append(Reduction(str(expression), "0.0", False, name=str(name), kind=kind))
             continue
         if kind not in OF_STATES or expression is None:
-            raise InputError(
-                f"reduce[{name!r}] is {pair!r}.\nPass a pair of one of {', '.join(OF_STATES)} and "
+            reject(
+                f"reduce[{name!r}] is {pair!r}.",
+                remedy=f"Pass a pair of one of {', '.join(OF_STATES)} and "
                 "an expression, such as ('max', 'q1') or ('first', 'q1 - 3'); one of "
-                f"{', '.join(OF_VARIATIONS)}; or ('count', name of an event)."
+                f"{', '.join(OF_VARIATIONS)}; or ('count', name of an event).",
             )
         if kind == "mean" and program.header.retimed:
-            raise InputError(
-                f"{program.system} is retimed: the mean over its steps is no mean over the time.\n"
-                "Store states, every=..., and take the mean of them."
+            reject(
+                f"{program.system} is retimed: the mean over its steps is no mean over the time.",
+                remedy="Store states, every=..., and take the mean of them.",
             )
         reader = Reader(program, f"reduce[{name!r}]")
         text = reader.read_any(expression)
@@ -432,9 +435,9 @@ def evaluate_energy(
         states = [read_array(name, x, numbers) for name, x in (("q", given_q), ("p", given_p))]
         for name, state in zip("qp", states, strict=True):
             if state.ndim != 2 or state.shape != (len(states[0]), n):
-                raise InputError(
-                    f"{name} has shape {state.shape}, expected (N, {n}).\n"
-                    "Pass one row for each state; q and p of equal length."
+                reject(
+                    f"{name} has shape {state.shape}, expected (N, {n}).",
+                    remedy="Pass one row for each state; q and p of equal length.",
                 )
         values = program.values(parameters)
         times = np.broadcast_to(read_array("t", t, numbers), len(states[0]))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.errors import InputError, ModelWarning
+from symsimpson.errors import ModelWarning, reject
 from symsimpson.program.driver import KernelSets
 from symsimpson.program.input_values import read_parameters
 from symsimpson.program.numbers import FLOAT64, Numbers
@@ -291,9 +291,10 @@ class Program:
         """Refuse values of parameters that follow from the start of a run; raises InputError."""
         keys = self.header.from_start
         if keys and isinstance(given, Mapping) and not keys.isdisjoint(map(spelled, given)):
-            raise InputError(
+            reject(
                 f"parameters give {', '.join(sorted(keys))}, or one of them, which follow from the "
-                "start of a run.\nLeave them out: E0 is the energy there."
+                "start of a run.",
+                remedy="Leave them out: E0 is the energy there.",
             )
 
 

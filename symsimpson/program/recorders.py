@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.support.array_types import Ints, Reals
 from symsimpson.text.header import Header
 from symsimpson.text.workspace_layout import DRIVER_LAYOUT
@@ -68,9 +68,9 @@ def work(header: Header, first: int = 0) -> Recorder | None:
     if header.conservative:
         return None
     if "work" not in header.functions:
-        raise InputError(
-            f"{header.scheme} is explicit: its steps have no nodes at which forces do work.\n"
-            "Integrate with a scheme of the family, as 'simpson' or 'gauss8'."
+        reject(
+            f"{header.scheme} is explicit: its steps have no nodes at which forces do work.",
+            remedy="Integrate with a scheme of the family, as 'simpson' or 'gauss8'.",
         )
     return Recorder("work", header.layout["WORK"], header.powers, name="work")
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.errors import InputError, StaleKernelError, StorageError, SymsimpsonError
+from symsimpson.errors import InputError, StaleKernelError, StorageError, SymsimpsonError, reject
 from symsimpson.program.numbers import NO_INPUTS
 from symsimpson.program.program import Program, read_program
 from symsimpson.program.recorders import NAMED
@@ -64,12 +64,17 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     where = read_path("the trajectory's file", path)
     kind = check_kind(where)
     if kind in TABLES:
-        raise InputError(
-            f"{where}: a {kind} file is a table, and holds no run that could go on.\nRead it with "
-            f"{READERS[kind]}; run.save('run.nc') or 'run.zarr' keeps all of a run."
+        reject(
+            f"{where}: a {kind} file is a table, and holds no run that could go on.",
+            remedy="Read it with "
+            f"{READERS[kind]}; run.save('run.nc') or 'run.zarr' keeps all of a run.",
         )
     if not where.exists():
-        raise StorageError(f"{where}: there is no such file.\nrun.save(path) makes one.")
+        reject(
+            f"{where}: there is no such file.",
+            remedy="run.save(path) makes one.",
+            error=StorageError,
+        )
     xarray = library("xarray", "a trajectory in a file", "data")
     try:
         if kind == ".nc":
@@ -79,23 +84,27 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
             how = {"chunks": None, "consolidated": False, "decode_times": False}
             dataset = xarray.open_zarr(where, **how).load()
     except Exception as error:  # whatever a damaged file makes the libraries raise
-        raise StorageError(
-            f"{where}: the file cannot be read: {str(error)[:200]}.\n"
-            "It is damaged, or no trajectory."
-        ) from None
+        reject(
+            f"{where}: the file cannot be read: {str(error)[:200]}.",
+            remedy="It is damaged, or no trajectory.",
+            error=StorageError,
+        )
     missing = [name for name in VARIABLES if name not in dataset]
     missing += [name for name in ATTRIBUTES if name not in dataset.attrs]
     if missing and all(name in dataset.attrs for name in RESULT):
-        raise StorageError(
+        reject(
             f"{where}: this is a result of symsimpson, but no run that could go on: states at "
-            f"chosen times, chosen quantities or zeros. It has no {missing[0]!r}.\nRead it with "
+            f"chosen times, chosen quantities or zeros. It has no {missing[0]!r}.",
+            remedy="Read it with "
             f"xarray.open_{'zarr' if kind == '.zarr' else 'dataset'}. To open a run again, "
-            "integrate without t_eval= and save=, and save that."
+            "integrate without t_eval= and save=, and save that.",
+            error=StorageError,
         )
     if missing:
-        raise StorageError(
-            f"{where}: this is no trajectory that symsimpson saved: it has no {missing[0]!r}.\n"
-            "Open it with xarray to see what it holds."
+        reject(
+            f"{where}: this is no trajectory that symsimpson saved: it has no {missing[0]!r}.",
+            remedy="Open it with xarray to see what it holds.",
+            error=StorageError,
         )
     try:
         text = np.asarray(dataset["module"], dtype=np.uint8).tobytes().decode()
@@ -108,9 +117,11 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     except (StaleKernelError, InputError):
         raise
     except (SymsimpsonError, ValueError, TypeError, KeyError, OverflowError) as error:
-        raise StorageError(
-            f"{where}: the file contradicts itself: {error}.\nIt is damaged, or was edited."
-        ) from None
+        reject(
+            f"{where}: the file contradicts itself: {error}.",
+            remedy="It is damaged, or was edited.",
+            error=StorageError,
+        )
 
 
 def _trajectory(dataset: Any, program: Program) -> Trajectory:

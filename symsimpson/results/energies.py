@@ -9,7 +9,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.numbers import workspace
 from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
@@ -60,10 +60,11 @@ class Energies(Stored):
                 if header.carried
                 else "it depends on the time"
             )
-            raise InputError(
+            reject(
                 f"{self.program.system}: the energy is not constant, {why}, so its change does "
-                "not measure the error.\nUse run.energy_balance, the change of the energy minus "
-                "the work done; run.energy and run.work are its parts."
+                "not measure the error.",
+                remedy="Use run.energy_balance, the change of the energy minus "
+                "the work done; run.energy and run.work are its parts.",
             )
         return (self.energy - self._first_energy - self._given) / self.energy_scale
 
@@ -83,9 +84,10 @@ class Energies(Stored):
         Raises InputError if a file does not hold it.
         """
         if self.begun is None:
-            raise InputError(
+            reject(
                 "this file holds the last state of a run alone, and not how it began, as files did "
-                "before version 0.3.\nTake the run again, or store states on the way: every=100."
+                "before version 0.3.",
+                remedy="Take the run again, or store states on the way: every=100.",
             )
         t, (q, p) = self.begun
         return self.with_states(np.array([t]), q[None], p[None])
@@ -230,14 +232,15 @@ def integrals(run: Stored) -> tuple[dict[str, Reals], Reals]:
     if header.conservative:
         return {TOTAL: 0 * run.t}, 0 * run.t
     if run.records and WORK not in run.recorded:
-        raise InputError(
+        reject(
             "the work of a run in which events acted is not known: its steps are not taken again "
-            "with their parts.\nRecord it: record='work'."
+            "with their parts.",
+            remedy="Record it: record='work'.",
         )
     if run.every is None and WORK not in run.recorded:
-        raise InputError(
-            "a run that keeps its last state alone (every=None) does not tell what work was done."
-            "\nRecord it: record='work'; or store states on the way: every=1, or every=100."
+        reject(
+            "a run that keeps its last state alone (every=None) does not tell what work was done.",
+            remedy="Record it: record='work'; or store states on the way: every=1, or every=100.",
         )
     work(header)  # refuses explicit steps
     parts = _integrated(run)
@@ -356,7 +359,7 @@ def _check_shadow(run: Stored) -> None:
     }
     why = next((reason for reason, applies in reasons.items() if applies), None)
     if why is not None:
-        raise InputError(f"{header.system}: there is no shadow energy of this run, {why}.")
+        reject(f"{header.system}: there is no shadow energy of this run, {why}.")
 
 
 def _discrete_actions(program: Program, run: Stored) -> Reals:
@@ -376,9 +379,10 @@ def _discrete_actions(program: Program, run: Stored) -> Reals:
         numbers.read(run.input_values),
     )
     if reached < len(run):
-        raise InputError(
-            f"{program.system}: the step to t = {float(run.t[reached]):g} could not be taken again."
-            "\nTake a smaller step."
+        reject(
+            f"{program.system}: the step to t = {float(run.t[reached]):g} could not be "
+            "taken again.",
+            remedy="Take a smaller step.",
         )
     return out[1:, 0]
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.input_values import whole_number
 from symsimpson.program.observed import Observed, read_expression, refuse_constant, watching
 from symsimpson.program.program import Program
@@ -128,9 +128,9 @@ def of_event(name: str, values: Any) -> Variable:
 def read_zeros(program: Program, expression: Any, direction: int, wrap: Any) -> Zeros:
     """Read which zeros are wanted; raises InputError."""
     if whole_number(direction) not in (-1, 0, 1):
-        raise InputError(
-            f"direction is {direction!r}.\nPass 1 for zeros on the way up, -1 for those on the "
-            "way down, or 0 for both."
+        reject(
+            f"direction is {direction!r}.",
+            remedy="Pass 1 for zeros on the way up, -1 for those on the way down, or 0 for both.",
         )
     names = program.names.coordinates
     wrap = wrap.tolist() if hasattr(wrap, "tolist") else wrap
@@ -139,18 +139,20 @@ def read_zeros(program: Program, expression: Any, direction: int, wrap: Any) -> 
     places = [names.place(coordinate) for coordinate in given]
     if None in places:
         unknown = spelled(list(given)[places.index(None)])
-        raise InputError(
-            f"wrap names {unknown!r}, which is no coordinate.{did_you_mean(unknown, names.shown)}\n"
-            f"The system has {', '.join(names.shown)}; True wraps all."
+        reject(
+            f"wrap names {unknown!r}, which is no coordinate.{did_you_mean(unknown, names.shown)}",
+            remedy=f"The system has {', '.join(names.shown)}; True wraps all.",
         )
     wrapped = tuple(place for place in places if place is not None)
     query = read_expression(program, expression, wrapped)
     refuse_constant(query, query.expression)
     if query.rest:
-        raise InputError(
-            f"{query.expression} is a rest alone, which jumps back to 0 and never changes its sign."
-            "\nWrite where it is to be: Mod(q1, 2*pi) - pi has a zero in each turn at q1 = pi, "
-            "Mod(q1 + pi, 2*pi) - pi at q1 = 0."
+        reject(
+            f"{query.expression} is a rest alone, which jumps back to 0 and never changes "
+            "its sign.",
+            remedy="Write where it is to be: Mod(q1, 2*pi) - pi has a zero in each turn "
+            "at q1 = pi, "
+            "Mod(q1 + pi, 2*pi) - pi at q1 = 0.",
         )
     return query, int(direction)
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.errors import ConvergenceError, InputError
+from symsimpson.errors import ConvergenceError, reject
 from symsimpson.program.input_values import read_array
 from symsimpson.program.numbers import workspace
 from symsimpson.program.status import Status
@@ -53,9 +53,9 @@ class DenseOutput:
 
     def __init__(self, run: Stored) -> None:
         if run.every is None and run.steps:
-            raise InputError(
-                "a run that keeps its last state alone (every=None) has no states between.\n"
-                "Store states: every=1, or every=100."
+            reject(
+                "a run that keeps its last state alone (every=None) has no states between.",
+                remedy="Store states: every=1, or every=100.",
             )
         self._run = run
         numbers = run.program.numbers
@@ -93,7 +93,7 @@ class DenseOutput:
         with numbers.working():
             times = read_array("t", t, numbers)
         if times.ndim > 1:
-            raise InputError(f"t has shape {times.shape}.\nPass a number, or a list of them.")
+            reject(f"t has shape {times.shape}.", remedy="Pass a number, or a list of them.")
         asked = np.atleast_1d(numbers.result(times))
         first, last = float(run.t[0]), float(self._end)
         low, high = min(first, last), max(first, last)
@@ -101,9 +101,9 @@ class DenseOutput:
         rough = asked.astype(float)
         inside = (low - slack <= rough) & (rough <= high + slack)  # NaN is not
         if not inside.all():
-            raise InputError(
-                f"t = {rough[~inside][0]:g} lies outside of the run, {low:g} <= t <= {high:g}.\n"
-                "Integrate further, or ask for times within."
+            reject(
+                f"t = {rough[~inside][0]:g} lies outside of the run, {low:g} <= t <= {high:g}.",
+                remedy="Integrate further, or ask for times within.",
             )
         start = self._starts(rough)
         q, p, codes = self.after(start, asked - run.t[start])

@@ -10,7 +10,7 @@ from typing import Any, NoReturn, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import InputError, UnknownNameError
+from symsimpson.errors import UnknownNameError, reject
 from symsimpson.program.program import Program
 from symsimpson.results.tables import Variable, attribute_name, variable_of
 from symsimpson.support.names import did_you_mean, public_names, shortened, spelled
@@ -169,11 +169,12 @@ class Quantities:
             return cast(NDArray[Any], getattr(self, key))
         every = self._ipython_key_completions_()
         whole = [quantity.name for quantity in VECTORS]
-        raise UnknownNameError(
+        reject(
             f"there is no {shortened(key)}.{did_you_mean(key, every)} "
             f"There are {', '.join(every)}, and all of {', '.join(whole)} together."
             + several
-            * "\nAsk for one at a time; several are parts of arrays, as .q[3:5]."
+            * "\nAsk for one at a time; several are parts of arrays, as .q[3:5].",
+            error=UnknownNameError,
         )
 
     def _ipython_key_completions_(self) -> list[str]:
@@ -190,9 +191,9 @@ class Quantities:
 
     def __array__(self, dtype: Any = None, copy: Any = None) -> NoReturn:
         """Raise InputError: NumPy would look for an array in states of states."""
-        raise InputError(
-            f"a {type(self).__name__} is no array.\nPass one of its arrays: .q, .p, .t, or a "
-            "quantity by its name, as ['energy']."
+        reject(
+            f"a {type(self).__name__} is no array.",
+            remedy="Pass one of its arrays: .q, .p, .t, or a quantity by its name, as ['energy'].",
         )
 
     __dir__ = public_names

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import InputError, UnknownNameError
+from symsimpson.errors import UnknownNameError, reject
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.events import Actions, actions_of
@@ -48,9 +48,10 @@ class WithEvents(Savable, Outcome):
         """
         if str(name) not in self.event_names:
             had = f"It had {', '.join(self.event_names)}. " if self.event_names else ""
-            raise InputError(
-                f"the run had no event {name!r}.\n{had}Zeros of expressions are found in single "
-                "runs that store their steps: stepper.integrate(...) without t_eval= and save=."
+            reject(
+                f"the run had no event {name!r}.",
+                remedy=f"{had}Zeros of expressions are found in single "
+                "runs that store their steps: stepper.integrate(...) without t_eval= and save=.",
             )
         return actions_of(self, str(name))
 
@@ -159,9 +160,10 @@ class Saved(WithEvents, Plotted):
         if key == "t":
             return self.t
         if key not in self.values:
-            raise UnknownNameError(
+            reject(
                 f"{key!r} was not saved.{did_you_mean(key, [*self.values])} "
-                f"There are t, {', '.join(self.values)}."
+                f"There are t, {', '.join(self.values)}.",
+                error=UnknownNameError,
             )
         return self.values[key]
 

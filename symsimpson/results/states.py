@@ -10,7 +10,7 @@ from typing import Any, NoReturn, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import InputError
+from symsimpson.errors import InputError, reject
 from symsimpson.program.numbers import NO_INPUTS
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
@@ -117,9 +117,9 @@ class Differentiated:
         return self._missing(ask) if self.variations is None else self.variations
 
     def _missing(self, ask: str) -> NoReturn:
-        raise InputError(
-            "this run carried no derivatives of this kind along.\n"
-            f"Ask for them: integrate(..., {ask})."
+        reject(
+            "this run carried no derivatives of this kind along.",
+            remedy=f"Ask for them: integrate(..., {ask}).",
         )
 
 
@@ -272,9 +272,10 @@ class States(Quantities, Tabular, Plotted):
             return self._named(key)
         several = isinstance(key, (list, np.ndarray))
         if several and _kind_of(key) not in "biu":
-            raise InputError(
-                f"{key!r} are no numbers of states.\nAsk for one quantity, run['energy'], for "
-                "several by run.to_pandas()[[...]], or for states by whole numbers, run[[0, 5]]."
+            reject(
+                f"{key!r} are no numbers of states.",
+                remedy="Ask for one quantity, run['energy'], for "
+                "several by run.to_pandas()[[...]], or for states by whole numbers, run[[0, 5]].",
             )
         some: Any = key
         if not (isinstance(key, slice) or (several and np.ndim(key))):

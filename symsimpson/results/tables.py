@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.program import Program
 from symsimpson.support.array_types import Reals
 from symsimpson.support.calling import explaining
@@ -114,10 +114,11 @@ def check_kind(place: Path) -> str:
     Raises InputError if the name ends otherwise, or a library is missing.
     """
     if place.suffix not in NEEDS:
-        raise InputError(
-            f"unsupported file extension {place.suffix!r} of {str(place)!r}.\nUse .nc (netCDF) or "
+        reject(
+            f"unsupported file extension {place.suffix!r} of {str(place)!r}.",
+            remedy="Use .nc (netCDF) or "
             ".zarr, which store everything and can be opened again; or .npz, .csv or .parquet for "
-            "a table."
+            "a table.",
         )
     for name in NEEDS[place.suffix]:
         library(name, f"a {place.suffix} file", "parquet" if name == "pyarrow" else "data")
@@ -256,9 +257,9 @@ class Savable(Tabular):
         check_folder(place, what, trajectory=self)  # before anything is computed
         arrays = self._arrays()
         if any(np.asarray(x).dtype == object for x in arrays.values()):
-            raise InputError(
-                "numbers of many digits do not fit into this kind of file.\n"
-                "Keep the arrays q and p in a file of your own."
+            reject(
+                "numbers of many digits do not fit into this kind of file.",
+                remedy="Keep the arrays q and p in a file of your own.",
             )
         with written_beside(place, what, trajectory=self) as whole:
             self._write(whole, kind, arrays)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.errors import InputError
+from symsimpson.errors import InputError, reject
 from symsimpson.program.input_values import read_array
 from symsimpson.results.energies import Energies
 from symsimpson.results.states import OF_RUNS, Differentiated, States, Stored
@@ -223,10 +223,11 @@ class Trajectory(Savable, Energies, Differentiated):
             if not (isinstance(expression, str) and self.event_names):
                 raise
             meant = did_you_mean(expression, self.event_names)
-            raise InputError(
-                f"the run has no event {expression!r}.{meant}\nIts events are "
-                f"{', '.join(self.event_names)}. If it is meant as an expression: {error}"
-            ) from None
+            reject(
+                f"the run has no event {expression!r}.{meant}",
+                remedy="Its events are "
+                f"{', '.join(self.event_names)}. If it is meant as an expression: {error}",
+            )
 
     def animate(
         self,

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from symsimpson.errors import InputError, StorageError
+from symsimpson.errors import StorageError, reject
 from symsimpson.program.program import Program
 from symsimpson.run.ended import Sink
 from symsimpson.stepping.run import KeptStates, Run
@@ -99,10 +99,12 @@ class Checkpoint(Sink):
                     self._append(self._rows_of(slice(0, 1)))
                     self._save()
         except OSError as error:
-            raise StorageError(
-                f"{self.path}: the checkpoint cannot be written: {error.strerror or error}.\n"
-                "Choose another file, or make room."
-            ) from error
+            reject(
+                f"{self.path}: the checkpoint cannot be written: {error.strerror or error}.",
+                remedy="Choose another file, or make room.",
+                error=StorageError,
+                cause=error,
+            )
 
     def due(self, stop: int) -> int:
         """Return the step at which the next checkpoint is to be written."""
@@ -125,11 +127,14 @@ class Checkpoint(Sink):
                 self._append(self._since())
                 self._save()
         except OSError as error:
-            raise StorageError(
-                f"{self.path}: the checkpoint cannot be written: {error.strerror or error}.\n"
-                "The one before is good: make room and go on with symsimpson.resume. What was "
-                "computed is in this error's .trajectory."
-            ) from error
+            reject(
+                f"{self.path}: the checkpoint cannot be written: {error.strerror or error}.",
+                remedy="The one before is good: make room and go on with "
+                "symsimpson.resume. What was "
+                "computed is in this error's .trajectory.",
+                error=StorageError,
+                cause=error,
+            )
 
     def states(self) -> KeptStates:
         """Return what is stored, which stays on disk."""
@@ -203,14 +208,15 @@ class Checkpoint(Sink):
         for key, example in (("inputs", "inputs=..."), ("events", "events=[...]")):
             old, given = record.asked.get(key), self._asked.get(key)
             if old != given and {**record.asked, key: given} == {key: None, **self._asked}:
-                raise InputError(
-                    f"{self.path} holds a run with {'no' if old is None else 'other'} {key}.\nPass "
-                    f"those that it began with: symsimpson.resume(path, {example})."
+                reject(
+                    f"{self.path} holds a run with {'no' if old is None else 'other'} {key}.",
+                    remedy=f"Pass those that it began with: symsimpson.resume(path, {example}).",
                 )
         if record.asked != self._asked:
-            raise InputError(
-                f"{self.path} holds another run.\nGo on with that one by symsimpson.resume, delete "
-                "its files, or choose another file."
+            reject(
+                f"{self.path} holds another run.",
+                remedy="Go on with that one by symsimpson.resume, delete "
+                "its files, or choose another file.",
             )
         run = self._run
         run.put_back(record.position, record.workspace)
@@ -266,9 +272,10 @@ def _first_whole(path: Path, read: Callable[[Path, Path], Content]) -> tuple[Con
             return read(place, path.with_name(f"{path.name}.states")), problems
         except (OSError, ValueError, KeyError, TypeError) as error:
             problems.append(f"{place.name}: {getattr(error, 'strerror', None) or error}")
-    raise StorageError(
-        f"{path}: there is no whole checkpoint ({'; '.join(problems)}).\n"
-        "Nothing can be resumed from it. Begin the run anew, with another file."
+    reject(
+        f"{path}: there is no whole checkpoint ({'; '.join(problems)}).",
+        remedy="Nothing can be resumed from it. Begin the run anew, with another file.",
+        error=StorageError,
     )
 
 

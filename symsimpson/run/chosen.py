@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.errors import InputError, UnknownNameError
+from symsimpson.errors import UnknownNameError, reject
 from symsimpson.program.input_values import read_array, read_number
 from symsimpson.program.numbers import Numbers
 from symsimpson.program.program import Program
@@ -97,9 +97,9 @@ def _as_times(given: Any, numbers: Numbers) -> Reals:
     """Read finite times in any order."""
     times = np.atleast_1d(numbers.result(read_array("t_eval", given, numbers)))
     if times.ndim > 1:
-        raise InputError(f"t_eval has shape {times.shape}.\nPass a list of times.")
+        reject(f"t_eval has shape {times.shape}.", remedy="Pass a list of times.")
     if not np.isfinite(times.astype(float)).all():
-        raise InputError("t_eval holds times that are not finite.\nLeave them out.")
+        reject("t_eval holds times that are not finite.", remedy="Leave them out.")
     return times
 
 
@@ -111,18 +111,19 @@ def _read_times(program: Program, spec: RunSpec, given: Any) -> Reals:
     rough, sign = times.astype(float), 1 if spec.h > 0 else -1
     if not (np.diff(sign * rough) >= 0).all():
         back = "fall" if sign < 0 else "rise"
-        raise InputError(
-            f"the times in t_eval do not {back} all along.\nPass numpy.sort(times)"
-            f"{'[::-1], as h is negative' if sign < 0 else ''}."
+        reject(
+            f"the times in t_eval do not {back} all along.",
+            remedy=f"Pass numpy.sort(times){'[::-1], as h is negative' if sign < 0 else ''}.",
         )
     first = float(spec.t0)
     last = float(spec.t0 + spec.h * spec.steps if spec.t_end is None else spec.t_end)
     slack = SLACK * abs(float(spec.h))
     outside = (sign * (rough - first) < -slack) | (sign * (rough - last) > slack)
     if outside.any():
-        raise InputError(
+        reject(
             f"t_eval holds t = {rough[outside][0]:g}, which lies outside of the run, from "
-            f"{first:g} to {last:g}.\nIntegrate further, or leave it out."
+            f"{first:g} to {last:g}.",
+            remedy="Integrate further, or leave it out.",
         )
     return times
 
@@ -131,13 +132,13 @@ def _read_names(save: Any) -> list[str]:
     """Read names of quantities."""
     single = isinstance(save, str) or hasattr(save, "free_symbols")
     if not single and not isinstance(save, (Sequence, set, frozenset)):
-        raise InputError(
-            f"save is {type(save).__name__}, not a list of names.\n"
-            "Pass names of quantities as in run['energy']: save=('q', 'energy')."
+        reject(
+            f"save is {type(save).__name__}, not a list of names.",
+            remedy="Pass names of quantities as in run['energy']: save=('q', 'energy').",
         )
     names = list(dict.fromkeys(spelled(name) for name in ([save] if single else save)))
     if not names:
-        raise InputError("save names nothing.\nPass names: save=('q', 'energy').")
+        reject("save names nothing.", remedy="Pass names: save=('q', 'energy').")
     return names
 
 
@@ -152,9 +153,11 @@ def _check_names(program: Program, spec: RunSpec, names: list[str]) -> None:
         try:
             states[name]
         except UnknownNameError as error:
-            raise UnknownNameError(
-                f"save: {error}\nName quantities of the run; run.save('run.nc') writes a file."
-            ) from None
+            reject(
+                f"save: {error}",
+                remedy="Name quantities of the run; run.save('run.nc') writes a file.",
+                error=UnknownNameError,
+            )
 
 
 def _stored(piece: Trajectory, before: int, spec: RunSpec) -> States:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from symsimpson.errors import ConvergenceError, Interrupted, StorageError
+from symsimpson.errors import ConvergenceError, Interrupted, StorageError, reject
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.states import Outcome
@@ -66,11 +66,13 @@ class Collected(Sink):
                 np.empty(JOINING * sum(x.nbytes for part in self._parts for x in part), np.uint8)
         except MemoryError:
             run = self._run
-            raise StorageError(
+            reject(
                 f"the states of a run of {run.header.system} do not fit into memory: "
-                f"{run.step} steps were taken, and those are kept.\nStore fewer: every=1000, or "
-                "every=None for the last state alone; or take a larger h."
-            ) from None
+                f"{run.step} steps were taken, and those are kept.",
+                remedy="Store fewer: every=1000, or "
+                "every=None for the last state alone; or take a larger h.",
+                error=StorageError,
+            )
 
     def states(self) -> KeptStates:
         """Return all stored states."""

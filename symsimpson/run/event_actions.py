@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import InputError, ModelError
+from symsimpson.errors import InputError, ModelError, reject
 from symsimpson.program.observed import evaluate, watching
 from symsimpson.program.program import Program
 from symsimpson.stepping.constrained_start import project_start
@@ -206,9 +206,9 @@ class EventActions:
         factor = self._laws[k](speed or 0.0)
         if not 0.0 <= factor <= 1.0:
             at = "" if speed is None else f" at a speed of approach of {speed:g}"
-            raise InputError(
-                f"the restitution {given} is {factor:g}{at}.\n"
-                "It must be between 0 (plastic) and 1 (elastic)."
+            reject(
+                f"the restitution {given} is {factor:g}{at}.",
+                remedy="It must be between 0 (plastic) and 1 (elastic).",
             )
         return float(factor)
 

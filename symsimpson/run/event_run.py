@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.observed import OF_EVENTS, Reduction
 from symsimpson.program.recorders import Recorder
 from symsimpson.program.status import Status
@@ -98,9 +98,10 @@ class EventRun(Run):
             if not (isinstance(event.action, Impact) and self._actions.allowed(row, k)):
                 continue
             if values[k] < -BEHIND * sides.size[k]:
-                raise InputError(
+                reject(
                     f"{self._system}: the initial state violates the gap {event.key!r}: its value "
-                    f"is {values[k]:g}.\nBegin where it is positive, or turn its sign."
+                    f"is {values[k]:g}.",
+                    remedy="Begin where it is positive, or turn its sign.",
                 )
             sides.side[k] = 1
         if self._actions.touching(values, sides.small).any():

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.input_values import read_count
 from symsimpson.program.numbers import Numbers, workspace
 from symsimpson.program.program import Program
@@ -255,13 +255,14 @@ def gradient_of(
     # tables of others have an iterator, matrices of SymPy but a shape
     several = hasattr(running, "__iter__") or bool(getattr(running, "shape", False))
     if several and not isinstance(running, str):
-        raise InputError(
-            f"running is a {type(running).__name__}, not one expression.\nAdd up what costs."
+        reject(
+            f"running is a {type(running).__name__}, not one expression.",
+            remedy="Add up what costs.",
         )
     if "h" in names and _moves(running) and program.names.parameters.place("h") is None:
-        raise InputError(
-            "running= contains the time, and h moves the times of all steps of a run.\n"
-            "Leave h out of wrt, or write the cost without the time."
+        reject(
+            "running= contains the time, and h moves the times of all steps of a run.",
+            remedy="Leave h out of wrt, or write the cost without the time.",
         )
     program = varied_program(program, read_varied(program, names), running)
     spec = read_run(program, request)
@@ -314,23 +315,24 @@ def _check(wanted: Wanted, pairs: Sequence[tuple[str, bool]], *, velocities: boo
     """Refuse a cost of nothing, and derivatives by a state that was not given."""
     none = wanted.samples is None or (isinstance(wanted.samples, Mapping) and not wanted.samples)
     if wanted.cost is None and wanted.running is None and none:
-        raise InputError(
-            "there is no cost to differentiate.\nPass cost= of the last state, running= along "
-            "the path, or samples= that the run is to come near to."
+        reject(
+            "there is no cost to differentiate.",
+            remedy="Pass cost= of the last state, running= along "
+            "the path, or samples= that the run is to come near to.",
         )
     if not pairs:
-        raise InputError("wrt is empty.\nName what to differentiate by: wrt=('q', 'l1').")
+        reject("wrt is empty.", remedy="Name what to differentiate by: wrt=('q', 'l1').")
     wrong, right = ("p", "v") if velocities else ("v", "p")
     of_state = [STATE[name] for name, state in pairs if state]
     if wrong in of_state:
-        raise InputError(
-            f"wrt names {wrong!r}, and the run begins with {right}0.\n"
-            f"Pass {wrong}0, or differentiate by {right!r}."
+        reject(
+            f"wrt names {wrong!r}, and the run begins with {right}0.",
+            remedy=f"Pass {wrong}0, or differentiate by {right!r}.",
         )
     if len({STATE[name] if state else name for name, state in pairs}) < len(pairs):
-        raise InputError(
-            f"wrt is {', '.join(name for name, _ in pairs)}.\nName each only once, and what has a "
-            "name of the state in a call of its own."
+        reject(
+            f"wrt is {', '.join(name for name, _ in pairs)}.",
+            remedy="Name each only once, and what has a name of the state in a call of its own.",
         )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.errors import InputError, StorageError
+from symsimpson.errors import InputError, StorageError, reject
 from symsimpson.program.input_values import read_count
 from symsimpson.program.numbers import NOTHING
 from symsimpson.program.observed import evaluate
@@ -58,11 +58,12 @@ def started(
     except InputError:
         raise
     except (MemoryError, ValueError):
-        raise InputError(
-            f"{stored} stored states of {2 * program.n} numbers do not fit into memory.\n"
-            "Store fewer: every=1000, or every=None for the last state only; or keep them on disk: "
-            "checkpoint='run.ckpt'."
-        ) from None
+        reject(
+            f"{stored} stored states of {2 * program.n} numbers do not fit into memory.",
+            remedy="Store fewer: every=1000, or every=None for the last state only; or "
+            "keep them on disk: "
+            "checkpoint='run.ckpt'.",
+        )
     _begin(program, run, spec)
     if spec.steps:
         _warn_of_step(program, run, spec)
@@ -93,9 +94,10 @@ def _begin(program: Program, run: Run, spec: RunSpec) -> None:
         finite, everywhere = numbers.all_finite(q), pivot == 0 and _singular_elsewhere(run, spec)
         raise refused_start(program.system, where, pivot, finite, zero=zero if everywhere else None)
     if run.header.retimed and not run.parameters[-1] > 0:
-        raise InputError(
+        reject(
             f"{program.system}: the rate dt/dtau is {float(run.parameters[-1]):g} at "
-            f"q0={q.tolist()}.\nTime must advance: start where it is positive, or change the rate."
+            f"q0={q.tolist()}.",
+            remedy="Time must advance: start where it is positive, or change the rate.",
         )
     run.apply("energy")
     # no value may mean an angle that is too large for fast sines: check_start takes others
@@ -150,12 +152,12 @@ def _warn_of_step(program: Program, run: Run, spec: RunSpec) -> None:
 def check_start(program: Program, t: Any, q: Reals, p: Reals, values: Reals) -> None:
     """Refuse a state at which the energy is not a finite real number; raises InputError."""
     if not real_energies(program, (t, q, p), values):
-        raise InputError(
+        reject(
             f"{program.system}: the energy is not a finite real number at q0 = "
             f"({', '.join(f'{float(x):g}' for x in q)}): T or V has no value there "
             "(the logarithm or the root of a negative number, a root of zero, or a division by "
-            "zero, for example).\n"
-            "Start from a state at which both are defined, or check the formulas."
+            "zero, for example).",
+            remedy="Start from a state at which both are defined, or check the formulas.",
         )
 
 
@@ -168,11 +170,12 @@ def check_forces(program: Program, spec: RunSpec) -> None:
     q = list(map(float, spec.q0))
     bad = np.flatnonzero(~np.isfinite(tools.force_terms(system, q, values, t0)))
     if bad.size:
-        raise InputError(
+        reject(
             f"{program.system}: the force on {program.coordinates[bad[0]]} has no finite value at "
-            f"q0 = ({', '.join(f'{x:g}' for x in q)}), though T and V have.\n"
-            "A derivative of a root at zero or a quotient 0/0 makes it so. Start beside it, or "
-            "write V and forces in a form that is smooth there."
+            f"q0 = ({', '.join(f'{x:g}' for x in q)}), though T and V have.",
+            remedy="A derivative of a root at zero or a quotient 0/0 makes it so. Start "
+            "beside it, or "
+            "write V and forces in a form that is smooth there.",
         )
     v = spec.other0
     if not spec.velocities:
@@ -180,11 +183,12 @@ def check_forces(program: Program, spec: RunSpec) -> None:
         v = evaluate(program, "energy", "VELOCITY", program.n, start, spec.parameters)
     bad = np.flatnonzero(~np.isfinite(tools.force_terms(system, q, values, t0, v)))
     if bad.size:
-        raise InputError(
+        reject(
             f"{program.system}: the force on {program.coordinates[bad[0]]} has a value at the "
-            f"velocities of the start, ({', '.join(f'{x:g}' for x in v.tolist())}), but no slope.\n"
-            "A root that is 0 makes it so, as sqrt(v) at v = 0. Begin with another velocity, or "
-            "write a force that is smooth there, as sqrt(v**2 + eps**2) with a small eps."
+            f"velocities of the start, ({', '.join(f'{x:g}' for x in v.tolist())}), but no slope.",
+            remedy="A root that is 0 makes it so, as sqrt(v) at v = 0. Begin with another "
+            "velocity, or "
+            "write a force that is smooth there, as sqrt(v**2 + eps**2) with a small eps.",
         )
 
 
@@ -318,9 +322,9 @@ def _checkpoint(
     place = read_path("checkpoint", path)
     check_folder(place, "checkpoint")
     if run.W.dtype != np.float64:
-        raise InputError(
-            "a run with many digits cannot be kept in a checkpoint.\n"
-            "Leave checkpoint out, or compile without precision."
+        reject(
+            "a run with many digits cannot be kept in a checkpoint.",
+            remedy="Leave checkpoint out, or compile without precision.",
         )
     steps = None if every is None else read_count("checkpoint_every", every, least=1)
     return Checkpoint(place, asked(program, run, spec), run, steps)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from symsimpson.errors import InputError, ResolutionWarning
+from symsimpson.errors import ResolutionWarning, reject
 from symsimpson.program.input_values import MOST_STEPS
 from symsimpson.program.numbers import NOTHING
 from symsimpson.program.observed import evaluate
@@ -109,14 +109,15 @@ class ControlLoop:
         program, run = self.program, self._run
         numbers = program.numbers
         if u is None and program.inputs:
-            raise InputError(
+            reject(
                 f"{program.system} has the inputs {', '.join(program.inputs)}, and the step is "
-                "given none.\nPass them: loop.step(u), with a number for each, or a mapping."
+                "given none.",
+                remedy="Pass them: loop.step(u), with a number for each, or a mapping.",
             )
         with numbers.working():
             given = read_driving(program, of_a_step(u), run.h, 1, run.now)
             if run.arrived:
-                raise InputError(f"the loop is at its end: {run.reason}\nBegin another one.")
+                reject(f"the loop is at its end: {run.reason}", remedy="Begin another one.")
             before, last, self._inputs[:] = run.step, self._inputs.copy(), given
             here = None if program.header.real_everywhere else (run.position(), run.W[:, 0].copy())
             with NOTHING if self._at_once else undisturbed():

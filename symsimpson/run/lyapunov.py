@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.input_values import read_count, whole_number
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import growth
@@ -120,16 +120,16 @@ def run_lyapunov(
     stride = read_count("every", every, least=1)
     count = size if exponents is None else whole_number(exponents)
     if count is None or not 1 <= count <= size:
-        raise InputError(
-            f"exponents={exponents!r}, and {program.system} has {size} of them.\n"
-            f"Pass a whole number from 1 to {size}, or None for all."
+        reject(
+            f"exponents={exponents!r}, and {program.system} has {size} of them.",
+            remedy=f"Pass a whole number from 1 to {size}, or None for all.",
         )
     if spec.q0.dtype != np.float64:
-        raise InputError("exponents are found in double precision.\nCompile without precision.")
+        reject("exponents are found in double precision.", remedy="Compile without precision.")
     if spec.steps < stride:
-        raise InputError(
-            f"the run has {spec.steps} steps, and variations are made orthonormal after {stride}.\n"
-            "Run longer, or pass a smaller every=."
+        reject(
+            f"the run has {spec.steps} steps, and variations are made orthonormal after {stride}.",
+            remedy="Run longer, or pass a smaller every=.",
         )
     run = started(
         program, spec, stride, spec.steps // stride + 1, recorders=(growth(header, count, stride),)

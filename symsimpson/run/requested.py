@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.observed import evaluate_energy
 from symsimpson.program.program import Program
 from symsimpson.results.trajectory import Trajectory
@@ -216,9 +216,10 @@ def run(
     Raises InputError, StorageError, ConvergenceError or Interrupted.
     """
     if checkpoint_every is not None and request.checkpoint is None:
-        raise InputError(
+        reject(
             f"checkpoint_every={checkpoint_every!r} says how often a file is written, and there is "
-            "none.\nPass checkpoint='run.ckpt', too, or leave it out."
+            "none.",
+            remedy="Pass checkpoint='run.ckpt', too, or leave it out.",
         )
     if request.t_eval is not None or request.save is not None:
         return _chosen(program, request, progress, on_failure)
@@ -232,9 +233,10 @@ def run(
             return over
     if program.header.retimed and request.varied:
         if request.checkpoint is not None:
-            raise InputError(
+            reject(
                 f"{program.system} is retimed, and a checkpoint keeps no derivatives in another "
-                "time.\nLeave out checkpoint, or tangents and sensitivities."
+                "time.",
+                remedy="Leave out checkpoint, or tangents and sensitivities.",
             )
         names = _names_to_vary(program, request)
         return timed_run(program, read_run(program, request), names, progress, on_failure)

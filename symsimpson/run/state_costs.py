@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.input_values import read_array
 from symsimpson.program.numbers import Numbers, workspace
 from symsimpson.program.observed import evaluate, read_expression
@@ -85,14 +85,15 @@ class StateCost:
         text = read_expression(program, expression).text
         self._written = _written(text, program.n, len(program.parameters), program.numbers)
         if self._written.computed:
-            raise InputError(
+            reject(
                 f"{what} contains the energy, or a part of it, whose derivatives are not known "
-                "here.\nWrite it with coordinates, velocities and parameters."
+                "here.",
+                remedy="Write it with coordinates, velocities and parameters.",
             )
         if self._written.moving and program.header.constraints:
-            raise InputError(
-                f"{what} contains velocities, whose derivatives are not known with constraints.\n"
-                "Write it with coordinates and momenta, or as running=."
+            reject(
+                f"{what} contains velocities, whose derivatives are not known with constraints.",
+                remedy="Write it with coordinates and momenta, or as running=.",
             )
         varied, parameters = program.header.varied_by or (), program.header.parameters
         #: Which of the parameters are varied, and which of h and t; inputs are none of them.
@@ -179,20 +180,21 @@ def read_samples(
     numbers, measured = program.numbers, []
     count = steps // every + 1
     if samples is not None and not isinstance(samples, Mapping):
-        raise InputError(
-            f"samples is a {type(samples).__name__}, not a mapping.\nSay of what they are: "
-            "samples={'x': [...]}, with NaN where nothing was measured."
+        reject(
+            f"samples is a {type(samples).__name__}, not a mapping.",
+            remedy="Say of what they are: "
+            "samples={'x': [...]}, with NaN where nothing was measured.",
         )
     for expression, given in (samples or {}).items():
         values = read_array(f"samples of {expression}", given, numbers)
         if values.shape != (count,):
-            raise InputError(
+            reject(
                 f"samples of {expression} have shape {values.shape}, and there are {count} states, "
-                f"one after each {every} of {steps} steps, and the first.\n"
-                f"Pass {count} numbers, NaN where nothing was measured, or another every=."
+                f"one after each {every} of {steps} steps, and the first.",
+                remedy=f"Pass {count} numbers, NaN where nothing was measured, or another every=.",
             )
         if not numbers.finite(values).any():
-            raise InputError(f"samples of {expression}: none is finite.\nPass at least one number.")
+            reject(f"samples of {expression}: none is finite.", remedy="Pass at least one number.")
         measured.append(
             Measured(StateCost(program, f"samples of {expression}", expression), values)
         )

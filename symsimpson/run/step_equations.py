@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.input_values import read_array, read_number, read_vector
 from symsimpson.program.numbers import Numbers, workspace
 from symsimpson.program.program import Program
@@ -94,9 +94,9 @@ def evaluate_curvature(
 def _check_equations(program: Program) -> None:
     """Refuse steps that are explicit; raises InputError."""
     if "equations" not in program.header.functions:
-        raise InputError(
-            f"{program.scheme} is explicit: a step has no equations to evaluate.\n"
-            "Ask a stepper of another scheme, as 'simpson'."
+        reject(
+            f"{program.scheme} is explicit: a step has no equations to evaluate.",
+            remedy="Ask a stepper of another scheme, as 'simpson'.",
         )
 
 
@@ -104,9 +104,9 @@ def _shaped(name: str, value: ArrayLike, shape: tuple[int, int], numbers: Number
     """Read an array of this shape; raises InputError."""
     array = read_array(name, value, numbers)
     if array.shape != shape:
-        raise InputError(
-            f"{name} has shape {array.shape}, expected {shape}.\n"
-            "Pass a row for each control point X_0, ..., X_d."
+        reject(
+            f"{name} has shape {array.shape}, expected {shape}.",
+            remedy="Pass a row for each control point X_0, ..., X_d.",
         )
     return array
 
@@ -131,17 +131,18 @@ class _Step:
         h, t = read_step(at.h, numbers), read_number("t", at.t, numbers)
         points = read_array("nodes", at.nodes, numbers)
         if points.shape != (d, n):
-            raise InputError(
-                f"nodes has shape {points.shape}, expected ({d}, {n}).\n"
-                "Pass the inner control points and q1, one row each."
+            reject(
+                f"nodes has shape {points.shape}, expected ({d}, {n}).",
+                remedy="Pass the inner control points and q1, one row each.",
             )
         mu = at.multipliers
         mu = None if mu is None else read_array("multipliers", mu, numbers)
         if mu is not None and (mu.shape != (d, m) or not m):
-            raise InputError(
+            reject(
                 f"multipliers has shape {mu.shape}, but {program.system} has {m} constraints and "
-                f"{program.scheme} {d} points at which they pull.\nPass shape ({d}, {m}): those "
-                "at X_0, ..., X_(d-1); none to a system without constraints."
+                f"{program.scheme} {d} points at which they pull.",
+                remedy=f"Pass shape ({d}, {m}): those "
+                "at X_0, ..., X_(d-1); none to a system without constraints.",
             )
         run = Run(program, program.values(at.parameters), h, h * 0, 0, 1)
         run.rows("INCREMENT", d * n)[:] = (points - q).ravel()

@@ -11,7 +11,7 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
-from symsimpson.errors import SchemeError
+from symsimpson.errors import SchemeError, reject
 from symsimpson.schemes.quadrature import Quadrature
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.markup import aligned
@@ -160,7 +160,11 @@ def composition(name: str) -> Composition:
     if not isinstance(name, str) or name not in COMPOSITIONS:
         choices = ", ".join(repr(choice) for choice in COMPOSITIONS)
         hint = did_you_mean(name, COMPOSITIONS)
-        raise SchemeError(f"there is no composition {name!r}.{hint}\nChoose one of {choices}.")
+        reject(
+            f"there is no composition {name!r}.{hint}",
+            remedy=f"Choose one of {choices}.",
+            error=SchemeError,
+        )
     return _composition(name)
 
 

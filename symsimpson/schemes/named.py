@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from symsimpson.errors import SchemeError
+from symsimpson.errors import SchemeError, reject
 from symsimpson.schemes.composition import COMPOSITIONS, composition
 from symsimpson.schemes.scheme import MIDPOINT, SIMPSON, Scheme, galerkin
 from symsimpson.support.names import did_you_mean
@@ -44,8 +44,10 @@ def read_scheme(scheme: str | Scheme) -> Scheme:
     if isinstance(scheme, str):
         here = ELSEWHERE.get(scheme.lower())
         hint = f" Here it is {here!r}." if here else did_you_mean(scheme, known)
-    raise SchemeError(
-        f"there is no scheme {scheme!r}.{hint}\nChoose 'midpoint', 'simpson', 'lobatto6', "
+    reject(
+        f"there is no scheme {scheme!r}.{hint}",
+        remedy="Choose 'midpoint', 'simpson', 'lobatto6', "
         "'gauss4', ... (the family by its even order), an explicit one as 'kahan_li8' "
-        "(symsimpson.composition), or make one with symsimpson.galerkin."
+        "(symsimpson.composition), or make one with symsimpson.galerkin.",
+        error=SchemeError,
     )

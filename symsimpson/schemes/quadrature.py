@@ -8,7 +8,7 @@ from functools import cache
 import sympy as sp
 from sympy.integrals.quadrature import gauss_legendre, gauss_lobatto
 
-from symsimpson.errors import SchemeError
+from symsimpson.errors import SchemeError, reject
 
 #: Roots of Legendre polynomials and of their derivatives are written in radicals up to here; with
 #: one node more, products of them fill pages.
@@ -79,9 +79,10 @@ def radau(nodes: int) -> Quadrature:
     """Return the left Radau rule: the start and s - 1 nodes inside, order 2s - 1."""
     _check("radau", nodes, 1)
     if nodes > CLOSED_FORM["radau"]:
-        raise SchemeError(
-            f"a Radau quadrature has at most {CLOSED_FORM['radau']} nodes here, not {nodes}.\n"
-            "Choose 'radau5', or a Gauss scheme of higher order."
+        reject(
+            f"a Radau quadrature has at most {CLOSED_FORM['radau']} nodes here, not {nodes}.",
+            remedy="Choose 'radau5', or a Gauss scheme of higher order.",
+            error=SchemeError,
         )
     # zeros of P_(s-1) + P_s on [-1, 1], of which -1 is one
     points = _unit_roots(sp.expand(sp.legendre(nodes - 1, _x) + sp.legendre(nodes, _x)))
@@ -98,14 +99,17 @@ def lagrange_basis(points: tuple[sp.Expr, ...], x: sp.Expr) -> tuple[sp.Expr, ..
 
 def _check(kind: str, nodes: int, least: int) -> None:
     if isinstance(nodes, bool) or not isinstance(nodes, int) or nodes < least:
-        raise SchemeError(
-            f"a {kind} quadrature has at least {least} node(s), not {nodes!r}.\n"
-            f"Choose nodes={least} or more."
+        reject(
+            f"a {kind} quadrature has at least {least} node(s), not {nodes!r}.",
+            remedy=f"Choose nodes={least} or more.",
+            error=SchemeError,
         )
     if nodes > MOST:
-        raise SchemeError(
-            f"a quadrature has at most {MOST} nodes here, not {nodes!r}.\n"
-            "Rounding leaves nothing of an order beyond 20 in double precision. Use fewer nodes."
+        reject(
+            f"a quadrature has at most {MOST} nodes here, not {nodes!r}.",
+            remedy="Rounding leaves nothing of an order beyond 20 in double precision. "
+            "Use fewer nodes.",
+            error=SchemeError,
         )
 
 

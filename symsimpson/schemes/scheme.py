@@ -10,7 +10,7 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
-from symsimpson.errors import SchemeError
+from symsimpson.errors import SchemeError, reject
 from symsimpson.schemes.quadrature import Quadrature, gauss, lagrange_basis, lobatto, radau
 from symsimpson.support.markup import aligned, in_text
 from symsimpson.support.names import counted
@@ -283,22 +283,30 @@ def galerkin(quadrature: str, nodes: int, degree: int) -> Scheme:
     4
     """
     if not isinstance(quadrature, str) or quadrature not in _QUADRATURES:
-        raise SchemeError(
-            f"there is no quadrature {quadrature!r}.\nChoose 'lobatto', 'gauss' or 'radau'."
+        reject(
+            f"there is no quadrature {quadrature!r}.",
+            remedy="Choose 'lobatto', 'gauss' or 'radau'.",
+            error=SchemeError,
         )
     if isinstance(nodes, bool) or not isinstance(nodes, int):
-        raise SchemeError(
-            f"a {quadrature} quadrature has a whole number of nodes, not {nodes!r}.\n"
-            "Use nodes=2, say."
+        reject(
+            f"a {quadrature} quadrature has a whole number of nodes, not {nodes!r}.",
+            remedy="Use nodes=2, say.",
+            error=SchemeError,
         )
     rule = _QUADRATURES[quadrature](nodes)
     if isinstance(degree, bool) or not isinstance(degree, int) or degree < 1:
-        raise SchemeError(f"the degree of a path is at least 1, not {degree!r}.\nUse degree=1.")
+        reject(
+            f"the degree of a path is at least 1, not {degree!r}.",
+            remedy="Use degree=1.",
+            error=SchemeError,
+        )
     if degree > nodes:
-        raise SchemeError(
-            f"a path of degree {degree} is not determined by {nodes} quadrature nodes.\n"
-            "The order would drop and the Newton matrix be singular for free motion. "
-            f"Use degree={nodes} or less, or more nodes."
+        reject(
+            f"a path of degree {degree} is not determined by {nodes} quadrature nodes.",
+            remedy="The order would drop and the Newton matrix be singular for free motion. "
+            f"Use degree={nodes} or less, or more nodes.",
+            error=SchemeError,
         )
     return _scheme(rule, degree)
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import InputError, ModelError
+from symsimpson.errors import InputError, ModelError, reject
 from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
 from symsimpson.support.array_types import Reals
@@ -175,27 +175,33 @@ def _check_rank(
     rows, none = slopes[worst], flat[worst]
     where = f"q0={[float(x) for x in q[worst]]}"
     if not np.isfinite(rows).all():
-        raise InputError(
-            f"{program.system}: constraints have no finite slope at {where}.\nBegin elsewhere."
+        reject(
+            f"{program.system}: constraints have no finite slope at {where}.",
+            remedy="Begin elsewhere.",
         )
     if none.any():
         which = ", ".join(constraint_called(names[c]) for c in np.flatnonzero(none))
         if none[len(rows) - rolling :].any():
-            raise ModelError(
+            reject(
                 f"{program.system}: the constraint {which} asks for nothing at {where}: all its "
-                "factors of velocities are zero there, so its force has no direction.\nBegin "
-                "elsewhere, or look at the parameters in it."
+                "factors of velocities are zero there, so its force has no direction.",
+                remedy="Begin elsewhere, or look at the parameters in it.",
+                error=ModelError,
             )
-        raise ModelError(
+        reject(
             f"{program.system}: the constraint {which} has no slope at {where}: its gradient is "
-            "zero there, so the constraint force has no direction.\nWrite phi so that its gradient "
-            "does not vanish where phi = 0, as x**2 + y**2 - 1 and not its square."
+            "zero there, so the constraint force has no direction.",
+            remedy="Write phi so that its gradient "
+            "does not vanish where phi = 0, as x**2 + y**2 - 1 and not its square.",
+            error=ModelError,
         )
-    raise ModelError(
+    reject(
         f"{program.system}: the constraints {name_dependent(names, rows)} depend on each other at "
-        f"{where}.\nOne of them follows from the others there, so the constraint forces are not "
+        f"{where}.",
+        remedy="One of them follows from the others there, so the constraint forces are not "
         "determined. If this holds everywhere, leave one out; if the mechanism is folded there, "
-        "begin elsewhere."
+        "begin elsewhere.",
+        error=ModelError,
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.input_values import (
     MOST_STEPS,
     read_array,
@@ -82,17 +82,18 @@ def read_driving(
     if not names:
         if given is None:
             return NO_INPUTS
-        raise InputError(
-            f"{program.system} has no inputs.\nDeclare them: MechanicalSystem(..., forces={{q: u}},"
-            " inputs=(u,))."
+        reject(
+            f"{program.system} has no inputs.",
+            remedy="Declare them: MechanicalSystem(..., forces={q: u}, inputs=(u,)).",
         )
     values = given_inputs(program, given)
     missing = [name for name in names if name not in values]
     if missing:
-        raise InputError(
-            f"{program.system}: the input {missing[0]} has no values.\nPass inputs="
+        reject(
+            f"{program.system}: the input {missing[0]} has no values.",
+            remedy="Pass inputs="
             f"{{{missing[0]!r}: values}}, one value for each of the {steps} steps, or at the nodes "
-            "of all steps: stepper.node_times(h, steps); or a function of time."
+            "of all steps: stepper.node_times(h, steps); or a function of time.",
         )
     for name, value in values.items():
         if callable(value):
@@ -104,10 +105,10 @@ def read_driving(
         shape = np.broadcast_shapes(*(array.shape for array in read))
     except ValueError:
         sizes = ", ".join(f"{name} of {len(x)}" for name, x in zip(names, read, strict=True))
-        raise InputError(
-            f"inputs are given for different numbers of members: {sizes}.\n"
-            "Give each input an axis of all members, or none."
-        ) from None
+        reject(
+            f"inputs are given for different numbers of members: {sizes}.",
+            remedy="Give each input an axis of all members, or none.",
+        )
     inputs = np.stack([np.broadcast_to(array, shape) for array in read], axis=-1)
     return inputs if inputs.shape[1] else numbers.zeros((1, 1, 1, len(names)))
 
@@ -128,9 +129,10 @@ def given_inputs(program: Program, given: Any) -> dict[str, Any]:
     if len(names) == 1 and (array.ndim < 2 or array.shape[-1] != 1):
         return {names[0]: array}
     if array.ndim == 0 or array.shape[-1] != len(names):
-        raise InputError(
+        reject(
             f"inputs has shape {array.shape}: its last axis is not that of the {len(names)} inputs "
-            f"{', '.join(names)}.\nPass a mapping, inputs={{{names[0]!r}: values, ...}}."
+            f"{', '.join(names)}.",
+            remedy=f"Pass a mapping, inputs={{{names[0]!r}: values, ...}}.",
         )
     return {name: array[..., k] for k, name in enumerate(names)}
 
@@ -139,9 +141,10 @@ def _check_times(program: Program, name: str) -> None:
     """Raise InputError for a function of time where derivatives move the times."""
     moved = {"h", "t"}.intersection(program.header.varied_by or ())
     if moved:
-        raise InputError(
+        reject(
             f"input {name} is a function of time, and a derivative by {min(moved)!r} moves the "
-            "times.\nPass its values: f(stepper.node_times(h, steps, t0))."
+            "times.",
+            remedy="Pass its values: f(stepper.node_times(h, steps, t0)).",
         )
 
 
@@ -167,25 +170,27 @@ def _one(program: Program, name: str, given: Any, h: Any, steps: int, members: i
         **({} if held else {(many, steps, nodes): (many, steps, nodes)}),
     }
     if members == steps == nodes and shape == (steps, nodes):
-        raise InputError(
-            f"input {name} has shape {shape}, which may be (members, steps) or (steps, nodes).\n"
-            f"Say which by one axis more: ({members}, {steps}, 1), or (1, {steps}, {nodes})."
+        reject(
+            f"input {name} has shape {shape}, which may be (members, steps) or (steps, nodes).",
+            remedy=f"Say which by one axis more: ({members}, {steps}, 1), or (1, {steps}, "
+            f"{nodes}).",
         )
     if shape not in fitting and shape != (1, steps, nodes):
         ways = f"({steps},), a value for each step, or ({steps}, {nodes}), one for each node"
         if members is not None:
             ways += f"; with {members} before them if each member has its own"
-        raise InputError(
+        reject(
             f"input {name} has {'steps of samples' if held else 'shape'} {shape}, and the run has "
-            f"{steps} steps of {nodes} nodes.\nPass one of shape {ways}: "
-            "stepper.node_times(h, steps) are the times of nodes."
+            f"{steps} steps of {nodes} nodes.",
+            remedy=f"Pass one of shape {ways}: "
+            "stepper.node_times(h, steps) are the times of nodes.",
         )
     if not numbers.all_finite(array):
         bad = tuple(np.argwhere(~numbers.finite(array))[0].tolist())
         where = f" at {name}{list(bad)}" if bad else ""
-        raise InputError(
-            f"input {name} is {float(array[bad])}{where}, not finite.\n"
-            "Look where the number comes from."
+        reject(
+            f"input {name} is {float(array[bad])}{where}, not finite.",
+            remedy="Look where the number comes from.",
         )
     return array.reshape(fitting.get(shape, shape))
 
@@ -197,10 +202,10 @@ def steps_a_period(name: str, period: Any, h: Any, numbers: Numbers) -> int:
     count = round(exact)
     if count < 1 or abs(exact - count) > STEP_FRACTION:
         fit = float(period) / max(1, -(-exact // 1))
-        raise InputError(
+        reject(
             f"input {name}: the period {float(period):.15g} is {exact:.12g} steps of "
-            f"h={abs(float(h)):.15g}, no whole number of them.\nA jump within a step would "
-            f"cost the order of the scheme. Use h={fit!r}."
+            f"h={abs(float(h)):.15g}, no whole number of them.",
+            remedy=f"A jump within a step would cost the order of the scheme. Use h={fit!r}.",
         )
     return count
 
@@ -290,9 +295,10 @@ def inputs_there(
     if not program.inputs:
         return NO_INPUTS
     if driven is None:
-        raise InputError(
+        reject(
             f"{program.system}: the inputs {', '.join(program.inputs)} at these states are not "
-            "known.\nTake what depends on them of the run itself, or of run.at(times)."
+            "known.",
+            remedy="Take what depends on them of the run itself, or of run.at(times).",
         )
     return driven.at(program, t, arriving=arriving)
 
@@ -300,9 +306,9 @@ def inputs_there(
 def node_times(program: Program, h: Any, steps: Any, t0: Any) -> Reals:
     """Return the times of the nodes of steps, shape (steps, s); raise InputError without inputs."""
     if not program.inputs:
-        raise InputError(
-            f"{program.system} has no inputs, so there are no times to take them at.\n"
-            "Declare them: MechanicalSystem(..., forces={q: u}, inputs=(u,))."
+        reject(
+            f"{program.system} has no inputs, so there are no times to take them at.",
+            remedy="Declare them: MechanicalSystem(..., forces={q: u}, inputs=(u,)).",
         )
     numbers = program.numbers
     with numbers.working():

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.input_values import whole_number
 from symsimpson.support.calling import explaining
 from symsimpson.support.markup import fields_given
@@ -55,9 +55,10 @@ class Impact:
             real = real or (not bare and bool(getattr(given, "is_real", False)))
             number = float(given) if real and abs(given) <= 1 else float("nan")
             if not 0.0 <= number <= 1.0:
-                raise InputError(
-                    f"restitution is {given!r}.\nGive a number between 0 (plastic) and 1 "
-                    "(elastic); for a bumper that gives energy, take Change."
+                reject(
+                    f"restitution is {given!r}.",
+                    remedy="Give a number between 0 (plastic) and 1 "
+                    "(elastic); for a bumper that gives energy, take Change.",
                 )
 
 
@@ -92,20 +93,21 @@ class Change:
     def __post_init__(self) -> None:
         for what in CHANGED:
             if not isinstance(getattr(self, what), Mapping):
-                raise InputError(
-                    f"{what} is {getattr(self, what)!r}, not a mapping.\n"
-                    "Name coordinates: Change(velocities={x: -x.diff()})."
+                reject(
+                    f"{what} is {getattr(self, what)!r}, not a mapping.",
+                    remedy="Name coordinates: Change(velocities={x: -x.diff()}).",
                 )
         if not any(getattr(self, what) for what in CHANGED):
-            raise InputError(
-                "Change changes nothing.\nName coordinates: Change(velocities={x: -x.diff()}). To "
-                "split a step alone, take Switch()."
+            reject(
+                "Change changes nothing.",
+                remedy="Name coordinates: Change(velocities={x: -x.diff()}). To "
+                "split a step alone, take Switch().",
             )
         both = {spelled(x) for x in self.velocities} & {spelled(x) for x in self.momenta}
         if both:
-            raise InputError(
-                f"Change gives a velocity and a momentum of {', '.join(sorted(both))}.\n"
-                "Give one of them; the other follows."
+            reject(
+                f"Change gives a velocity and a momentum of {', '.join(sorted(both))}.",
+                remedy="Give one of them; the other follows.",
             )
 
 
@@ -174,27 +176,28 @@ class Event:
 
     def __post_init__(self) -> None:
         if self.action is not None and not isinstance(self.action, (Impact, Change, Switch)):
-            raise InputError(
-                f"the action of an event is {self.action!r}.\nIt is an Impact, a Change or a "
-                "Switch, or None."
+            reject(
+                f"the action of an event is {self.action!r}.",
+                remedy="It is an Impact, a Change or a Switch, or None.",
             )
         if self.name is not None and not (isinstance(self.name, str) and self.name.strip()):
-            raise InputError(f"the name of an event is {self.name!r}.\nIt is a text.")
+            reject(f"the name of an event is {self.name!r}.", remedy="It is a text.")
         if whole_number(self.direction) not in (-1, 0, 1):
-            raise InputError(
-                f"direction is {self.direction!r}.\nPass 1 for a change of sign on the way up, -1 "
-                "for one on the way down, or 0 for both."
+            reject(
+                f"direction is {self.direction!r}.",
+                remedy="Pass 1 for a change of sign on the way up, -1 "
+                "for one on the way down, or 0 for both.",
             )
         if isinstance(self.action, Impact) and self.direction == 1:
-            raise InputError(
-                "an impact takes place where the gap falls: direction=-1.\nTurn the sign of the "
-                "gap, which is positive where the body is free."
+            reject(
+                "an impact takes place where the gap falls: direction=-1.",
+                remedy="Turn the sign of the gap, which is positive where the body is free.",
             )
         count = self.terminal
         if not isinstance(count, (Integral, np.bool_)) or count < 0:
-            raise InputError(
-                f"terminal is {count!r}.\nIt is True, or the number of times after which the run "
-                "ends."
+            reject(
+                f"terminal is {count!r}.",
+                remedy="It is True, or the number of times after which the run ends.",
             )
 
     @property

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from symsimpson.errors import InputError
+from symsimpson.errors import InputError, reject
 from symsimpson.program.input_values import (
     MOST_STEPS,
     read_array,
@@ -53,10 +53,10 @@ def read_steps(
         given, number = h, math.ceil(exact)
         h = (end - t0) / number
         if request.exact_h:
-            raise InputError(
+            reject(
                 f"t_end={float(end):.15g} is {exact:.12g} steps of h={float(given):.15g} from t0="
-                f"{float(t0):.15g}, not a whole number.\nUse h={float(h)!r}, steps={number}, or "
-                "exact_h=False."
+                f"{float(t0):.15g}, not a whole number.",
+                remedy=f"Use h={float(h)!r}, steps={number}, or exact_h=False.",
             )
     _check_times(h, t0, number, numbers)
     return h, number, t0
@@ -74,11 +74,12 @@ def _check_times(h: Any, t0: Any, steps: int, numbers: Numbers) -> None:
     farthest, digits = max(abs(t0), abs(t0 + h * steps)), getattr(numbers, "digits", None)
     spacing = farthest * (2.0**-52 if digits is None else 10.0 ** (1 - digits))
     if steps and abs(h) < spacing:
-        raise InputError(
+        reject(
             f"steps of h={float(h):g} are lost in rounding at t={float(farthest):g}, where numbers "
             f"are {float(spacing):.2g} apart: times would not move, and what depends on them would "
-            "stand still.\nTake t0=0 and put the time of the start into the functions of time, or "
-            "take larger steps."
+            "stand still.",
+            remedy="Take t0=0 and put the time of the start into the functions of time, or "
+            "take larger steps.",
         )
 
 
@@ -100,9 +101,9 @@ def _check_length(request: Request) -> None:
     """Refuse a run that has not exactly one of ``t_end`` and ``steps``."""
     if (request.t_end is None) == (request.steps is None):
         given = "neither" if request.t_end is None else "both"
-        raise InputError(
-            f"a run needs exactly one of t_end and steps, and has {given}.\n"
-            "Pass t_end=10.0 or steps=1000."
+        reject(
+            f"a run needs exactly one of t_end and steps, and has {given}.",
+            remedy="Pass t_end=10.0 or steps=1000.",
         )
 
 
@@ -110,9 +111,9 @@ def _read_end(request: Request, h: Any, t0: Any, numbers: Numbers) -> Any:
     """Read ``t_end``, which must lie ahead."""
     end = read_number("t_end", request.t_end, numbers)
     if float((end - t0) / h) < 0:
-        raise InputError(
-            f"t_end={float(end):.15g} is not reached from t0={float(t0):.15g} with "
-            f"h={float(h):g}.\nUse a negative h to run backwards."
+        reject(
+            f"t_end={float(end):.15g} is not reached from t0={float(t0):.15g} with h={float(h):g}.",
+            remedy="Use a negative h to run backwards.",
         )
     return end
 
@@ -121,14 +122,13 @@ def read_step(h: Any, numbers: Numbers) -> Any:
     """Read the step, a finite number other than zero."""
     h = read_number("h", h, numbers)
     if h == 0:
-        raise InputError(
-            "the step h is 0.\nTime would stand still. Pass h > 0, or h < 0 backwards."
-        )
+        reject("the step h is 0.", remedy="Time would stand still. Pass h > 0, or h < 0 backwards.")
     if isinstance(h, float) and abs(h) < LEAST_STEP:
-        raise InputError(
+        reject(
             f"the step h is {h!r}, so small that what is divided by it, or its square, leaves the "
-            f"range of double precision.\nPass h above {LEAST_STEP:g}, or take another unit of "
-            "time; steps of many digits have no such limit."
+            "range of double precision.",
+            remedy=f"Pass h above {LEAST_STEP:g}, or take another unit of "
+            "time; steps of many digits have no such limit.",
         )
     return h
 
@@ -141,27 +141,29 @@ def read_every(every: Any) -> int:
 def refuse_too_many(steps: float) -> None:
     """Refuse more steps than can be counted."""
     if steps > MOST_STEPS:
-        raise InputError(f"{steps:.3g} steps are too many to count.\nUse a larger h.")
+        reject(f"{steps:.3g} steps are too many to count.", remedy="Use a larger h.")
 
 
 def refuse_together(request: Request) -> None:
     """Refuse what does not go with chosen times or quantities; raises InputError."""
     for name in ("tangents", "sensitivities", "checkpoint", "record"):
         if getattr(request, name) is not None:
-            raise InputError(
-                f"{name} needs the states of all steps, of which t_eval or save keeps some.\n"
-                "Leave t_eval and save out, and take run.at(times) or run['energy'] afterwards."
+            reject(
+                f"{name} needs the states of all steps, of which t_eval or save keeps some.",
+                remedy="Leave t_eval and save out, and take run.at(times) or "
+                "run['energy'] afterwards.",
             )
     if request.t_eval is not None and request.every != 1:
-        raise InputError(
-            f"every={request.every!r} and t_eval both say which states to keep.\nPass one of them."
+        reject(
+            f"every={request.every!r} and t_eval both say which states to keep.",
+            remedy="Pass one of them.",
         )
 
 
 def read_failure(on_failure: Any) -> None:
     """Check what is to be done about a failure."""
     if not (isinstance(on_failure, str) and on_failure in ("raise", "return")):
-        raise InputError(f"on_failure is {shortened(on_failure)}.\nChoose 'raise' or 'return'.")
+        reject(f"on_failure is {shortened(on_failure)}.", remedy="Choose 'raise' or 'return'.")
 
 
 def read_given(who: str, how: str, request: Request) -> tuple[Literal["v0", "p0"], ArrayLike]:
@@ -172,7 +174,7 @@ def read_given(who: str, how: str, request: Request) -> tuple[Literal["v0", "p0"
     if p0 is not None and v0 is None:
         return "p0", p0
     given = "neither" if v0 is None else "both"
-    raise InputError(f"{who} needs exactly one of v0 and p0, and has {given}.\n{how}")
+    reject(f"{who} needs exactly one of v0 and p0, and has {given}.", remedy=f"{how}")
 
 
 def refused_start(
@@ -224,29 +226,31 @@ def read_varied(program: Program, names: Any, *, of_steps: bool = False) -> tupl
         if place is not None:
             varied.append(header.parameters[place])
             if varied[-1] in header.from_start:
-                raise InputError(
+                reject(
                     f"{key} follows from the start of a run of {program.system}: nothing is "
-                    "differentiated by it.\nDifferentiate by the state, tangents=, or by other "
-                    "parameters."
+                    "differentiated by it.",
+                    remedy="Differentiate by the state, tangents=, or by other parameters.",
                 )
         elif driven is not None:
             varied.append(header.inputs[driven])
         elif key in STEP and not header.retimed:
             if key == "h" and not (of_steps or header.autonomous):
-                raise InputError(
+                reject(
                     f"{program.system} depends on time, and h moves the times of all steps of "
-                    "a run.\nDifferentiate single steps by h: stepper.tangent, stepper.linearise."
+                    "a run.",
+                    remedy="Differentiate single steps by h: stepper.tangent, stepper.linearise.",
                 )
             varied.append(key)
         else:
             known = (*program.parameters, *program.inputs)
-            raise InputError(
-                f"{key!r} is no parameter or input of {program.system}.{did_you_mean(key, known)}\n"
-                f"It has {', '.join(known) or 'none'}; a step has h and t."
+            reject(
+                f"{key!r} is no parameter or input of {program.system}.{did_you_mean(key, known)}",
+                remedy=f"It has {', '.join(known) or 'none'}; a step has h and t.",
             )
     if len(set(varied)) < len(varied):
-        raise InputError(
-            f"one of {', '.join(varied)} is named twice.\nName each parameter or input once."
+        reject(
+            f"one of {', '.join(varied)} is named twice.",
+            remedy="Name each parameter or input once.",
         )
     return tuple(varied)
 
@@ -267,18 +271,19 @@ def varied_program(
     if key not in program.findings.variants:
         if program.differentiate is None:
             if program.header.retimed:
-                raise InputError(
-                    f"this module of {program.system} does not differentiate its runs.\n"
-                    "Make a stepper with symsimpson.compile."
+                reject(
+                    f"this module of {program.system} does not differentiate its runs.",
+                    remedy="Make a stepper with symsimpson.compile.",
                 )
             known = (
                 "" if varied_by is None else f" but by {', '.join(varied_by) or 'the state alone'}"
             )
-            raise InputError(
+            reject(
                 f"this module of {program.system} does not differentiate its steps by "
-                f"{', '.join(names) or 'the state'}{known}.\nMake a stepper with "
+                f"{', '.join(names) or 'the state'}{known}.",
+                remedy="Make a stepper with "
                 "symsimpson.compile, or a module with symsimpson.generate(..., "
-                f"derivatives={names!r})."
+                f"derivatives={names!r}).",
             )
         program.findings.variants[key] = program.differentiate(names, running, second=second)
     return program.findings.variants[key]
@@ -287,9 +292,9 @@ def varied_program(
 def refuse_retimed(program: Program, what: str) -> None:
     """Refuse what is not there for steps that are fixed in another time; raises InputError."""
     if program.header.retimed:
-        raise InputError(
-            f"{program.system} is retimed, and {what} are not taken in another time yet.\n"
-            "Single runs carry tangents= and sensitivities=; or take the system as it was."
+        reject(
+            f"{program.system} is retimed, and {what} are not taken in another time yet.",
+            remedy="Single runs carry tangents= and sensitivities=; or take the system as it was.",
         )
 
 
@@ -302,17 +307,18 @@ def read_tangents(program: Program, tangents: Any) -> Reals:
     count = whole_number(tangents)
     if count is not None or isinstance(tangents, bool):
         if count is None or not 0 <= count <= size:
-            raise InputError(
-                f"tangents={tangents!r}, but {program.system} has a state of {size} numbers.\n"
-                f"Pass tangents={size} for the whole derivative, or an array of shape ({size}, k)."
+            reject(
+                f"tangents={tangents!r}, but {program.system} has a state of {size} numbers.",
+                remedy=f"Pass tangents={size} for the whole derivative, or an array of "
+                f"shape ({size}, k).",
             )
         return numbers.read(np.eye(size)[:, :count])
     columns = read_array("tangents", tangents, numbers)
     columns = columns[:, None] if columns.ndim == 1 else columns
     if columns.ndim != 2 or columns.shape[0] != size or not numbers.all_finite(columns):
-        raise InputError(
+        reject(
             f"tangents has shape {columns.shape}, or is not finite; expected ({size}, k): a column "
-            f"of {program.n} numbers dq and {program.n} numbers dp for each variation.\n"
-            "Pass tangents=k for the first k unit vectors."
+            f"of {program.n} numbers dq and {program.n} numbers dp for each variation.",
+            remedy="Pass tangents=k for the first k unit vectors.",
         )
     return columns

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple, Required, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.stepping.event import Event
 
 
@@ -62,9 +62,9 @@ class Request(NamedTuple):
 def step_request(q: Any, v: Any, p: Any, h: Any, t: Any, parameters: Any, inputs: Any) -> Request:
     """Return the request for one step; raise InputError unless it has one of v and p."""
     if (v is None) == (p is None):
-        raise InputError(
-            f"a step needs exactly one of v and p, and has {'neither' if v is None else 'both'}.\n"
-            "Pass velocities as v=[...], or momenta as p=[...]."
+        reject(
+            f"a step needs exactly one of v and p, and has {'neither' if v is None else 'both'}.",
+            remedy="Pass velocities as v=[...], or momenta as p=[...].",
         )
     return Request(q, v, p, h, steps=1, t0=t, parameters=parameters, inputs=of_a_step(inputs))
 

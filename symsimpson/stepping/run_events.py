@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.observed import Observed, read_expression, refuse_constant, watchers
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder
@@ -76,9 +76,10 @@ def read_run_events(program: Program, request: Request) -> RunEvents | None:
     elif program.header.retimed:
         why = "a rate: the energy of a retimed run stays as it is"
     if why:
-        raise InputError(
-            f"{program.system}: events that act do not go with {why}.\nLeave one of them out; "
-            "events without an action are found after a run, by run.events(expression)."
+        reject(
+            f"{program.system}: events that act do not go with {why}.",
+            remedy="Leave one of them out; "
+            "events without an action are found after a run, by run.events(expression).",
         )
     known, key = program.findings.events, tuple(given) if isinstance(given, list) else given
     try:
@@ -98,23 +99,26 @@ def read_run_events(program: Program, request: Request) -> RunEvents | None:
 def check_variations(program: Program, inputs: Reals) -> None:
     """Raise InputError where derivatives of a run with events are not known."""
     if program.declared is None:
-        raise InputError(
+        reject(
             f"{program.system}: derivatives of a run with events need the energies of the system, "
-            "and a module has none.\nMake the stepper with symsimpson.compile; a run in a "
-            "checkpoint goes on by the call that began it, integrate(..., checkpoint=...)."
+            "and a module has none.",
+            remedy="Make the stepper with symsimpson.compile; a run in a "
+            "checkpoint goes on by the call that began it, integrate(..., checkpoint=...).",
         )
     header = program.header
     of_steps = {*(header.varied_by or ())} & {*STEP} - {*header.parameters, *header.inputs}
     if of_steps:
-        raise InputError(
+        reject(
             f"{program.system}: derivatives of a run with events by {' and '.join(of_steps)} are "
-            "not known, as events have times of their own.\nDifferentiate by the state, by "
-            "parameters or by inputs, or a run without events."
+            "not known, as events have times of their own.",
+            remedy="Differentiate by the state, by "
+            "parameters or by inputs, or a run without events.",
         )
     if inputs.size and inputs.shape[2] > 1:
-        raise InputError(
+        reject(
             f"{program.system}: derivatives of a run with events do not go with inputs that vary "
-            "within a step.\nGive one value for each step."
+            "within a step.",
+            remedy="Give one value for each step.",
         )
 
 
@@ -123,16 +127,16 @@ def read_events(program: Program, given: Any) -> RunEvents:
     if isinstance(given, Event):
         given = (given,)
     if not isinstance(given, Sequence) or isinstance(given, str):
-        raise InputError(
-            f"events is {given!r}, no sequence.\n"
-            "Pass events=[symsimpson.Event(expression, action=...)]."
+        reject(
+            f"events is {given!r}, no sequence.",
+            remedy="Pass events=[symsimpson.Event(expression, action=...)].",
         )
     events = tuple(given)
     for candidate in events:
         if not isinstance(candidate, Event):
-            raise InputError(
-                f"events contains {candidate!r}, which is not an Event.\n"
-                f"Write symsimpson.Event({candidate}, action=...) in its place."
+            reject(
+                f"events contains {candidate!r}, which is not an Event.",
+                remedy=f"Write symsimpson.Event({candidate}, action=...) in its place.",
             )
     _check_names(program, events)
     for event in events:
@@ -170,13 +174,14 @@ def _check_names(program: Program, events: Sequence[Event]) -> None:
     names = [event.key for event in events]
     for name in names:
         if names.count(name) > 1:
-            raise InputError(
-                f"two events are called {name!r}.\nGive them names: Event(..., name='floor')."
+            reject(
+                f"two events are called {name!r}.",
+                remedy="Give them names: Event(..., name='floor').",
             )
         if name in program.names.coordinates.places and events[names.index(name)].name is not None:
-            raise InputError(
-                f"{name!r} is a coordinate; run.events({name!r}) could not tell them apart.\n"
-                "Give the event another name."
+            reject(
+                f"{name!r} is a coordinate; run.events({name!r}) could not tell them apart.",
+                remedy="Give the event another name.",
             )
 
 
@@ -185,9 +190,9 @@ def _positive(condition: Any) -> Any:
     if not hasattr(condition, "rel_op"):
         return condition
     if condition.rel_op not in ("<", "<=", ">", ">="):
-        raise InputError(
-            f"the condition when={condition} holds nowhere but in points.\n"
-            "Give an expression that is to be positive, or an inequality."
+        reject(
+            f"the condition when={condition} holds nowhere but in points.",
+            remedy="Give an expression that is to be positive, or an inequality.",
         )
     sign = 1 if condition.rel_op in (">", ">=") else -1
     return sign * (condition.lhs - condition.rhs)
@@ -212,9 +217,9 @@ def _check_restitution(program: Program, event: Event) -> None:
     symbols = {*getattr(given, "free_symbols", ())} - {speed_of_approach()}
     strange = sorted(str(x) for x in symbols if program.names.parameters.place(x) is None)
     if strange:
-        raise InputError(
-            f"the restitution {given} contains {', '.join(strange)}.\n"
-            "It is made of parameters and of the speed of approach, symsimpson.approach."
+        reject(
+            f"the restitution {given} contains {', '.join(strange)}.",
+            remedy="It is made of parameters and of the speed of approach, symsimpson.approach.",
         )
 
 
@@ -227,43 +232,47 @@ def _of_gap(program: Program, event: Event, place: Any) -> tuple[int, int]:
     if hasattr(gap, "lhs") and hasattr(gap, "rhs"):
         gap = gap.lhs - gap.rhs
     if not hasattr(gap, "atoms"):
-        raise InputError(
-            f"the gap of an impact, {event.key!r}, is differentiated.\n"
-            "Write it as a SymPy expression in the coordinates of the system."
+        reject(
+            f"the gap of an impact, {event.key!r}, is differentiated.",
+            remedy="Write it as a SymPy expression in the coordinates of the system.",
         )
     if kinks := gap.atoms(sp.Max, sp.Min, sp.Heaviside, sp.Piecewise):
-        raise InputError(
+        reject(
             f"the gap of an impact, {event.key!r}, contains {min(map(str, kinks), key=len)}, which "
-            "has a kink, and a gap is differentiated.\nGive one event for each of the gaps."
+            "has a kink, and a gap is differentiated.",
+            remedy="Give one event for each of the gaps.",
         )
     symbols = sorted(gap.free_symbols - {sp.Symbol("t")}, key=str)
     if strange := [x for x in symbols if program.names.parameters.place(x) is None]:
-        raise InputError(
+        reject(
             f"the gap of an impact, {event.key!r}, contains the symbol {strange[0]}, and a gap is "
-            "differentiated by coordinates and the time themselves.\nWrite coordinates as "
+            "differentiated by coordinates and the time themselves.",
+            remedy="Write coordinates as "
             "symsimpson.coordinates gives them, the time as symsimpson.time, and neither "
-            "velocities nor momenta."
+            "velocities nor momenta.",
         )
     places = {f: program.names.coordinates.place(f) for f in gap.atoms(AppliedUndef)}
     coordinates = {place: f for f, place in places.items() if place is not None}
     if not coordinates:
-        raise InputError(
-            f"the gap {event.key!r} depends on no coordinate.\nAn impact changes velocities along "
-            "its slope. Use Change, with this expression of the time."
+        reject(
+            f"the gap {event.key!r} depends on no coordinate.",
+            remedy="An impact changes velocities along "
+            "its slope. Use Change, with this expression of the time.",
         )
     ((t,),) = {f.args for f in coordinates.values()}
     moving = [q.diff(t) for q in coordinates.values() if gap.has(q.diff(t))]
     if moving:
-        raise InputError(
+        reject(
             f"the gap of an impact is a function of positions and t, and {event.key!r} contains "
-            f"the velocity of {spelled(moving[0].expr)}.\nUse Change for what is to happen there."
+            f"the velocity of {spelled(moving[0].expr)}.",
+            remedy="Use Change for what is to happen there.",
         )
     real = {q: sp.Dummy(real=True) for q in coordinates.values()}  # |q| has a slope then
     flat, back = gap.xreplace(real), {x: q for q, x in real.items()}
     if flat.is_nonnegative or flat.is_nonpositive:
-        raise InputError(
-            f"the gap {event.key!r} never changes its sign, and has no slope where it is zero.\n"
-            "Write the distance itself, as x - 1 in place of its square or its modulus."
+        reject(
+            f"the gap {event.key!r} never changes its sign, and has no slope where it is zero.",
+            remedy="Write the distance itself, as x - 1 in place of its square or its modulus.",
         )
 
     def slope(x: Any) -> Any:
@@ -287,13 +296,14 @@ def _changes(program: Program, event: Event, place: Any) -> tuple[tuple[str, int
             if number is None and what == "velocities":
                 number = names.place_of_velocity(coordinate)
             if number is None:
-                raise InputError(
-                    f"Change names {spelled(coordinate)!r}, which is no coordinate.\n"
-                    f"The system has {', '.join(names.shown)}."
+                reject(
+                    f"Change names {spelled(coordinate)!r}, which is no coordinate.",
+                    remedy=f"The system has {', '.join(names.shown)}.",
                 )
             if (block, number) in {change[:2] for change in changes}:
-                raise InputError(
-                    f"Change gives the {what} of {names.shown[number]} twice.\nGive it once."
+                reject(
+                    f"Change gives the {what} of {names.shown[number]} twice.",
+                    remedy="Give it once.",
                 )
             changes.append((block, number, place(expression)))
     return tuple(changes)

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.input_values import read_vector
 from symsimpson.program.observed import Reduction, observers, read_reductions
 from symsimpson.program.program import Program
@@ -107,9 +107,9 @@ def _reductions(
     reductions = read_reductions(program, given, event_names)
     for reduction in reductions:
         if reduction.of_variations:
-            raise InputError(
-                f"reduce[{reduction.name!r}] is {reduction.kind!r}, which ensembles tell.\n"
-                "Ask for that of one motion: stepper.lyapunov."
+            reject(
+                f"reduce[{reduction.name!r}] is {reduction.kind!r}, which ensembles tell.",
+                remedy="Ask for that of one motion: stepper.lyapunov.",
             )
     return reductions
 
@@ -120,10 +120,10 @@ def read_record(program: Program, given: Any) -> tuple[str, ...]:
     names = () if given is None else names
     for name in names:
         if not isinstance(name, str) or name not in NAMED:
-            raise InputError(
+            reject(
                 f"record={name!r} is nothing that a run adds up over its steps."
-                f"{did_you_mean(str(name), NAMED)}\nPass record='work', or reduce= for values of "
-                "states."
+                f"{did_you_mean(str(name), NAMED)}",
+                remedy="Pass record='work', or reduce= for values of states.",
             )
     header = program.header
     return tuple(name for name in dict.fromkeys(names) if NAMED[name](header, header.rows))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 
 
 def library(name: str, use: str, extra: str) -> Any:
@@ -16,7 +16,7 @@ def library(name: str, use: str, extra: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError:
-        raise InputError(
-            f"{use} needs {name.partition('.')[0]}, which is not installed.\n"
-            f"Install it with pip install 'symsimpson[{extra}]'."
-        ) from None
+        reject(
+            f"{use} needs {name.partition('.')[0]}, which is not installed.",
+            remedy=f"Install it with pip install 'symsimpson[{extra}]'.",
+        )

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from symsimpson.errors import InputError, StorageError
+from symsimpson.errors import StorageError, reject
 
 
 def read_path(what: str, value: Any) -> Path:
@@ -21,9 +21,9 @@ def read_path(what: str, value: Any) -> Path:
     if isinstance(text, str) and text and "\0" not in text:
         return Path(text)
     given = "empty" if isinstance(text, str) and not text else type(value).__name__
-    raise InputError(
-        f"{what} is {given}, not the name of a file or a folder.\n"
-        "Pass a text as 'folder/name', or a pathlib.Path."
+    reject(
+        f"{what} is {given}, not the name of a file or a folder.",
+        remedy="Pass a text as 'folder/name', or a pathlib.Path.",
     )
 
 

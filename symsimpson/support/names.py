@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 
 #: How alike two names are that may have been mistaken for one another: as "th" and "theta".
 ALIKE = 0.55
@@ -86,8 +86,9 @@ def read_mapping(what: str, given: Any, example: str) -> Mapping[Any, Any]:
     if given is None:
         return {}
     if not isinstance(given, Mapping):
-        raise InputError(
-            f"{what} is {shortened(given)}, not a mapping.\nPass {what}={{'{example}': 1.0}}."
+        reject(
+            f"{what} is {shortened(given)}, not a mapping.",
+            remedy=f"Pass {what}={{'{example}': 1.0}}.",
         )
     return given
 
@@ -129,7 +130,7 @@ class Named:
         """Return the place of what a name or a symbol means; InputError if it is none of them."""
         place = self.place(key)
         if place is None:
-            raise InputError(self.unknown(key))
+            reject(self.unknown(key))
         return place
 
     def by_place(self, given: Mapping[Any, Any], what: str = "") -> dict[int, Any]:
@@ -145,11 +146,12 @@ class Named:
             place = self._place_behind("p_", key) if what == "p0" else place
             place = self.place(key) if place is None else place
             if place is None:
-                raise InputError(f"{where}{self.unknown(key)}")
+                reject(f"{where}{self.unknown(key)}")
             if place in values:
-                raise InputError(
-                    f"{where}{self.what} {self.shown[place]} is given twice, by name and by symbol."
-                    "\nGive it once."
+                reject(
+                    f"{where}{self.what} {self.shown[place]} is given twice, by name and "
+                    "by symbol.",
+                    remedy="Give it once.",
                 )
             values[place] = value
         return values
@@ -188,8 +190,8 @@ class Named:
         values = self.by_place(given, what)
         missing = [name for i, name in enumerate(self.shown) if i not in values]
         if missing:
-            raise InputError(
-                f"{what} has no number for {', '.join(missing)}.\n"
-                f"Give one for each {self.what}: {', '.join(self.shown)}."
+            reject(
+                f"{what} has no number for {', '.join(missing)}.",
+                remedy=f"Give one for each {self.what}: {', '.join(self.shown)}.",
             )
         return [values[i] for i in range(len(self.shown))]

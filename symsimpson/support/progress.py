@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextvars import ContextVar
 from typing import Any
 
-from symsimpson.errors import InputError
+from symsimpson.errors import InputError, reject
 from symsimpson.support.extras import library
 
 #: What is done sooner shows no bar.
@@ -36,7 +36,7 @@ def watched() -> bool:
 def read_progress(wanted: Any) -> None:
     """Check whether a bar is wanted; raises InputError."""
     if not (wanted is None or isinstance(wanted, bool)):
-        raise InputError(f"progress is {wanted!r}.\nPass True, False or None.")
+        reject(f"progress is {wanted!r}.", remedy="Pass True, False or None.")
 
 
 @contextlib.contextmanager

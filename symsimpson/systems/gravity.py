@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import sympy as sp
 
 from symsimpson.declare.coordinates import coordinates
-from symsimpson.errors import ModelError
+from symsimpson.errors import ModelError, reject
 from symsimpson.systems.entry import CatalogueSystem
 
 
@@ -97,7 +97,11 @@ def outer_solar_system() -> CatalogueSystem:
 def n_body(n: int = 3) -> CatalogueSystem:
     """Bodies of mass 1 at the corners of a regular polygon of radius 1 that turns, for G = 1."""
     if isinstance(n, bool) or not isinstance(n, int) or n < 2:
-        raise ModelError(f"bodies that attract each other are two at least, not {n!r}.\nUse 3.")
+        reject(
+            f"bodies that attract each other are two at least, not {n!r}.",
+            remedy="Use 3.",
+            error=ModelError,
+        )
     angles = [2 * math.pi * k / n for k in range(n)]
     square = sum(1 / math.sin(math.pi * k / n) for k in range(1, n)) / 4
     omega = math.sqrt(square)

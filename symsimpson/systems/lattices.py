@@ -7,7 +7,7 @@ import math
 import sympy as sp
 
 from symsimpson.declare.coordinates import coordinates
-from symsimpson.errors import ModelError
+from symsimpson.errors import ModelError, reject
 from symsimpson.systems.entry import CatalogueSystem
 
 
@@ -17,7 +17,11 @@ def fermi_pasta_ulam(n: int = 3) -> CatalogueSystem:
     ``x_i`` is the displacement of the i-th stiff spring and ``y_i`` its expansion, both scaled.
     """
     if isinstance(n, bool) or not isinstance(n, int) or n < 1:
-        raise ModelError(f"a chain has a whole number of stiff springs, not {n!r}.\nUse 3.")
+        reject(
+            f"a chain has a whole number of stiff springs, not {n!r}.",
+            remedy="Use 3.",
+            error=ModelError,
+        )
     x, y = coordinates(f"x1:{n + 1}"), coordinates(f"y1:{n + 1}")
     omega = sp.Symbol("omega", positive=True)
     soft = [
@@ -44,7 +48,11 @@ def fermi_pasta_ulam(n: int = 3) -> CatalogueSystem:
 def cloth(k: int = 10) -> CatalogueSystem:
     """K by k points in space, springs between neighbours, two corners held by springs."""
     if isinstance(k, bool) or not isinstance(k, int) or k < 2:
-        raise ModelError(f"a cloth has a whole number of points a side, not {k!r}.\nUse 10.")
+        reject(
+            f"a cloth has a whole number of points a side, not {k!r}.",
+            remedy="Use 10.",
+            error=ModelError,
+        )
     places = [(i, j) for i in range(k) for j in range(k)]
     q = coordinates(" ".join(f"{axis}_{i}_{j}" for i, j in places for axis in "xyz"))
     point = {place: q[3 * n : 3 * n + 3] for n, place in enumerate(places)}
@@ -107,11 +115,19 @@ def argon() -> CatalogueSystem:
 def argon_cluster(n: int = 20) -> CatalogueSystem:
     """Atoms of argon in space, at rest on a face-centred cubic lattice around its centre."""
     if isinstance(n, bool) or not isinstance(n, int) or n < 2:
-        raise ModelError(f"a cluster has two atoms at least, not {n!r}.\nUse argon_cluster(20).")
+        reject(
+            f"a cluster has two atoms at least, not {n!r}.",
+            remedy="Use argon_cluster(20).",
+            error=ModelError,
+        )
     reach = range(-4, 5)
     corners = [(i, j, k) for i in reach for j in reach for k in reach if (i + j + k) % 2 == 0]
     if n > len(corners):
-        raise ModelError(f"the lattice is made for {len(corners)} atoms, not {n}.\nUse fewer.")
+        reject(
+            f"the lattice is made for {len(corners)} atoms, not {n}.",
+            remedy="Use fewer.",
+            error=ModelError,
+        )
     nearest = sorted(corners, key=lambda c: (c[0] ** 2 + c[1] ** 2 + c[2] ** 2, c))[:n]
     distance = 2 ** (1 / 6) * PARAMETERS["sigma"] / math.sqrt(2)
     places = tuple(distance * x for corner in nearest for x in corner)

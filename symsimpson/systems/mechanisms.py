@@ -11,14 +11,18 @@ import sympy as sp
 
 from symsimpson.declare.arms import Link, arm_energies
 from symsimpson.declare.coordinates import coordinates
-from symsimpson.errors import ModelError
+from symsimpson.errors import ModelError, reject
 from symsimpson.systems.entry import CatalogueSystem, read_numbers
 
 
 def hanging_chain(n: int = 8) -> CatalogueSystem:
     """Point masses on n rods, one after the other, in coordinates x and y of each."""
     if isinstance(n, bool) or not isinstance(n, int) or n < 1:
-        raise ModelError(f"a chain has a whole number of links, not {n!r}.\nUse hanging_chain(8).")
+        reject(
+            f"a chain has a whole number of links, not {n!r}.",
+            remedy="Use hanging_chain(8).",
+            error=ModelError,
+        )
     x, y = coordinates(f"x1:{n + 1}"), coordinates(f"y1:{n + 1}")
     m, l, g = sp.symbols("m l g", positive=True)
     points = list(zip(x, y, strict=True))
@@ -228,7 +232,11 @@ LINKS = (
 def puma560(joints: int = 6) -> CatalogueSystem:
     """The first joints of the PUMA 560 with its motors, swinging freely under gravity."""
     if isinstance(joints, bool) or joints not in range(1, 7):
-        raise ModelError(f"the PUMA 560 has one to six joints, not {joints!r}.\nUse puma560(6).")
+        reject(
+            f"the PUMA 560 has one to six joints, not {joints!r}.",
+            remedy="Use puma560(6).",
+            error=ModelError,
+        )
     name = "puma560" if joints == 6 else f"puma560_{joints}"
     q = coordinates(f"q1:{joints + 1}")
     kinetic, potential, positions = arm_energies(name, LINKS[:joints], q)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import sympy as sp
 
 from symsimpson.declare.coordinates import coordinates, time
-from symsimpson.errors import ModelError
+from symsimpson.errors import ModelError, reject
 from symsimpson.systems.entry import CatalogueSystem
 
 
@@ -103,7 +103,11 @@ def spherical_pendulum() -> CatalogueSystem:
 def n_pendulum(n: int = 3) -> CatalogueSystem:
     """A chain of n point masses on massless rods, absolute angles from the vertical."""
     if isinstance(n, bool) or not isinstance(n, int) or n < 1:
-        raise ModelError(f"a pendulum has a whole number of links, not {n!r}.\nUse n_pendulum(3).")
+        reject(
+            f"a pendulum has a whole number of links, not {n!r}.",
+            remedy="Use n_pendulum(3).",
+            error=ModelError,
+        )
     q = coordinates(f"q1:{n + 1}")
     m = sp.symbols(f"m1:{n + 1}", positive=True)
     l = sp.symbols(f"l1:{n + 1}", positive=True)

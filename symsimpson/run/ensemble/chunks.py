@@ -7,7 +7,7 @@ from typing import Any
 
 from zarr.storage import WrapperStore
 
-from symsimpson.errors import StorageError
+from symsimpson.errors import StorageError, reject
 from symsimpson.support.extras import library
 
 decompress = library("numcodecs.zstd", "store=", "data").decompress  # a part of zarr
@@ -44,9 +44,10 @@ class WholeChunks(WrapperStore[Any]):
                 return content
         except (RuntimeError, ValueError) as error:
             problem = f"is damaged ({error})"
-        raise StorageError(
-            f"{self._store}: the chunk {key} of the store {problem}.\n"
-            "Repeat the call that began the store: it computes what is missing."
+        reject(
+            f"{self._store}: the chunk {key} of the store {problem}.",
+            remedy="Repeat the call that began the store: it computes what is missing.",
+            error=StorageError,
         )
 
     def __str__(self) -> str:

@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from symsimpson.errors import InputError, Interrupted, StorageError, SymsimpsonError
+from symsimpson.errors import Interrupted, StorageError, SymsimpsonError, reject
 from symsimpson.program.configuration import lanes_for
 from symsimpson.program.numbers import NO_INPUTS
 from symsimpson.program.observed import read_reductions
@@ -72,9 +72,10 @@ def _telling(program: Program, request: Request) -> Program:
     if request.varied or telling:
         refuse_retimed(program, "derivatives of ensembles")
     if request.varied and telling:
-        raise InputError(
+        reject(
             "tangents and sensitivities of an ensemble do not go with reductions that tell of "
-            "variations.\nLeave out one of them."
+            "variations.",
+            remedy="Leave out one of them.",
         )
     if telling:
         return varied_program(program, ())
@@ -83,21 +84,22 @@ def _telling(program: Program, request: Request) -> Program:
 
 def _run(program: Program, task: Task, store: Any, client: Any) -> tuple[Ensemble, bool]:
     if store is not None and task.retimed:
-        raise InputError(
+        reject(
             f"{program.system} is retimed: its members have times of their own, and a store has "
-            "one row of times for all.\nLeave store out, and store few states of each."
+            "one row of times for all.",
+            remedy="Leave store out, and store few states of each.",
         )
     if store is not None and task.run_events is not None:
-        raise InputError(
-            "a store does not keep events, which its members would have to be run with again.\n"
-            "Leave store out; every=None and reduce= keep few numbers of each member."
+        reject(
+            "a store does not keep events, which its members would have to be run with again.",
+            remedy="Leave store out; every=None and reduce= keep few numbers of each member.",
         )
     if client is not None:
         check_client(client, store)
         if task.inputs.size:
-            raise InputError(
-                f"{program.system} has inputs, which a store does not hand to workers.\n"
-                "Run the ensemble on this machine: leave client out."
+            reject(
+                f"{program.system} has inputs, which a store does not hand to workers.",
+                remedy="Run the ensemble on this machine: leave client out.",
             )
     if store is None:
         with Progress(task.members, task.progress) as progress:
@@ -124,11 +126,11 @@ def _run_to_ends(
     try:
         ensemble, stopped = run_blocks(program, again, lambda done: None)
     except MemoryError:
-        raise InputError(
+        reject(
             f"{task.members} members with up to {again.stored} stored states of {2 * program.n} "
-            "numbers do not fit into memory.\nStore fewer: every=100, or every=None for the last "
-            "states only."
-        ) from None
+            "numbers do not fit into memory.",
+            remedy="Store fewer: every=100, or every=None for the last states only.",
+        )
     return with_ends(ensemble, ends, task.every), stopped
 
 
@@ -140,19 +142,19 @@ def check_client(client: Any, store: object) -> None:
     """Raise InputError for no client of dask.distributed, or a client without a store."""
     known = library("distributed", "client=", "cluster").Client
     if not isinstance(client, known) or client.asynchronous:
-        raise InputError(
-            f"client is {type(client).__name__}, not a synchronous client of dask.distributed.\n"
-            "Pass client=distributed.Client(...)."
+        reject(
+            f"client is {type(client).__name__}, not a synchronous client of dask.distributed.",
+            remedy="Pass client=distributed.Client(...).",
         )
     if client.status != "running":
-        raise InputError(
-            f"the client is {client.status}: it has no scheduler to send tasks to.\n"
-            "Make a new one, distributed.Client(...), and use it before it is closed."
+        reject(
+            f"the client is {client.status}: it has no scheduler to send tasks to.",
+            remedy="Make a new one, distributed.Client(...), and use it before it is closed.",
         )
     if store is None:
-        raise InputError(
-            "client= needs store=, which the workers write to.\n"
-            "Pass store='folder', one that all workers reach."
+        reject(
+            "client= needs store=, which the workers write to.",
+            remedy="Pass store='folder', one that all workers reach.",
         )
 
 
@@ -202,10 +204,13 @@ def _result(future: Any, store: Store) -> Any:
     except SymsimpsonError:
         raise
     except Exception as error:  # a worker may fail in any way
-        raise StorageError(
-            f"{store.path}: a task failed on the workers: {type(error).__name__}: {error}\n"
-            "What is done is in the store. Look at the workers' logs; the same call goes on."
-        ) from error
+        reject(
+            f"{store.path}: a task failed on the workers: {type(error).__name__}: {error}",
+            remedy="What is done is in the store. Look at the workers' logs; the same "
+            "call goes on.",
+            error=StorageError,
+            cause=error,
+        )
 
 
 def compute_chunk(path: str, module: str, chunk: int) -> Floats | None:
@@ -221,9 +226,10 @@ def compute_chunk(path: str, module: str, chunk: int) -> Floats | None:
         about: dict[str, Any] = dict(group.attrs)
         source, asked, size = about["source"], about["asked"], about["chunk"]
     if digest(source) != module:
-        raise StorageError(
-            f"{path}: the module in the store is not the one that was asked for.\n"
-            "It was changed or damaged. Begin a new store."
+        reject(
+            f"{path}: the module in the store is not the one that was asked for.",
+            remedy="It was changed or damaged. Begin a new store.",
+            error=StorageError,
         )
     program = _program(source, "the module in a store")
     reduce = {name: (kind, text) for name, kind, text in json.loads(asked["reduce"])}

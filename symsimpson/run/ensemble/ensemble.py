@@ -11,7 +11,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.input_values import read_count
 from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
@@ -188,9 +188,9 @@ class Ensemble(Quantities, Differentiated, Savable):
         if self.program.header.conservative:
             return named_parts(self.program, np.zeros((*np.shape(self.q)[:-1], 0)))
         if WORK not in self.recorded:
-            raise InputError(
-                "this ensemble did not record the work of forces.\n"
-                "Ask for it: stepper.ensemble(..., record='work')."
+            reject(
+                "this ensemble did not record the work of forces.",
+                remedy="Ask for it: stepper.ensemble(..., record='work').",
             )
         return named_parts(self.program, np.asarray(self.recorded[WORK]))
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.observed import KINDS
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder, driver_layout, growth, with_clock
@@ -148,14 +148,15 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
         slopes = kernels.address("momentum_slopes") if changed else 0
     if task.of_variations:
         if header.constraints:
-            raise InputError(
+            reject(
                 f"{program.system} has constraints, and ensembles do not tell how variations that "
-                "these allow grow.\nAsk for single motions: stepper.lyapunov."
+                "these allow grow.",
+                remedy="Ask for single motions: stepper.lyapunov.",
             )
         if task.steps < RENEWAL:
-            raise InputError(
-                f"a run of {task.steps} steps does not tell how variations grow.\n"
-                f"Take {RENEWAL} at least."
+            reject(
+                f"a run of {task.steps} steps does not tell how variations grow.",
+                remedy=f"Take {RENEWAL} at least.",
             )
         begun = Results(first_part(task), header)
         if _work_off(program, first_part(task), begun, lambda _: None).heard:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.configuration import available_threads, lanes_for
 from symsimpson.program.input_values import read_array, read_parameters, whole_number
 from symsimpson.program.numbers import FLOAT64
@@ -171,9 +171,9 @@ def read_task(
     Raises InputError if they make no sense, or what is to be stored does not fit into memory.
     """
     if not program.numbers.compiled:
-        raise InputError(
-            "an ensemble runs in double precision, and this stepper has another precision.\n"
-            "Compile one without precision."
+        reject(
+            "an ensemble runs in double precision, and this stepper has another precision.",
+            remedy="Compile one without precision.",
         )
     retimed = program.header.retimed
     h, count, t0, end = read_times(request, FLOAT64, retimed=retimed)
@@ -190,9 +190,9 @@ def read_task(
     members = max(sizes.values(), default=1)
     for name, size in sizes.items():
         if size != members:
-            raise InputError(
-                f"{name} has {size} members, another argument has {members}.\n"
-                "Give each argument one row for each member, or one for all."
+            reject(
+                f"{name} has {size} members, another argument has {members}.",
+                remedy="Give each argument one row for each member, or one for all.",
             )
     stride, run_events = read_every(request.every), read_run_events(program, request)
     reductions = read_reductions(program, request.reduce, run_events.names if run_events else ())
@@ -208,11 +208,12 @@ def read_task(
         room = lanes if on_disk else members
         np.empty((2, room, stored, program.n))  # is there room?
     except (MemoryError, ValueError):
-        raise InputError(
+        reject(
             f"{members} members with the states that every={request.every!r} stores do not fit "
-            "into memory.\nStore fewer: every=1000, or every=None for the last states only; or let "
-            "them go to disk: store='folder'."
-        ) from None
+            "into memory.",
+            remedy="Store fewer: every=1000, or every=None for the last states only; or let "
+            "them go to disk: store='folder'.",
+        )
     for k, name in enumerate(program.parameters):
         values[:, k] = columns[name]
     q, other = project_start(program, q, other, second, values, t0)
@@ -244,23 +245,23 @@ def _states(name: str, value: Any, program: Program) -> Floats:
             value = np.stack(np.broadcast_arrays(*columns), axis=-1)
         except ValueError:
             sizes = ", ".join(f"{q} {x.shape}" for q, x in zip(names.shown, columns, strict=True))
-            raise InputError(
-                f"{name} has columns of different shapes: {sizes}.\n"
-                "Give each coordinate one number, or one for each member."
-            ) from None
+            reject(
+                f"{name} has columns of different shapes: {sizes}.",
+                remedy="Give each coordinate one number, or one for each member.",
+            )
     states = read_array(name, value, FLOAT64)
     n = len(names)
     if states.ndim not in (1, 2) or states.shape[-1] != n or states.size == 0:
-        raise InputError(
+        reject(
             f"{name} has shape {states.shape}, expected (K, {n}) or ({n},): one row for each "
-            f"member with a number for each of {', '.join(names.shown)}.\n"
-            "A single coordinate needs a column: x[:, None]."
+            f"member with a number for each of {', '.join(names.shown)}.",
+            remedy="A single coordinate needs a column: x[:, None].",
         )
     if not np.isfinite(states).all():
         row = int(np.argmin(np.isfinite(np.atleast_2d(states)).all(axis=1)))
-        raise InputError(
-            f"{name} is not finite for member {row}.\n"
-            "A run must begin at a finite state. Look where the number comes from."
+        reject(
+            f"{name} is not finite for member {row}.",
+            remedy="A run must begin at a finite state. Look where the number comes from.",
         )
     return states
 
@@ -273,16 +274,17 @@ def _parameters(
     names = program.names.parameters
     columns = dict(zip(names.shown, (np.asarray(x) for x in program.defaults), strict=True))
     if given is not None and not isinstance(given, Mapping):
-        raise InputError(
-            f"parameters is {type(given).__name__}, not a mapping.\nPass parameters={{'m': 1.0}}."
+        reject(
+            f"parameters is {type(given).__name__}, not a mapping.",
+            remedy="Pass parameters={'m': 1.0}.",
         )
     for place, value in names.by_place(given or {}).items():
         key = names.shown[place]
         column = read_array(f"parameter {key}", value, FLOAT64)
         if column.ndim > 1 or column.size == 0:
-            raise InputError(
-                f"parameter {key} has shape {column.shape}, expected () or (K,).\n"
-                "Pass one number, or one for each member."
+            reject(
+                f"parameter {key} has shape {column.shape}, expected () or (K,).",
+                remedy="Pass one number, or one for each member.",
             )
         for extreme in (column.min(), column.max()):  # signs and names, as for a single run
             read_parameters(names, program.header.signs, program.defaults, {key: extreme}, FLOAT64)
@@ -299,8 +301,8 @@ def _threads(threads: int | None) -> int:
         return available_threads()
     number = whole_number(threads) or 0
     if not 1 <= number <= MOST_THREADS:
-        raise InputError(
-            f"threads is {threads!r}, not a whole number from 1 to {MOST_THREADS}.\n"
-            "Leave it out to use all processors."
+        reject(
+            f"threads is {threads!r}, not a whole number from 1 to {MOST_THREADS}.",
+            remedy="Leave it out to use all processors.",
         )
     return number

@@ -16,6 +16,7 @@ from symsimpson.errors import (
     ResolutionWarning,
     StabilityWarning,
     SymsimpsonError,
+    reject,
 )
 from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
@@ -241,7 +242,7 @@ def _refuse(program: Program, task: Task) -> None:
     try:
         run(program, task.of_member(0, program), progress=False)
     except InputError as error:
-        raise InputError(f"no member could begin. Of the first: {error}") from None
+        reject(f"no member could begin. Of the first: {error}")
     except SymsimpsonError:
         return
 

@@ -20,7 +20,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from symsimpson.errors import InputError, StorageError, SymsimpsonError
+from symsimpson.errors import InputError, StorageError, SymsimpsonError, reject
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import RECORDED
@@ -304,7 +304,9 @@ def said(path: str, what: str) -> Iterator[None]:
     except SymsimpsonError:
         raise
     except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
-        raise StorageError(
-            f"{path}: the store cannot be {what}: {type(error).__name__}: {error}\n"
-            "Check space and permissions. The same call goes on from what is done."
-        ) from error
+        reject(
+            f"{path}: the store cannot be {what}: {type(error).__name__}: {error}",
+            remedy="Check space and permissions. The same call goes on from what is done.",
+            error=StorageError,
+            cause=error,
+        )

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from symsimpson.api.stepper import Stepper
-from symsimpson.errors import ConvergenceError, InputError, StabilityWarning
+from symsimpson.errors import ConvergenceError, StabilityWarning, reject
 from symsimpson.program.input_values import read_array
 from symsimpson.program.numbers import FLOAT64
 from symsimpson.program.program import Program
@@ -99,19 +99,21 @@ class Motion:
             shape = read_array(f"input {name}", values, FLOAT64).shape
             if len(shape) > 1 or 0 in shape:
                 has = "no values" if value is None else f"an array of shape {shape}"
-                raise InputError(
-                    f"{program.system}: input {name} has {has}.\n"
-                    "The step size is chosen: pass a number, a function of t, or an array of K "
-                    "values, each for the K-th part of the time from t0 to t_end."
+                reject(
+                    f"{program.system}: input {name} has {has}.",
+                    remedy="The step size is chosen: pass a number, a function of t, or "
+                    "an array of K "
+                    "values, each for the K-th part of the time from t0 to t_end.",
                 )
             if shape:
                 held = value if isinstance(value, Samples) else Samples(values, length / shape[0])
                 exact = length / float(held.period)
                 inputs[name], parts = held, math.lcm(parts, max(1, round(exact)))
                 if abs(exact - round(exact)) > 1e-9 * exact:
-                    raise InputError(
+                    reject(
                         f"input {name}: {length:g} from t0 to t_end is no whole number of periods "
-                        f"of {held.period!r}.\nEnd the run with the last of them."
+                        f"of {held.period!r}.",
+                        remedy="End the run with the last of them.",
                     )
         return replace(self, inputs=inputs, parts=parts)
 

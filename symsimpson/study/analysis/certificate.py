@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from symsimpson.errors import UnknownNameError
+from symsimpson.errors import UnknownNameError, reject
 from symsimpson.results.html import verdict as coloured
 from symsimpson.support.files import write_text
 from symsimpson.support.markup import box, table
@@ -129,9 +129,10 @@ class Certificate:
         """
         known = {check.name: check for check in self.checks}
         if name not in known:
-            raise UnknownNameError(
+            reject(
                 f"there is no check {name!r}.{did_you_mean(name, known)} "
-                f"There are {', '.join(known)}."
+                f"There are {', '.join(known)}.",
+                error=UnknownNameError,
             )
         return known[name]
 

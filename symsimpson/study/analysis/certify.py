@@ -20,10 +20,10 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.api.stepper import Stepper
 from symsimpson.errors import (
     ConvergenceError,
-    InputError,
     ResolutionWarning,
     StabilityWarning,
     SymsimpsonError,
+    reject,
 )
 from symsimpson.program.numbers import FLOAT64
 from symsimpson.results.trajectory import Trajectory
@@ -82,18 +82,19 @@ def certify(
     """Measure order, symplecticity and all else that a stepper should have."""
     begin = time.perf_counter()
     if not stepper.program.numbers.compiled:
-        raise InputError(
-            "a stepper of many digits has no certificate: it tests double-precision code.\n"
-            "Certify the stepper compiled without precision; its equations are the same."
+        reject(
+            "a stepper of many digits has no certificate: it tests double-precision code.",
+            remedy="Certify the stepper compiled without precision; its equations are the same.",
         )
     header = stepper.program.header
     if stepper.program.declared is None and (
         not header.conservative or header.velocity_constraints
     ):
-        raise InputError(
+        reject(
             f"{stepper.system}: a module by itself does not tell what its forces, velocity "
-            "constraints and terms with the time are, so its order cannot be measured.\n"
-            "Certify a stepper that is compiled from the system: symsimpson.compile(system, ...)."
+            "constraints and terms with the time are, so its order cannot be measured.",
+            remedy="Certify a stepper that is compiled from the system: "
+            "symsimpson.compile(system, ...).",
         )
     stepper = with_inputs(stepper, inputs)
     values = stepper.program.free_values(parameters)

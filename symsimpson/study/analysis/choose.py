@@ -17,7 +17,7 @@ from symsimpson.api.compiling import compile as compile_system
 from symsimpson.api.stepper import Stepper
 from symsimpson.declare.retimed import RetimedSystem, attracts, not_retimed, retimed
 from symsimpson.declare.system import MechanicalSystem
-from symsimpson.errors import InputError, ResolutionWarning, StabilityWarning
+from symsimpson.errors import ResolutionWarning, StabilityWarning, reject
 from symsimpson.program.cache import kept
 from symsimpson.program.input_values import read_number
 from symsimpson.program.numbers import FLOAT64
@@ -179,9 +179,10 @@ def choose(
     asked |= {"parameters": parameters, "inputs": inputs, "events": events, "schemes": schemes}
     choice = select(system, asked, strict=True)
     if choice.error_estimate > error:
-        raise InputError(
+        reject(
             f"no scheme that was tried comes to an error of {error:g} until t_end={t_end:g} from "
-            f"this state: {choice.reason}\nAsk for a larger error, or a shorter time."
+            f"this state: {choice.reason}",
+            remedy="Ask for a larger error, or a shorter time.",
         )
     return choice
 
@@ -203,7 +204,7 @@ def _select(
     t0, t_end = (read_number(name, asked[name], FLOAT64) for name in ("t0", "t_end"))
     error = _read_error(asked["error"], asked["on"], schemes, system)
     if not t_end - t0:
-        raise InputError(f"t_end is {t_end!r}, and the run begins there.\nPass a later time.")
+        reject(f"t_end is {t_end!r}, and the run begins there.", remedy="Pass a later time.")
     retimed, adapting = _in_other_time(system, schemes)
     original = system.original if isinstance(system, RetimedSystem) else system
     first = compile_system(original, "simpson")
@@ -246,7 +247,7 @@ def _select(
                 break  # the next would not be faster by so much, and take long to compile
     names = dict.fromkeys(stepper.scheme for stepper in steppers)
     if not candidates and (strict or motion.failures):
-        raise InputError(
+        reject(
             f"none of {', '.join(names)} comes to "
             f"an error of {error:g} at t_end={t_end:g} from this state.\n"
             "Rounding errors in double precision are larger, or the motion is too sensitive to its "
@@ -271,27 +272,29 @@ def _read_error(
 ) -> float:
     """Read the error that is allowed, and check what it is about; raises InputError."""
     if schemes == ():
-        raise InputError("schemes is empty.\nName some, or leave it out.")
+        reject("schemes is empty.", remedy="Name some, or leave it out.")
     if on not in ("state", "energy"):
-        raise InputError(f"on is {on!r}.\nChoose 'state' or 'energy'.")
+        reject(f"on is {on!r}.", remedy="Choose 'state' or 'energy'.")
     if on == "energy" and not system.plain.conservative:
-        raise InputError(
-            f"{system.name}: the energy is not constant, so its change measures no error.\n"
-            "Ask for the error of the state: on='state'."
+        reject(
+            f"{system.name}: the energy is not constant, so its change measures no error.",
+            remedy="Ask for the error of the state: on='state'.",
         )
     error = read_number("error", error, FLOAT64)
     if error <= 0:
-        raise InputError(f"error is {error!r}.\nPass a positive number.")
+        reject(f"error is {error!r}.", remedy="Pass a positive number.")
     if error < FLOAT64.epsilon:
-        raise InputError(
-            f"error is {error:g}, and double precision rounds each number by more: 2e-16.\n"
-            "Ask for a larger error; ss.compile(..., precision=30) computes with more digits."
+        reject(
+            f"error is {error:g}, and double precision rounds each number by more: 2e-16.",
+            remedy="Ask for a larger error; ss.compile(..., precision=30) computes with "
+            "more digits.",
         )
     if error > 1:
         what = "the energy's scale" if on == "energy" else "the largest change along the path"
-        raise InputError(
+        reject(
             f"error is {error:g}, relative to {what}: above 1 there is nothing left of what is "
-            "asked for.\nPass a part of it, as error=1e-6."
+            "asked for.",
+            remedy="Pass a part of it, as error=1e-6.",
         )
     return float(error)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from symsimpson.api.stepper import Stepper
-from symsimpson.errors import ConvergenceError, InputError
+from symsimpson.errors import ConvergenceError, InputError, reject
 from symsimpson.program.observed import evaluate
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.ended import uninterrupted
@@ -38,9 +38,9 @@ def choose_state(
     no sense, or no random one can begin.
     """
     if not isinstance(state, Mapping | None):
-        raise InputError(
-            f"state is {shortened(state)}, not a mapping.\n"
-            "Pass state={'q0': [...], 'v0': [...]}, or p0 for v0."
+        reject(
+            f"state is {shortened(state)}, not a mapping.",
+            remedy="Pass state={'q0': [...], 'v0': [...]}, or p0 for v0.",
         )
     given = {name: value for name, value in (state or {}).items() if value is not None}
     given = given or dict(stepper.reference_state or {})
@@ -48,7 +48,7 @@ def choose_state(
         run = stepper.integrate(**given, h=1.0, steps=0, parameters=parameters)
         return run.q[0], run.p[0]
     if given:
-        raise InputError("a velocity or momentum without q0.\nPass q0 too, or neither.")
+        reject("a velocity or momentum without q0.", remedy="Pass q0 too, or neither.")
     for attempt in range(TRIES):
         random = np.random.default_rng(attempt)
         q, v = random.uniform(0.3, 1.2, stepper.n), random.uniform(-0.6, 0.6, stepper.n)
@@ -60,9 +60,9 @@ def choose_state(
         except (InputError, ConvergenceError):
             continue
         return run.q[0], run.p[0]
-    raise InputError(
-        f"{stepper.system}: none of {TRIES} random states could begin.\n"
-        "Pass q0 and v0 or p0, from which the system can move."
+    reject(
+        f"{stepper.system}: none of {TRIES} random states could begin.",
+        remedy="Pass q0 and v0 or p0, from which the system can move.",
     )
 
 
@@ -96,9 +96,9 @@ def choose_step(
             while longer and 2 * abs(h) <= abs(longest) and follows(stepper, given, steps, 2 * h):
                 h *= 2
             return h
-    raise InputError(
-        f"{stepper.system}: no step is small enough at this state.\n"
-        "Pass h, or another state: look where T or V are singular."
+    reject(
+        f"{stepper.system}: no step is small enough at this state.",
+        remedy="Pass h, or another state: look where T or V are singular.",
     )
 
 

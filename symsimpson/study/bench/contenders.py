@@ -21,7 +21,7 @@ from symsimpson.api.compiling import compile as compile_system
 from symsimpson.api.stepper import Stepper
 from symsimpson.declare.retimed import RetimedSystem
 from symsimpson.declare.system import MechanicalSystem
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.reference import FirstOrder, canonical, second_order, truth
 from symsimpson.reference.runge_kutta import compiled_rates, compiled_rk4
 from symsimpson.run.ended import uninterrupted
@@ -92,10 +92,10 @@ def make_problem(
     stepper = compile_system(system, "simpson")
     q, p = choose_state(stepper, state, stepper.program.named_values())
     if system.constraints:
-        raise InputError(
+        reject(
             f"{system.name} has constraints, which the other programs do not keep to: their states "
-            "could not be measured.\nCompare in coordinates without, or schemes among themselves: "
-            "ss.choose."
+            "could not be measured.",
+            remedy="Compare in coordinates without, or schemes among themselves: ss.choose.",
         )
     in_momenta, in_velocities = canonical(system), second_order(system)
     start = in_momenta.state([mpmath.mpf(float(x)) for x in (*q, *p)])
@@ -458,8 +458,9 @@ def read_peers(names: Any) -> list[str]:
     wanted = list(in_a_row(names))
     for name in wanted:
         if name not in PROGRAMS:
-            raise InputError(
-                f"there is no peer {name!r}.\nThere are {', '.join(PROGRAMS)}; () is none of them."
+            reject(
+                f"there is no peer {name!r}.",
+                remedy=f"There are {', '.join(PROGRAMS)}; () is none of them.",
             )
     return wanted
 
@@ -476,7 +477,7 @@ def peers(
             yield from PROGRAMS[name](problem)
         except ImportError as error:
             if names != "installed":
-                raise InputError(
-                    f"the peer {name!r} is not installed: {error}.\n"
-                    "Install it with pip install 'symsimpson[bench]', or leave it out."
-                ) from None
+                reject(
+                    f"the peer {name!r} is not installed: {error}.",
+                    remedy="Install it with pip install 'symsimpson[bench]', or leave it out.",
+                )

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from symsimpson.declare.system import MechanicalSystem
-from symsimpson.errors import InputError, StorageError, SymsimpsonError
+from symsimpson.errors import StorageError, SymsimpsonError, reject
 from symsimpson.program.configuration import versions_of
 from symsimpson.program.input_values import read_array, read_count, read_number
 from symsimpson.program.numbers import FLOAT64
@@ -158,15 +158,19 @@ class WorkPrecision:
             content |= {name: tuple(content[name]) for name in ("q0", "p0", "levels")}
             return cls(points=points, **content)
         except OSError as error:
-            raise StorageError(
-                f"{os.fspath(path)}: the record cannot be read: {error.strerror}.\n"
-                "Write one with symsimpson bench SYSTEM --out FILE."
-            ) from error
+            reject(
+                f"{os.fspath(path)}: the record cannot be read: {error.strerror}.",
+                remedy="Write one with symsimpson bench SYSTEM --out FILE.",
+                error=StorageError,
+                cause=error,
+            )
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise StorageError(
-                f"{os.fspath(path)}: no record of run times: {type(error).__name__}: {error}.\n"
-                "Write one with symsimpson bench SYSTEM --out FILE."
-            ) from error
+            reject(
+                f"{os.fspath(path)}: no record of run times: {type(error).__name__}: {error}.",
+                remedy="Write one with symsimpson bench SYSTEM --out FILE.",
+                error=StorageError,
+                cause=error,
+            )
 
     def compare(self, before: WorkPrecision) -> str:
         """Return the ratio of run times now and before, for each contender and level.
@@ -178,9 +182,10 @@ class WorkPrecision:
         """
         same = ("system", "t_end", "q0", "p0")
         if any(getattr(self, name) != getattr(before, name) for name in same):
-            raise InputError(
+            reject(
                 f"{before.system} to t = {before.t_end:g} and {self.system} to t = {self.t_end:g} "
-                "are two problems, or start elsewhere.\nCompare records of one problem."
+                "are two problems, or start elsewhere.",
+                remedy="Compare records of one problem.",
             )
         lines = [f"run time now, in units of that before ({before.machine.get('processor')})"]
         for name in self.names:
@@ -281,7 +286,7 @@ def work_precision(
     errors = _read_levels(errors)
     read_count("repeats", repeats, 1)
     if not read_number("t_end", t_end, FLOAT64) > 0:
-        raise InputError(f"t_end is {t_end!r}.\nPass a positive number.")
+        reject(f"t_end is {t_end!r}.", remedy="Pass a positive number.")
     read_peers(peers)  # before anything is measured
     schemes = in_a_row(schemes)
     problem = make_problem(system, state, t_end)
@@ -327,7 +332,7 @@ def _read_levels(errors: Any) -> tuple[float, ...]:
     """Read levels of the error, of which there may be one by itself; raises InputError."""
     levels = np.atleast_1d(read_array("errors", errors, FLOAT64))
     if levels.ndim > 1 or not levels.size or not ((levels >= 1e-14) & (levels <= 1)).all():
-        raise InputError(f"errors are {errors!r}.\nPass levels between 1e-14 and 1: [1e-6].")
+        reject(f"errors are {errors!r}.", remedy="Pass levels between 1e-14 and 1: [1e-6].")
     return tuple(levels.tolist())
 
 

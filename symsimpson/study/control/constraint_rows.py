@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import UNIT, Value, exact, scaled
 from symsimpson.graph.rebuild import rebuilt
@@ -105,10 +105,10 @@ def implied(read: Reading, end: int, values: Iterable[tuple[str, Value]]) -> lis
     for name, value in values:
         off = _number(read, value, given)
         if abs(off) > _rounding(read, value, given):
-            raise InputError(
+            reject(
                 f"{('start', 'end')[end]} contradicts the constraint {name!r}: what is to be 0 is "
-                f"{off:.3g} there.\nGive values that satisfy it, as system.consistent(q0, v0) "
-                "finds them."
+                f"{off:.3g} there.",
+                remedy="Give values that satisfy it, as system.consistent(q0, v0) finds them.",
             )
         # one that has the same form in the state of the start, where it holds
         moved = graph.nodes[value[1]].symbols & {*read.q, *read.v, read.t}
@@ -286,7 +286,7 @@ def following(read: Reading) -> Following:
             end, k = divmod(touched - rows.conditions, len(held))
             what = rows.known(places, end, velocities=k >= positions)
             where = ("start", "end")[end]
-            raise InputError(
+            reject(
                 f"{where} touches the constraint {held[k][0]!r}: where both hold, the slope of one "
                 "is that of the other, and no solver can tell an optimum.\n"
                 + (f"Give {what} at the {where}, too: it follows." if what else "Give more there.")

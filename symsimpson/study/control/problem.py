@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from symsimpson.declare.retimed import RetimedSystem
 from symsimpson.declare.system import MechanicalSystem
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.input_values import whole_number
 from symsimpson.study.control.problem_parts import read_grid
 from symsimpson.study.control.reading import Reading, read_family
@@ -104,9 +104,9 @@ class OptimalControl:
     def __post_init__(self) -> None:
         system = self.system
         if not isinstance(system, MechanicalSystem) or isinstance(system, RetimedSystem):
-            raise InputError(
-                f"{type(system).__name__} is no system that can be controlled.\n"
-                "Pass a MechanicalSystem with inputs, not a retimed one."
+            reject(
+                f"{type(system).__name__} is no system that can be controlled.",
+                remedy="Pass a MechanicalSystem with inputs, not a retimed one.",
             )
         object.__setattr__(self, "_read", Reading(self))
 
@@ -174,7 +174,7 @@ class OptimalControl:
         for name, value in (("tolerance", tolerance), ("error", error)):
             real = isinstance(value, Real) and not isinstance(value, bool) and 0 < value < 1
             if not real and (name != "error" or value is not None):
-                raise InputError(f"{name} is {shortened(value)}.\nPass a number between 0 and 1.")
+                reject(f"{name} is {shortened(value)}.", remedy="Pass a number between 0 and 1.")
         read_progress(progress)
         if condensed:
             warn(
@@ -184,9 +184,9 @@ class OptimalControl:
             )
         most = whole_number(most_iterations)
         if most is None or not 0 <= most <= MOST_ITERATIONS:
-            raise InputError(
-                f"most_iterations is {shortened(most_iterations)}.\nPass a whole number from 0 to "
-                f"{MOST_ITERATIONS}."
+            reject(
+                f"most_iterations is {shortened(most_iterations)}.",
+                remedy=f"Pass a whole number from 0 to {MOST_ITERATIONS}.",
             )
         options = {"tol": float(tolerance), "max_iter": most, "print_level": 0}
         return solve(self.reading, galerkin_scheme, grid, guess, error, options, progress)

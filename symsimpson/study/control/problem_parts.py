@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from sympy.core.function import AppliedUndef
 
 from symsimpson.declare.coordinates import time
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.input_values import read_reals, values_at, whole_number
 from symsimpson.support.array_types import Floats, Ints
 from symsimpson.support.names import shortened, spelled
@@ -27,14 +27,14 @@ def read_mapping(what: str, given: Any, how: str) -> list[tuple[str, Any, Any]]:
     """
     if not isinstance(given, Mapping):
         shown = None if given is None else type(given).__name__
-        raise InputError(f"{what} is {shown}, not a mapping.\nPass {how}.")
+        reject(f"{what} is {shown}, not a mapping.", remedy=f"Pass {how}.")
     entries = {}
     for key, value in given.items():
         name = spelled(key)
         if name in entries:  # a symbol and its name are two keys to Python
-            raise InputError(
-                f"{what} gives {name} twice: one of the two would have no effect.\n"
-                "Give it once, by symbol or by name."
+            reject(
+                f"{what} gives {name} twice: one of the two would have no effect.",
+                remedy="Give it once, by symbol or by name.",
             )
         entries[name] = (name, key, value)
     return list(entries.values())
@@ -54,13 +54,13 @@ def read_pair(
             raise TypeError  # float() takes "3", and True
         pair = (-math.inf if low is None else float(low), math.inf if high is None else float(high))
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{what} is {shortened(given)}.\nPass {how}.") from None
+        reject(f"{what} is {shortened(given)}.", remedy=f"Pass {how}.")
     if math.isnan(pair[0]) or math.isnan(pair[1]):
-        raise InputError(f"{what} is {given!r}, and NaN is no number.\nPass {how}.")
+        reject(f"{what} is {given!r}, and NaN is no number.", remedy=f"Pass {how}.")
     if pair[0] > pair[1]:
-        raise InputError(f"{what} is {given!r}: low is not below high.\nPass a pair (low, high).")
+        reject(f"{what} is {given!r}: low is not below high.", remedy="Pass a pair (low, high).")
     if pair[0] == math.inf or pair[1] == -math.inf:
-        raise InputError(f"{what} is {given!r}: no finite number lies there.\nPass {how}.")
+        reject(f"{what} is {given!r}: no finite number lies there.", remedy=f"Pass {how}.")
     return pair
 
 
@@ -71,7 +71,7 @@ def read_duration(given: Any) -> tuple[float, float]:
     """
     how = "a positive number, duration=2.0, or bounds of it, duration=(0.5, 4.0)"
     if given is None:
-        raise InputError(f"duration is missing: how long the motion is.\nPass {how}.")
+        reject("duration is missing: how long the motion is.", remedy=f"Pass {how}.")
     pair = read_pair("duration", given, how)
     for side, wrong, right in (
         ("low", pair[0] <= 0, "above 0, as steps have a size"),
@@ -79,7 +79,7 @@ def read_duration(given: Any) -> tuple[float, float]:
     ):
         if wrong:
             subject = "it" if pair[0] == pair[1] else side
-            raise InputError(f"duration is {given!r}: {subject} must be {right}.\nPass {how}.")
+            reject(f"duration is {given!r}: {subject} must be {right}.", remedy=f"Pass {how}.")
     return pair
 
 
@@ -93,10 +93,10 @@ def read_signals(system: Any, given: Any) -> dict[sp.Symbol, Any]:
     how = "functions of the time by symbol: {s: numpy.sin}"
     for name, key, value in read_mapping("signals", given, how):
         if not isinstance(key, sp.Symbol) or name in taken:
-            raise InputError(
+            reject(
                 f"signals names {key!r}, which is "
-                f"{'a name of the system' if isinstance(key, sp.Symbol) else 'no symbol'}.\n"
-                "Take a symbol of its own: s = sympy.Symbol('s', real=True)."
+                f"{'a name of the system' if isinstance(key, sp.Symbol) else 'no symbol'}.",
+                remedy="Take a symbol of its own: s = sympy.Symbol('s', real=True).",
             )
         signals[key] = value
     return signals
@@ -155,17 +155,18 @@ def read_grid(steps: Any, phases: int, most: int = MOST_STEPS) -> Grid:
     several = isinstance(steps, (tuple, list)) or (isinstance(steps, np.ndarray) and steps.ndim > 0)
     given = [whole_number(n) or 0 for n in (steps if several else [steps])]
     if not given or min(given) < 1 or sum(given) > most:
-        raise InputError(
-            f"steps is {shortened(steps)}.\nPass a whole number of steps, at least 1 and at most "
-            f"{most}; or one for each phase."
+        reject(
+            f"steps is {shortened(steps)}.",
+            remedy="Pass a whole number of steps, at least 1 and at most "
+            f"{most}; or one for each phase.",
         )
     if len(given) == 1:
         size, more = divmod(given[0], phases)
         given = [size + (k < more) for k in range(phases)]
     if len(given) != phases or min(given) < 1:
-        raise InputError(
-            f"steps is {steps!r}, and the number of phases is {phases}.\n"
-            "Pass one number of steps for all of it, or one for each of phases=."
+        reject(
+            f"steps is {steps!r}, and the number of phases is {phases}.",
+            remedy="Pass one number of steps for all of it, or one for each of phases=.",
         )
     return Grid(tuple(given))
 
@@ -188,7 +189,7 @@ def read_function(what: str, given: Any, whole: float) -> Any:
     )
     array = read_reals(what, given, how)
     if array.ndim > 1 or not array.size:
-        raise InputError(f"{what} is {shortened(given)}, of shape {array.shape}.\n{how}")
+        reject(f"{what} is {shortened(given)}, of shape {array.shape}.", remedy=f"{how}")
     if array.ndim == 0:
         return lambda t: np.full(np.shape(t), float(array))
     return lambda t: np.interp(t, np.linspace(0, whole, array.size), array)
@@ -199,7 +200,7 @@ def finite_values_at(what: str, function: Any, times: Floats) -> Floats:
     given = values_at(what, function, times)
     values = read_reals(f"what {what} gives", given, "Return real numbers, as of numpy.real.")
     if not np.isfinite(values).all():
-        raise InputError(f"{what} is not finite at all times.\nGive it a value at each.")
+        reject(f"{what} is not finite at all times.", remedy="Give it a value at each.")
     return values
 
 
@@ -226,10 +227,11 @@ def _of_expression(what: str, given: sp.Expr) -> Any:
     others = sorted(map(spelled, (given.free_symbols - {time}) | given.atoms(AppliedUndef)))
     if others:
         twin = "t" in others  # of the same name, with other assumptions
-        raise InputError(
+        reject(
             f"{what} is {shortened(given)}, which contains {', '.join(others)}"
-            f"{': a symbol t that is not the time' if twin else ''}.\nWrite it as an expression of "
-            "symsimpson.time alone, with numbers for all others."
+            f"{': a symbol t that is not the time' if twin else ''}.",
+            remedy="Write it as an expression of "
+            "symsimpson.time alone, with numbers for all others.",
         )
     return sp.lambdify(time, given, ["scipy", "numpy"])
 
@@ -242,8 +244,8 @@ def times_within(t: ArrayLike, whole: float) -> Floats:
     times = read_reals("t", t, "Pass a number, or an array of times.")
     outside = times[~((times >= -SLACK * whole) & (times <= (1 + SLACK) * whole))]  # NaN, too
     if outside.size:
-        raise InputError(
-            f"t = {outside.flat[0]:g} lies outside of the motion, 0 <= t <= {whole:g}.\n"
-            "Ask for times within."
+        reject(
+            f"t = {outside.flat[0]:g} lies outside of the motion, 0 <= t <= {whole:g}.",
+            remedy="Ask for times within.",
         )
     return times

@@ -15,7 +15,7 @@ from sympy.logic.boolalg import Boolean
 from symsimpson.declare.coordinates import time
 from symsimpson.declare.expression_checks import read_expression
 from symsimpson.declare.plain import Symbols
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import Graph, Value, scaled
@@ -84,9 +84,9 @@ class Reading:
         self.tied = self._tied(problem.conditions)
         self.duration = read_duration(problem.duration)
         if self.signals and self.duration[0] < self.duration[1]:
-            raise InputError(
-                f"signals are functions of the time, and duration is {problem.duration!r}.\n"
-                "Pass one number for the duration."
+            reject(
+                f"signals are functions of the time, and duration is {problem.duration!r}.",
+                remedy="Pass one number for the duration.",
             )
         self._read_unknowns(problem.unknowns)
         self._read_bounds(problem)
@@ -146,14 +146,15 @@ class Reading:
         of_signals = {symbol for symbol, _ in self.signals.values()}
         known = expression.free_symbols & of_signals if isinstance(expression, sp.Basic) else ()
         if ends and known:
-            raise InputError(
+            reject(
                 f"the {what} contains the signal {min(map(str, known))}, which is known within the "
-                "motion.\nWrite it as an expression of symsimpson.time, or as a number."
+                "motion.",
+                remedy="Write it as an expression of symsimpson.time, or as a number.",
             )
         if isinstance(expression, sp.Expr) and expression.has(*KINKED):
-            raise InputError(
-                f"the {what} {expression} has a kink, and is to be differentiated twice.\n"
-                "Smooth it, as sqrt(x**2 + 1e-6) for |x|, or say it by bounds= and path=."
+            reject(
+                f"the {what} {expression} has a kink, and is to be differentiated twice.",
+                remedy="Smooth it, as sqrt(x**2 + 1e-6) for |x|, or say it by bounds= and path=.",
             )
         allowed = (*symbols.q, *symbols.v, *symbols.a, symbols.t, *(() if ends else symbols.u))
         read = read_expression(self.system.name, what, expression, symbols, symbols.known, allowed)
@@ -165,10 +166,11 @@ class Reading:
         name = spelled(text)
         if name not in self._known:
             known = [x for x in self._known if not (ends and x in self.inputs)]
-            raise InputError(
+            reject(
                 f"{what} names {text!r}, which is no coordinate{'' if ends else ', input'} or "
-                f"velocity.{did_you_mean(name, known)}\nThe system has {', '.join(known)}. Text "
-                "is never evaluated: expressions are written with the symbols themselves."
+                f"velocity.{did_you_mean(name, known)}",
+                remedy=f"The system has {', '.join(known)}. Text "
+                "is never evaluated: expressions are written with the symbols themselves.",
             )
         return self._known[name]
 
@@ -186,8 +188,9 @@ class Reading:
         limits, how = [], "values by symbol: {x: 0, x.diff(): 0}"
         for name, key, value in read_mapping(what, given, how):
             if not isinstance(value, (tuple, str, sp.Basic, Real)):
-                raise InputError(
-                    f"{what}[{name}] is {value!r}.\nPass a number, an expression, or (low, high)."
+                reject(
+                    f"{what}[{name}] is {value!r}.",
+                    remedy="Pass a number, an expression, or (low, high).",
                 )
             if isinstance(value, tuple):
                 low, high = read_pair(f"{what}[{name}]", value)
@@ -216,9 +219,9 @@ class Reading:
             pair = read_pair(f"unknowns[{name}]", bounds)
             sign = symbols[place]
             if (sign.is_positive or sign.is_nonnegative) and pair[0] < 0:
-                raise InputError(
-                    f"unknowns lets {name} be {bounds!r}, and it is declared positive.\n"
-                    "Raise the low bound, or declare it with another sign."
+                reject(
+                    f"unknowns lets {name} be {bounds!r}, and it is declared positive.",
+                    remedy="Raise the low bound, or declare it with another sign.",
                 )
             self.found.append(place)
             self.found_bounds.append(pair)
@@ -237,21 +240,23 @@ class Reading:
             else:
                 self.within.append(Limits(name, self.value("bounds", key), *pair))
         if not isinstance(problem.path, (tuple, list)):
-            raise InputError(
-                f"path is {problem.path!r}, no list.\nPass [expression, (low, expression, high)]."
+            reject(
+                f"path is {problem.path!r}, no list.",
+                remedy="Pass [expression, (low, expression, high)].",
             )
         for entry in problem.path:
             if isinstance(entry, (tuple, list)) and len(entry) != 3:
-                raise InputError(f"path has {entry!r}.\nPass (low, expression, high).")
+                reject(f"path has {entry!r}.", remedy="Pass (low, expression, high).")
             low, expression, high = entry if isinstance(entry, (tuple, list)) else (None, entry, 0)
             if entry is expression and isinstance(entry, sp.Equality):
                 low, expression = 0, entry.lhs - entry.rhs
             elif entry is expression and isinstance(entry, INEQUALITIES):
                 expression = entry.lts - entry.gts
             elif isinstance(expression, Boolean):
-                raise InputError(
-                    f"path has {entry!r}, which is neither an expression nor one relation of two.\n"
-                    "Pass relations one by one, as x <= 2, sp.Eq(x, y), or (low, expression, high)."
+                reject(
+                    f"path has {entry!r}, which is neither an expression nor one relation of two.",
+                    remedy="Pass relations one by one, as x <= 2, sp.Eq(x, y), or (low, "
+                    "expression, high).",
                 )
             pair = read_pair(f"path {expression}", (low, high))
             self._keep_within(Limits(str(expression), self.value("path", expression), *pair))
@@ -270,14 +275,14 @@ class Reading:
     def _phases(self, given: Any) -> list[dict[int, tuple[float, float]]]:
         """Read what bounds inputs in each phase; there is one if none is given."""
         if not isinstance(given, (tuple, list)):
-            raise InputError(
-                f"phases is {given!r}, no list.\n"
-                "Pass what bounds inputs in each: [{u: 1}, {u: -1}]."
+            reject(
+                f"phases is {given!r}, no list.",
+                remedy="Pass what bounds inputs in each: [{u: 1}, {u: -1}].",
             )
         if self.signals and len(given) > 1:
-            raise InputError(
-                "signals are functions of the time, and where phases begin is found.\n"
-                "Leave out signals or phases."
+            reject(
+                "signals are functions of the time, and where phases begin is found.",
+                remedy="Leave out signals or phases.",
             )
         phases: list[dict[int, tuple[float, float]]] = []
         for number, phase in enumerate(given):
@@ -301,10 +306,10 @@ class Reading:
         asked += [("conditions", name, [*pair], timed) for name, *pair in self.tied]
         for what, name, values, free in asked:
             if all(self.graph.nodes[node].symbols.isdisjoint(free) for _, node in values):
-                raise InputError(
+                reject(
                     f"{what} asks for something of {name}, in which nothing is free: no "
-                    "coordinate, velocity, input or parameter that is found.\nLeave it out, or "
-                    "write it with what moves."
+                    "coordinate, velocity, input or parameter that is found.",
+                    remedy="Leave it out, or write it with what moves.",
                 )
 
     def _check(self) -> None:
@@ -316,9 +321,10 @@ class Reading:
             bounds.append((self.value("bounds", self.names[a], ends=True), *pair))
         for limits, where in zip(self.ends, ("start", "end"), strict=True):
             if len([x for x in limits if x.low == x.high]) > 2 * n:
-                raise InputError(
+                reject(
                     f"{where} has {len(limits)} conditions on {2 * n} numbers, {n} coordinates and "
-                    "as many velocities.\nLeave out those that follow from others."
+                    "as many velocities.",
+                    remedy="Leave out those that follow from others.",
                 )
             for limit in limits:
                 for value, low, high in bounds:
@@ -329,9 +335,9 @@ class Reading:
 def _place(what: str, name: str, names: list[str], kind: str) -> int:
     """Return the place of a name; raises InputError if there is none."""
     if name not in names:
-        raise InputError(
-            f"{what} names {name!r}, which is no {kind}.{did_you_mean(name, names)}\n"
-            f"The system has {', '.join(names) or 'none'}."
+        reject(
+            f"{what} names {name!r}, which is no {kind}.{did_you_mean(name, names)}",
+            remedy=f"The system has {', '.join(names) or 'none'}.",
         )
     return names.index(name)
 
@@ -341,9 +347,9 @@ def _check_overlap(what: str, name: str, given: Any, bounds: Any) -> None:
     (low, high), (least, most) = given, bounds
     if low > most or high < least:
         shown = f"{low:g}" if low == high else f"({low:g}, {high:g})"
-        raise InputError(
-            f"{what} has {name} = {shown}, outside of its bounds ({least:g}, {most:g}).\n"
-            f"Widen the bounds, or give {what} within."
+        reject(
+            f"{what} has {name} = {shown}, outside of its bounds ({least:g}, {most:g}).",
+            remedy=f"Widen the bounds, or give {what} within.",
         )
 
 
@@ -354,8 +360,8 @@ def read_family(scheme: Any) -> Scheme:
     """
     candidate: Any = read_scheme(scheme)
     if isinstance(candidate, Composition):
-        raise InputError(
-            f"{candidate.name} is a composition, whose steps have no control points.\n"
-            "Take a scheme of the Galerkin family, as 'lobatto6', 'simpson' or 'gauss6'."
+        reject(
+            f"{candidate.name} is a composition, whose steps have no control points.",
+            remedy="Take a scheme of the Galerkin family, as 'lobatto6', 'simpson' or 'gauss6'.",
         )
     return cast("Scheme", candidate)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.input_values import read_count
 from symsimpson.program.status import Status
 from symsimpson.results.html import solution
@@ -271,9 +271,9 @@ class ControlResult:
             If there are several phases: see ``trajectories``.
         """
         if len(self.trajectories) > 1:
-            raise InputError(
-                f"the motion has {len(self.trajectories)} phases, each in steps of its own size.\n"
-                "Take result.trajectories, one for each phase."
+            reject(
+                f"the motion has {len(self.trajectories)} phases, each in steps of its own size.",
+                remedy="Take result.trajectories, one for each phase.",
             )
         return self.trajectories[0]
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.errors import InputError, ResolutionWarning
+from symsimpson.errors import ResolutionWarning, reject
 from symsimpson.program.input_values import MOST_STEPS, read_reals
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.schemes.scheme import Scheme
@@ -60,7 +60,7 @@ def initial_point(layout: Layout, guess: Any) -> Floats:
     given = _read_guess(read, guess)
     whole = _number("duration", given.pop("duration", np.sqrt(low * high)))
     if whole <= 0:
-        raise InputError(f"guess['duration'] is {whole:g}.\nPass a positive number.")
+        reject(f"guess['duration'] is {whole:g}.", remedy="Pass a positive number.")
     values = []
     for name, i, (a, b) in zip(read.found_names, read.found, read.found_bounds, strict=True):
         middle = np.sqrt(a * b) if 0 < a < b < np.inf else (a + b) / 2
@@ -94,9 +94,10 @@ def initial_point(layout: Layout, guess: Any) -> Floats:
     x[layout.h] = sizes[: len(layout.h)]
     x = _with_momenta(layout, x)
     if not np.isfinite(x).all():
-        raise InputError(
-            "the guess has no finite momenta, or holds NaN.\nGive functions of the time with which "
-            "the motion stays where the energies have values."
+        reject(
+            "the guess has no finite momenta, or holds NaN.",
+            remedy="Give functions of the time with which "
+            "the motion stays where the energies have values.",
         )
     return x
 
@@ -107,10 +108,11 @@ def _read_guess(read: Reading, guess: Any) -> dict[str, Any]:
         functions = guess.functions
         strange = [name for name in functions if name not in (*read.names, *read.inputs)]
         if strange:
-            raise InputError(
+            reject(
                 f"guess is a result of {guess.layout.read.system.name}, with {', '.join(strange)}; "
-                f"{read.system.name} has {', '.join((*read.names, *read.inputs))}.\nPass those "
-                "that belong to one another by name: {name: result.functions[other]}."
+                f"{read.system.name} has {', '.join((*read.names, *read.inputs))}.",
+                remedy="Pass those "
+                "that belong to one another by name: {name: result.functions[other]}.",
             )
         unknowns = {name: x for name, x in guess.unknowns.items() if name in read.found_names}
         return {**functions, **unknowns, "duration": guess.duration}
@@ -123,9 +125,9 @@ def _read_guess(read: Reading, guess: Any) -> dict[str, Any]:
     allowed = {*read.names, *read.inputs, "duration", *read.found_names}
     for name in given:
         if name not in allowed:
-            raise InputError(
-                f"guess names {name!r}.{did_you_mean(name, sorted(allowed))}\n"
-                f"It has values of {', '.join(sorted(allowed))}."
+            reject(
+                f"guess names {name!r}.{did_you_mean(name, sorted(allowed))}",
+                remedy=f"It has values of {', '.join(sorted(allowed))}.",
             )
     return given
 
@@ -201,7 +203,7 @@ def _number(name: str, given: Any) -> float:
     how = "Pass a finite number."
     number = read_reals(f"guess[{name!r}]", given, how)
     if number.ndim or not np.isfinite(number):
-        raise InputError(f"guess[{name!r}] is {given!r}, no finite number.\n{how}")
+        reject(f"guess[{name!r}] is {given!r}, no finite number.", remedy=f"{how}")
     return float(number)
 
 
@@ -286,9 +288,10 @@ def _solved(
     fixed = sum(pair[0] == pair[1] for pair in layout.read.found_bounds)
     equations, size = int((low == high).sum()), layout.size - fixed
     if equations > size:
-        raise InputError(
+        reject(
             f"{layout.read.system.name}: {equations} equations for {size} unknowns: there are more "
-            "conditions than inputs can satisfy.\nLeave conditions out, or add inputs or steps."
+            "conditions than inputs can satisfy.",
+            remedy="Leave conditions out, or add inputs or steps.",
         )
     form = scaled(programme, layout, x0)
     bounds: Any = [*map(form.inside, layout.bounds)]
@@ -380,12 +383,13 @@ def opened(read: Reading, path: str | os.PathLike[str], scheme: Any) -> ControlR
         else:  # where the search ended, something had no value
             fits = not np.isfinite(saved["violation"])
     if not fits:
-        raise InputError(
+        reject(
             f"{place}: the file holds the solution of another problem, of {grid.count} steps of "
-            f"{name}."
-            f"\nOf {read.system.name} as it is written down it has another cost, or conditions or "
+            f"{name}.",
+            remedy=f"Of {read.system.name} as it is written down it has another cost, or "
+            "conditions or "
             "equations are not satisfied. Write down the problem as it was, with the same "
-            "parameters."
+            "parameters.",
         )
     return ControlResult(layout, x, multipliers, **saved)
 

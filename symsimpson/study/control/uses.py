@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from symsimpson.errors import InputError, StorageError
+from symsimpson.errors import StorageError, reject
 from symsimpson.plotting.axes import axes, colours, label, name_axis
 from symsimpson.program.input_values import read_reals
 from symsimpson.study.control.transcription import PointFunctions
@@ -62,17 +62,17 @@ def gains(result: Any, Q: ArrayLike, R: ArrayLike, of: Any = ("q", "p")) -> Floa
     """Return the gains of the linear regulator along a solution, for (q, p) or (q, v)."""
     layout, names = result.layout, result.layout.read.inputs
     if not isinstance(of, (tuple, list)) or list(of) not in (["q", "p"], ["q", "v"]):
-        raise InputError(
-            f"of is {shortened(of)}: the state of gains is made of momenta or of velocities.\n"
-            "Pass ('q', 'p') or ('q', 'v')."
+        reject(
+            f"of is {shortened(of)}: the state of gains is made of momenta or of velocities.",
+            remedy="Pass ('q', 'p') or ('q', 'v').",
         )
     Q = _weights("Q", Q, 2 * layout.n, f"z = (q, {of[1]})")
     R = _weights("R", R, len(names), "inputs")
     if not (np.linalg.eigvalsh(R) > 0).all():
-        raise InputError(
+        reject(
             f"R is {R.tolist()}, which is not positive definite: inputs would cost nothing, and "
-            "gains have no bound.\nPass a positive definite matrix, as numpy.eye"
-            f"({len(names)})."
+            "gains have no bound.",
+            remedy=f"Pass a positive definite matrix, as numpy.eye({len(names)}).",
         )
     A, B = (np.concatenate(x) for x in zip(*linearised(result), strict=True))
     # what of states (q, p) follows from a change of the state that is asked for, and back
@@ -84,9 +84,9 @@ def gains(result: Any, Q: ArrayLike, R: ArrayLike, of: Any = ("q", "p")) -> Floa
         A_k, B_k = A[k], B[k]
         hessian = R + B_k.T @ P @ B_k
         if not (np.linalg.eigvalsh(hessian) > 0).all():  # it is, if Q has no negative eigenvalue
-            raise InputError(
-                f"Q is so negative that no gains are best from step {k} on.\n"
-                "Pass a matrix without negative eigenvalues, or a larger R."
+            reject(
+                f"Q is so negative that no gains are best from step {k} on.",
+                remedy="Pass a matrix without negative eigenvalues, or a larger R.",
             )
         K[k] = np.linalg.solve(hessian, B_k.T @ P @ A_k)
         P = weights[k] + A_k.T @ P @ (A_k - B_k @ K[k])
@@ -102,9 +102,9 @@ def _by_velocities(result: Any) -> Floats:
     momenta = PointFunctions(read.graph, [*read.q, *read.v], read.momenta)
     turned[:, n:] = momenta.jacobian(layout.at_ends(result.x, v), len(v))
     if not (np.linalg.cond(turned[:, n:, n:]) < SINGULAR).all():
-        raise InputError(
-            "the mass matrix is singular on the way, and velocities do not tell momenta.\n"
-            "Take gains for momenta, of=('q', 'p')."
+        reject(
+            "the mass matrix is singular on the way, and velocities do not tell momenta.",
+            remedy="Take gains for momenta, of=('q', 'p').",
         )
     return turned
 
@@ -114,9 +114,9 @@ def _weights(name: str, given: ArrayLike, size: int, of: str) -> Floats:
     how = f"Pass a symmetric matrix of shape ({size}, {size}), for {of}."
     matrix = read_reals(name, given, how)
     if matrix.shape != (size, size):
-        raise InputError(f"{name} has shape {matrix.shape}, not ({size}, {size}).\n{how}")
+        reject(f"{name} has shape {matrix.shape}, not ({size}, {size}).", remedy=f"{how}")
     if not np.isfinite(matrix).all():
-        raise InputError(f"{name} has an entry that is not finite: {matrix.tolist()}.\n{how}")
+        reject(f"{name} has an entry that is not finite: {matrix.tolist()}.", remedy=f"{how}")
     return (matrix + matrix.T) / 2
 
 
@@ -222,9 +222,10 @@ def write_solution(
     """
     place, text = read_path("path", path), np.array(json.dumps(saved))
     if place.suffix != ".npz":
-        raise InputError(
-            f"{str(place)!r} is no name of NumPy's kind, as solutions are written.\nEnd it in "
-            ".npz; result.trajectory.save writes the motion to files of other kinds."
+        reject(
+            f"{str(place)!r} is no name of NumPy's kind, as solutions are written.",
+            remedy="End it in "
+            ".npz; result.trajectory.save writes the motion to files of other kinds.",
         )
     with written_beside(place, "solution") as whole, whole.open("wb") as file:
         np.savez_compressed(file, saved=text, x=x, multipliers=multipliers)
@@ -248,12 +249,14 @@ def read_solution(
             raise ValueError("they are not all numbers")
         return place, {key: kind(saved[key]) for key, kind in kinds.items()}, x, multipliers
     except (FileNotFoundError, PermissionError, IsADirectoryError) as error:
-        raise StorageError(
-            f"{place}: the solution cannot be read: {error.strerror}.\n"
-            "Save one with result.save(path), and name that file."
-        ) from None
+        reject(
+            f"{place}: the solution cannot be read: {error.strerror}.",
+            remedy="Save one with result.save(path), and name that file.",
+            error=StorageError,
+        )
     except DAMAGE as error:
-        raise StorageError(
-            f"{place}: this is no solution that symsimpson saved: {type(error).__name__}.\n"
-            "Save one with result.save(path), and open it with the same problem."
-        ) from None
+        reject(
+            f"{place}: this is no solution that symsimpson saved: {type(error).__name__}.",
+            remedy="Save one with result.save(path), and open it with the same problem.",
+            error=StorageError,
+        )

@@ -16,7 +16,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 
 #: Arguments that say nothing where there is one lane.
 DROPPED = ("lane", "at")
@@ -285,7 +285,7 @@ class Kinds:
                 return REAL
             case ast.Call():
                 return self._called(node, name)
-        raise InputError(f"a line of {name} has no counterpart in C: {ast.unparse(node)}.")
+        reject(f"a line of {name} has no counterpart in C: {ast.unparse(node)}.")
 
     def _called(self, node: ast.Call, name: str) -> str:
         given = [self.of(argument, name) for argument in node.args]

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.driver import KernelSets, driver_text
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
@@ -91,19 +91,21 @@ def written_c(program: Program, prefix: str) -> tuple[str, str]:
     """
     header = program.header
     if not program.numbers.compiled:
-        raise InputError(
-            "a stepper of many digits cannot be exported: C has double precision.\n"
-            "Export the stepper compiled without precision; its equations are the same."
+        reject(
+            "a stepper of many digits cannot be exported: C has double precision.",
+            remedy="Export the stepper compiled without precision; its equations are the same.",
         )
     if header.retimed:
-        raise InputError(
+        reject(
             f"{header.system} keeps a time of its own, and steps in C have the size that they are "
-            "given.\nExport the system before retimed()."
+            "given.",
+            remedy="Export the system before retimed().",
         )
     if header.newton_unknowns and _stack(header) > MOST_STACK:
-        raise InputError(
-            f"a step of {header.system} would take {_stack(header) / 2**20:.0f} MB of stack in C.\n"
-            "Export an explicit scheme, as 'kahan_li8', where M is constant; or fewer coordinates."
+        reject(
+            f"a step of {header.system} would take {_stack(header) / 2**20:.0f} MB of stack in C.",
+            remedy="Export an explicit scheme, as 'kahan_li8', where M is constant; or "
+            "fewer coordinates.",
         )
     return _Writer(program, prefix).files()
 
@@ -374,9 +376,9 @@ def write_files(program: Program, path: str | os.PathLike[str]) -> tuple[Path, P
     place = read_path("path", path)
     name = place.name.removesuffix(".c").removesuffix(".h")
     if not NAME.fullmatch(name) or name in {*WORDS, "math"}:
-        raise InputError(
-            f"path is {os.fspath(path)!r}, and {name!r} begins no name of C.\n"
-            "Take letters and digits, and a letter first: 'firmware/top'."
+        reject(
+            f"path is {os.fspath(path)!r}, and {name!r} begins no name of C.",
+            remedy="Take letters and digits, and a letter first: 'firmware/top'.",
         )
     texts = written_c(program, name)
     paths = place.with_name(f"{name}.h"), place.with_name(f"{name}.c")

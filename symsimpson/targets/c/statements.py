@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.targets.c.kinds import (
     INT,
     REAL,
@@ -127,7 +127,7 @@ class Expressions:
                 return "{} ? {} : {}".format(*parts), CHOICE
             case ast.Call(func=func, args=given):
                 return self._call(ast.unparse(func), given, name)
-        raise InputError(f"a line of {name} has no counterpart in C: {ast.unparse(node)}.")
+        reject(f"a line of {name} has no counterpart in C: {ast.unparse(node)}.")
 
     def _named(self, identifier: str, name: str) -> str:
         if identifier in self.kinds.names[name]:
@@ -356,9 +356,7 @@ class _Body:
             case ast.Expr(value=ast.Call() as call):
                 yield from _broken(f"{write(call, name)};", indent)
             case _:
-                raise InputError(
-                    f"a line of {name} has no counterpart in C: {ast.unparse(statement)}."
-                )
+                reject(f"a line of {name} has no counterpart in C: {ast.unparse(statement)}.")
 
     def _several(
         self, statement: ast.stmt, targets: list[ast.expr], call: ast.Call, indent: str
