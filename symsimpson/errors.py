@@ -1,6 +1,6 @@
-"""Errors and warnings, sorted by who can mend their cause.
+"""Errors and warnings of the package.
 
-Every message says what is wrong, where, why it matters and what to do about it.
+Every message says what is wrong, where, why it is rejected, and what to do.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ __all__ = [
 
 
 class SymsimpsonError(Exception):
-    """The base of every error that symsimpson raises on purpose.
+    """The base class of every error that symsimpson raises on purpose.
 
-    All of them go through pickle with what they carry, so that they reach the parent of a process.
+    Errors can be pickled with all their attributes, so that worker processes can raise them.
     """
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -37,7 +37,7 @@ class SymsimpsonError(Exception):
 def _revive(
     kind: type[SymsimpsonError], arguments: tuple[Any, ...], attributes: dict[str, Any]
 ) -> SymsimpsonError:
-    """Make an error as it was, whatever its constructor asks for."""
+    """Restore a pickled error without a call of its constructor."""
     error = kind.__new__(kind)
     error.args = arguments
     error.__dict__.update(attributes)
@@ -45,7 +45,7 @@ def _revive(
 
 
 class ModelError(SymsimpsonError):
-    """The declared system is not one that a variational step can integrate."""
+    """A variational integrator cannot integrate the declared system."""
 
 
 class SchemeError(SymsimpsonError):
@@ -53,23 +53,26 @@ class SchemeError(SymsimpsonError):
 
 
 class GenerationError(SymsimpsonError):
-    """A module could not be written, or what was written is not what is declared."""
+    """Code could not be generated or compiled, or it does not match the declared system."""
 
 
 class StaleKernelError(SymsimpsonError):
-    """A generated file belongs to another version of the kernel interface, or was edited."""
+    """A generated file has another version of the kernel interface, or it was edited."""
 
 
 class ModelWarning(UserWarning):
-    """A declared system is probably not the one that was meant."""
+    """The declared system probably contains a mistake."""
 
 
 class StabilityWarning(UserWarning):
-    """A step is so large that oscillations may grow without bound, or look slower than they are."""
+    """The step size is near the stability limit.
+
+    Oscillations may grow without bound, or have a frequency that is too low.
+    """
 
 
 class ResolutionWarning(UserWarning):
-    """A run did not resolve a fast part of the motion; the states after it are unreliable."""
+    """A run did not resolve a fast part of the motion. Later states are unreliable."""
 
 
 class ConstraintWarning(UserWarning):
@@ -77,22 +80,23 @@ class ConstraintWarning(UserWarning):
 
 
 class InputError(SymsimpsonError, ValueError):
-    """An argument, such as a state, a step or a parameter, is invalid."""
+    """An argument, such as a state, a step size or a parameter, is invalid."""
 
 
 class UnknownNameError(InputError, KeyError):
-    """There is no quantity of this name in a result."""
+    """A result has no quantity of this name."""
 
-    __str__ = Exception.__str__  # as it is written: a KeyError shows a text in quotes
+    __str__ = Exception.__str__  # KeyError would show the message in quotes
 
 
 class StorageError(SymsimpsonError):
-    """A file could not be read or written, or a task for a store could not be done elsewhere.
+    """A file could not be read or written, or a remote task for a store failed.
 
     Attributes
     ----------
     trajectory : Trajectory or None
-        What a run had computed when its checkpoint could not be written.
+        The states that the run had computed when its checkpoint could not be written. None
+        (default) if no run was under way.
     """
 
     def __init__(self, message: str, *, trajectory: Any = None) -> None:
@@ -101,20 +105,21 @@ class StorageError(SymsimpsonError):
 
 
 class ConvergenceError(SymsimpsonError):
-    """A step failed; everything computed before it is kept.
+    """A step of a run failed. ``trajectory`` has the states that were computed before.
 
     Attributes
     ----------
     trajectory : Trajectory
-        All stored states before the failure; of a section, the events before it.
+        The stored states before the failure. For a Poincare section these are the events before
+        the failure.
     step : int
-        Number of the step that failed, counted from 0.
+        The number of the step that failed, counted from 0.
     time : float
-        Time at the start of that step.
+        The time at the start of that step, in the unit of time of the system.
     residual : float
-        Size of the last Newton correction relative to the step's increment.
+        The size of the last Newton correction, divided by the increment of the step.
     status : Status
-        Why it failed.
+        The reason of the failure.
     """
 
     def __init__(
@@ -129,9 +134,13 @@ class ConvergenceError(SymsimpsonError):
 
 
 class Interrupted(SymsimpsonError, KeyboardInterrupt):
-    """Ctrl-C stopped a run; ``trajectory`` holds what was computed.
+    """Ctrl-C stopped a run. ``trajectory`` has the states that were computed before.
 
-    For many trajectories that is an Ensemble, for a section the Events.
+    Attributes
+    ----------
+    trajectory : Trajectory, Ensemble or Events
+        The states before the interruption: an Ensemble for many trajectories, Events for a
+        Poincare section.
     """
 
     def __init__(self, message: str, *, trajectory: Any) -> None:
@@ -150,8 +159,8 @@ def reject(
 ) -> NoReturn:
     """Raise an error about the user's input: "where: what why", and the remedy on the next line.
 
-    Each part is a whole sentence. ``where`` names the system, the argument or the file; leave it
-    out where ``what`` names it. ``cause`` is the error of a library to show as well.
+    Each part is a complete sentence. ``where`` names the system, the argument or the file. It is
+    empty if ``what`` names it. ``cause`` is the error of another library that the traceback shows.
     """
     head = " ".join(part for part in (f"{where}:" if where else "", what, why) if part)
     raise error(f"{head}\n{remedy}" if remedy else head) from cause

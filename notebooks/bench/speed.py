@@ -10,7 +10,7 @@ from typing import Any
 
 import symsimpson as ss
 from symsimpson.study.bench.contenders import alternate
-from symsimpson.study.bench.contenders import in_heyoka
+from symsimpson.study.bench.contenders import to_heyoka
 from symsimpson.reference import canonical
 
 REPEATS = 15
@@ -58,7 +58,7 @@ def _heyoka() -> Callable[[], Any] | None:
         import heyoka as hy
     except ImportError:
         return None
-    equations = in_heyoka(hy, canonical(ss.systems.double_pendulum()))
+    equations = to_heyoka(hy, canonical(ss.systems.double_pendulum()))
     start = [math.pi / 4, math.pi / 3, 0.0, 0.0]
     integrator = hy.taylor_adaptive(equations, start, tol=1e-9)
 

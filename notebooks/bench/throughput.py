@@ -14,7 +14,7 @@ import numpy as np
 
 import symsimpson as ss
 from symsimpson.study.bench.contenders import Contender, alternate
-from symsimpson.study.bench.contenders import in_heyoka
+from symsimpson.study.bench.contenders import to_heyoka
 from symsimpson.run.ensemble.lanes import run_blocks
 from symsimpson.run.ensemble.members import read_task
 from symsimpson.run.ensemble.lanes import with_fastest_lanes
@@ -131,7 +131,7 @@ def _heyoka(angles: Floats, threads: int) -> list[Contender[Run]]:
 
 def _batches(hy: Any, angles: Floats, lanes: int, threads: int) -> list[Contender[Run]]:
     """Return heyoka's batches of so many lanes, in a loop of threads and by its own function."""
-    equations = in_heyoka(hy, canonical(ss.systems.double_pendulum()))
+    equations = to_heyoka(hy, canonical(ss.systems.double_pendulum()))
     blocks = [
         np.vstack([part.T, np.zeros((2, lanes))])
         for part in angles[: len(angles) // lanes * lanes].reshape(-1, lanes, 2)

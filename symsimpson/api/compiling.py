@@ -1,4 +1,4 @@
-"""The public functions that join the symbolic half to the compiled one."""
+"""The public functions that make steppers: ``compile``, ``generate``, ``load`` and ``resume``."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from symsimpson.api.stepper import Stepper
 from symsimpson.declare.declared import points_of
-from symsimpson.declare.retimed import RetimedSystem, extended
+from symsimpson.declare.retimed import RetimedSystem, extend_by_energy
 from symsimpson.declare.system import MechanicalSystem
 from symsimpson.discrete.equations import check_differentiable
 from symsimpson.discrete.reductions import read_exploit
 from symsimpson.errors import GenerationError, StorageError, reject
 from symsimpson.lower.emitted_names import NameTable
 from symsimpson.lower.pipeline import derive
-from symsimpson.program.cache import kept_text
+from symsimpson.program.cache import load_or_derive
 from symsimpson.program.numbers import Numbers
 from symsimpson.program.program import Program, Tools, new_program, read_program
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.run.checkpoint import read_asked
+from symsimpson.run.checkpoint import read_description
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
-from symsimpson.support.calling import explained
+from symsimpson.support.calling import explain_arguments
 from symsimpson.support.derivation import Derivation
-from symsimpson.support.files import read_path, written_beside
-from symsimpson.support.names import in_a_row, spelled
-from symsimpson.support.progress import waiting
+from symsimpson.support.files import atomic_path, read_path
+from symsimpson.support.names import as_tuple, spelled
+from symsimpson.support.progress import announce
 from symsimpson.text.header import check_interface
 from symsimpson.text.interface import INTERFACE
 
@@ -39,13 +39,15 @@ if TYPE_CHECKING:
     from symsimpson.stepping.event import Event
 
 
-def _call(module: str, name: str, *given: Any, **named: Any) -> Any:
-    """Call a function of the analysis, whose module is loaded by the first call."""
-    return getattr(import_module(f"symsimpson.study.analysis.{module}"), name)(*given, **named)
+def _call(module: str, name: str, *arguments: Any, **options: Any) -> Any:
+    """Call a function of ``study.analysis``, and import its module at the first call."""
+    return getattr(import_module(f"symsimpson.study.analysis.{module}"), name)(
+        *arguments, **options
+    )
 
 
 LOG = logging.getLogger(__name__)
-#: What steppers are given of the layers above them.
+#: Functions that need T and V, which rooms below ``api`` cannot import.
 TOOLS = Tools(
     certify=partial(_call, "certify", "certify"),
     check_step=partial(_call, "stability.frequency", "warn_of_step"),
@@ -60,7 +62,7 @@ TOOLS = Tools(
 )
 
 
-@explained()
+@explain_arguments()
 def compile(
     system: MechanicalSystem,
     scheme: str | Scheme = "simpson",
@@ -70,45 +72,51 @@ def compile(
     arithmetic: Literal["mpmath", "arb"] = "mpmath",
     progress: bool | None = None,
 ) -> Stepper:
-    """Derive, emit and compile the integrator of a system.
+    """Derive and compile the variational integrator of a system.
 
     Parameters
     ----------
     system : MechanicalSystem
-    scheme : str or Scheme
-        ``"simpson"``, ``"midpoint"``, ``"lobatto6"``, ``"gauss4"``, ..., or a scheme made with
+        The system: its kinetic and potential energy, forces and constraints.
+    scheme : str or Scheme, default "simpson"
+        ``"simpson"``, ``"midpoint"``, ``"lobatto6"``, ``"gauss4"``, ..., or a scheme from
         :func:`symsimpson.galerkin`.
-    exploit : "all" or iterable of str
+    exploit : str or iterable of str, default "all"
         Structure that the generator may exploit: "decoupled", "cyclic", "constant_mass", "linear",
-        "sparse" (see :attr:`MechanicalSystem.structure`). The trajectory is the same up to
-        rounding; ``()`` keeps the general path, for comparison. ``("all", "conformal")`` treats
-        damping f = -2 gamma p by weights that grow in time, which is another scheme: the step is
-        conformally symplectic, and areas of phase space shrink by exactly exp(-2 gamma t). As a
-        force, damping does this to the order of the scheme. Such steps must resolve the damping,
-        gamma h < 0.1; others stay accurate where it is strong.
+        "sparse" (see :attr:`MechanicalSystem.structure`). The trajectory stays the same up to
+        round-off. ``()`` solves the general equations, for comparison. See Notes for "conformal".
     precision : int, optional
-        Decimal digits. The same module then runs in Python, states are numbers of mpmath, and
-        Newton's method goes on to all digits. Numbers can be given as strings (``"0.1"``), as
-        SymPy numbers or as numbers of mpmath; a float stands for the binary number that it is.
-    arithmetic : {"mpmath", "arb"}
-        What computes with many digits; "arb" is python-flint, many times as fast.
+        Number of decimal digits. The module then runs in Python, the states are mpmath numbers,
+        and Newton's method converges to all digits. You can pass numbers as strings (``"0.1"``),
+        as SymPy numbers or as mpmath numbers. A float keeps its exact binary value. By default,
+        the stepper computes in double precision.
+    arithmetic : {"mpmath", "arb"}, default "mpmath"
+        Multiprecision library. "arb" is python-flint, which is many times faster.
     progress : bool, optional
-        Whether to tell what is waited for (needs tqdm); None tells after a second, in a
-        terminal or a notebook.
+        True shows progress messages (needs tqdm), False shows none. By default, they appear after
+        a second, in a terminal or a notebook.
 
     Returns
     -------
     Stepper
-        Its machine code is made when first needed, and kept on disk for the next process.
+        The integrator. Its first run compiles the machine code and caches it on disk.
 
     Raises
     ------
     SchemeError
-        If there is no such scheme.
+        If the scheme is unknown.
     GenerationError
-        If the equations cannot be written as code, or ``exploit`` names something else.
+        If the equations cannot be written as code, or ``exploit`` contains an unknown name.
     InputError
-        If there is no such precision.
+        If ``precision`` or ``arithmetic`` is invalid.
+
+    Notes
+    -----
+    ``exploit=("all", "conformal")`` treats damping f = -2 gamma p by weights that grow in time.
+    This is another scheme: its steps are conformally symplectic, and areas of phase space shrink by
+    exactly exp(-2 gamma t). By default, damping is a force, and areas shrink by this factor up to
+    the order of the scheme. Conformal steps must resolve the damping: gamma h < 0.1. Other steps
+    stay accurate if the damping is strong.
 
     Examples
     --------
@@ -126,10 +134,10 @@ def compile(
         from symsimpson.program.digits import read_precision  # loads mpmath
 
         numbers = read_precision(precision, arithmetic)
-    return Stepper(_compiled(system, method, read_exploit(exploit), numbers, progress, None))
+    return Stepper(_compile_program(system, method, read_exploit(exploit), numbers, progress, None))
 
 
-def _compiled(
+def _compile_program(
     system: MechanicalSystem,
     scheme: Scheme,
     exploit: frozenset[str],
@@ -140,19 +148,21 @@ def _compiled(
     *,
     second: bool = False,
 ) -> Program:
-    """Make a program; its steps are differentiated if it is said by what, beside q and p.
+    """Derive and compile the program of a system.
 
-    Then it can integrate a ``running`` cost, too, and differentiate rows a ``second`` time.
+    ``varied`` names the parameters and inputs to differentiate steps by, besides q and p. None
+    means no derivatives. Programs with derivatives can also integrate a ``running`` cost and have
+    ``second`` derivatives.
     """
     tools: Tools | None = TOOLS
     if isinstance(system, RetimedSystem) and varied is not None:
         check_differentiable(scheme)
         known = dict(zip(NameTable(system).parameters, system.parameters, strict=True))
-        # the time is one of its momenta
-        system, varied = extended(system, [known[name] for name in varied])
-        tools = None  # the user's system is looked at
-    with waiting(f"deriving {scheme.name} for {system.name}", progress):
-        derivation = _derived(system, scheme, exploit, varied, running, second=second)
+        # the extended system has the time as a momentum
+        system, varied = extend_by_energy(system, [known[name] for name in varied])
+        tools = None  # checks apply to the system of the user, not to the extended one
+    with announce(f"deriving {scheme.name} for {system.name}", progress):
+        derivation = _derive(system, scheme, exploit, varied, running, second=second)
     return new_program(
         derivation.text,
         f"{system.name}__{scheme.name}",
@@ -162,12 +172,12 @@ def _compiled(
         declared=system,
         derivation=derivation,
         tools=tools,
-        differentiate=partial(_compiled, system, scheme, exploit, numbers, progress),
+        differentiate=partial(_compile_program, system, scheme, exploit, numbers, progress),
     )
 
 
-@lru_cache(maxsize=64)  # steppers of one declaration read it once
-def _derived(
+@lru_cache(maxsize=64)  # steppers of one declaration share its derivation
+def _derive(
     system: MechanicalSystem,
     scheme: Scheme,
     exploit: frozenset[str],
@@ -176,25 +186,25 @@ def _derived(
     *,
     second: bool,
 ) -> Derivation:
-    """Derive a module, or take what another process has derived of the same declaration."""
+    """Derive a module, or read from disk what another process derived for the same system."""
 
-    def derived() -> Derivation:
+    def derive_module() -> Derivation:
         derivation = derive(system, scheme, exploit, varied, running, second=second)
         seconds = sum(derivation.seconds.values())
         LOG.info("derived %s for %s in %.2f s", scheme.name, system.name, seconds)
         return derivation
 
     if system.retiming is not None or running is not None or system.too_large_for_sympy:
-        return derived()
+        return derive_module()
     energies = (system.kinetic, system.potential, system.gyroscopic)
     wanted = sorted(exploit), varied, second
     parts: list[object] = [system.digest, *energies, astuple(scheme), *wanted]
     parts += [(symbol.name, value) for symbol, value in system.parameters.items()]
-    return kept_text(map(str, parts), derived)
+    return load_or_derive(map(str, parts), derive_module)
 
 
-@waiting("deriving")
-@explained()
+@announce("deriving")
+@explain_arguments()
 def generate(
     system: MechanicalSystem,
     scheme: str | Scheme = "simpson",
@@ -208,19 +218,22 @@ def generate(
     Parameters
     ----------
     system : MechanicalSystem
-    scheme : str or Scheme
-    directory : path
-        Made if need be.
-    exploit : "all" or iterable of str
-        As for :func:`compile`.
+        The system: its kinetic and potential energy, forces and constraints.
+    scheme : str or Scheme, default "simpson"
+        Name of a scheme, or a scheme from :func:`symsimpson.galerkin`.
+    directory : path, default "generated"
+        Folder of the file. `generate` creates it if necessary.
+    exploit : str or iterable of str, default "all"
+        Structure that the generator may exploit, as for :func:`compile`.
     derivatives : iterable of str, optional
-        Names of parameters and inputs by which the module can differentiate its steps, beside
-        positions and momenta; ``()`` for these alone. By default it has no derivatives.
+        Names of parameters and inputs by which the module can differentiate its steps. ``()``
+        gives derivatives by positions and momenta only. By default, the module has no derivatives.
 
     Returns
     -------
     pathlib.Path
-        The file. Its content is reproducible to the byte; an identical file is not rewritten.
+        The path of the file. Its content is reproducible byte for byte. `generate` does not
+        rewrite an identical file.
 
     Raises
     ------
@@ -238,23 +251,26 @@ def generate(
     path = read_path("directory", directory) / f"{system.name}__{method.name}.py"
     if derivatives is not None and isinstance(system, RetimedSystem):
         reject(
-            f"{system.name} is retimed, and derivatives of its runs take more than one module.",
-            remedy="Make a stepper with symsimpson.compile, whose runs carry tangents= "
-            "and sensitivities=.",
+            "a module with derivatives cannot be written for a system with a time transformation.",
+            where=f"system {system.name!r}",
+            why="Its derivatives need more than one module.",
+            remedy="Make a stepper with symsimpson.compile; its runs take tangents= and "
+            "sensitivities=.",
             error=GenerationError,
         )
-    names = None if derivatives is None else map(spelled, in_a_row(derivatives))
+    names = None if derivatives is None else map(spelled, as_tuple(derivatives))
     content = derive(system, method, exploit, names).text.encode()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if not path.is_file() or path.read_bytes() != content:
-            with written_beside(path, "generated module") as whole:
+            with atomic_path(path, "generated module") as whole:
                 whole.write_bytes(content)
     except StorageError as error:
         reject(str(error), error=GenerationError, cause=error)
     except OSError as error:
         reject(
-            f"{path}: the generated module cannot be written: {error.strerror}.",
+            f"the generated module cannot be written: {error.strerror}.",
+            where=str(path),
             remedy="Choose another directory.",
             error=GenerationError,
             cause=error,
@@ -262,22 +278,29 @@ def generate(
     return path
 
 
-@explained()
+@explain_arguments()
 def load(path: str | os.PathLike[str]) -> Stepper:
     """Make a stepper from a generated file.
+
+    `load` checks the digest and the structure of the file and then executes it. Load only files
+    that you trust.
 
     Parameters
     ----------
     path : path
-        A file that :func:`generate` wrote. It is executed, after its digest and its structure
-        were checked: load only files that you trust.
+        A file that :func:`generate` wrote.
+
+    Returns
+    -------
+    Stepper
+        The stepper of the module in the file.
 
     Raises
     ------
     StaleKernelError
-        If the file is of another kernel interface, was edited, or is no generated module.
+        If the file has another kernel interface, was edited, or is not a generated module.
     GenerationError
-        If it cannot be read.
+        If the file cannot be read.
 
     Examples
     --------
@@ -291,9 +314,9 @@ def load(path: str | os.PathLike[str]) -> Stepper:
         text = place.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reject(
-            f"{os.fspath(path)}: the file cannot be read: {error}.",
-            remedy="Generate it with symsimpson.generate(system, scheme). A run that was "
-            "saved is read by "
+            f"the file cannot be read: {error}.",
+            where=os.fspath(path),
+            remedy="Generate it with symsimpson.generate(system, scheme). Open a saved run with "
             "symsimpson.open_trajectory.",
             error=GenerationError,
             cause=error,
@@ -303,7 +326,7 @@ def load(path: str | os.PathLike[str]) -> Stepper:
     return Stepper(program)
 
 
-@explained()
+@explain_arguments()
 def resume(
     path: str | os.PathLike[str],
     *,
@@ -313,33 +336,38 @@ def resume(
     progress: bool | None = None,
     on_failure: Literal["raise", "return"] = "raise",
 ) -> Trajectory:
-    """Resume a run from its checkpoint, with bitwise the same result as without interruption.
+    """Resume an interrupted run from its checkpoint.
+
+    The result is bitwise identical to that of a run without interruption. `resume` checks the
+    digest and the structure of the module in the file and then executes it. Resume only files that
+    you trust.
 
     Parameters
     ----------
     path : path
-        The file that ``integrate(..., checkpoint=path)`` wrote. The module in it is executed,
-        after its digest and its structure were checked: resume only files that you trust.
+        The file that ``integrate(..., checkpoint=path)`` wrote.
     inputs : mapping, optional
-        Those of the run, if the system has any: a checkpoint keeps their digest alone.
+        The inputs of the run, if the system has inputs. A checkpoint stores only their digest.
     events : sequence of Event, optional
-        Those of the run, if it had any: a checkpoint keeps what they did, and how they read.
+        The events of the run, if it had any. A checkpoint stores their expressions and records.
     checkpoint_every, progress, on_failure
-        As for :meth:`Stepper.integrate`.
+        The same arguments as for :meth:`Stepper.integrate`.
 
     Returns
     -------
     Trajectory
-        Of the whole run, from its beginning.
+        The whole run, from its initial state.
 
     Raises
     ------
     StorageError
-        If there is no whole checkpoint.
+        If the file is not a complete checkpoint.
     StaleKernelError
-        If it is of another kernel interface.
-    ConvergenceError, Interrupted
-        As :meth:`Stepper.integrate`.
+        If the module in the file has another kernel interface.
+    ConvergenceError
+        If a step fails.
+    Interrupted
+        If you press Ctrl-C.
 
     Examples
     --------
@@ -351,26 +379,26 @@ def resume(
     >>> bool((again.q == run.q).all())
     True
     """
-    asked = read_asked(read_path("the checkpoint", path))
-    program = read_program(asked["source"], os.fspath(path), TOOLS, asked.get("names"))
+    request = read_description(read_path("the checkpoint", path))
+    program = read_program(request["source"], os.fspath(path), TOOLS, request.get("names"))
     stepper = Stepper(program)
-    values = dict(zip(stepper.parameters, asked["parameters"], strict=True))
+    values = dict(zip(stepper.parameters, request["parameters"], strict=True))
     from_start = stepper.program.header.from_start
     parameters = {name: value for name, value in values.items() if name not in from_start}
-    end = {"t_end": asked["t_end"]} if "t_end" in asked else {"steps": asked["steps"]}
+    end = {"t_end": request["t_end"]} if "t_end" in request else {"steps": request["steps"]}
     return stepper.integrate(
-        asked["q0"],
-        p0=asked["p0"],
-        h=asked["h"],
+        request["q0"],
+        p0=request["p0"],
+        h=request["h"],
         **end,
-        t0=asked["t0"],
+        t0=request["t0"],
         parameters=parameters,
         inputs=inputs,
-        every=asked["every"] or None,
-        tangents=asked.get("tangents"),
-        sensitivities=stepper.program.header.varied_by if "tangents" in asked else None,
-        record=asked.get("record"),
-        reduce={name: (kind, text) for name, kind, text in asked.get("reduce", ())} or None,
+        every=request["every"] or None,
+        tangents=request.get("tangents"),
+        sensitivities=stepper.program.header.varied_by if "tangents" in request else None,
+        record=request.get("record"),
+        reduce={name: (kind, text) for name, kind, text in request.get("reduce", ())} or None,
         events=events,
         checkpoint=path,
         checkpoint_every=checkpoint_every,
@@ -380,20 +408,21 @@ def resume(
 
 
 def check_system(system: object) -> None:
-    """Refuse what is no system, in words; raises GenerationError."""
+    """Raise GenerationError unless the argument is a MechanicalSystem."""
     if not isinstance(system, MechanicalSystem):
-        from symsimpson.systems import EVERY  # only a message needs the catalogue
+        from symsimpson.systems import EVERY  # imported here, because only the message needs it
 
         what, name = type(system).__name__, getattr(system, "__name__", system)
         if isinstance(name, str) and name in EVERY and system in (name, EVERY[name]):
             reject(
                 f"{name} is the {'name of a' if system == name else 'function that makes the'} "
-                "system.",
+                "system, not a MechanicalSystem.",
                 remedy=f"Call it: symsimpson.systems.{name}().",
                 error=GenerationError,
             )
         method = {"LagrangesMethod": "lagranges_method", "KanesMethod": "kanes_method"}.get(what)
-        how = "Declare one: symsimpson.MechanicalSystem(name, coordinates=..., kinetic=..., ...)."
+        remedy = "Declare one: symsimpson.MechanicalSystem(name, coordinates=..., kinetic=...)."
         if method is not None:
-            how = f"Read it: symsimpson.MechanicalSystem.from_{method}(name, method, parameters)."
-        reject(f"{what} is not a MechanicalSystem.", remedy=f"{how}", error=GenerationError)
+            call = f"symsimpson.MechanicalSystem.from_{method}(name, method, parameters)"
+            remedy = f"Convert it: {call}."
+        reject(f"{what} is not a MechanicalSystem.", remedy=remedy, error=GenerationError)

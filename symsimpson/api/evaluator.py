@@ -1,4 +1,4 @@
-"""Values of the equations at given states, or after one step."""
+"""Values of the discrete equations at given states, and single steps."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike
 from symsimpson.errors import reject
 from symsimpson.program.observed import evaluate_energy
 from symsimpson.program.program import Program
-from symsimpson.run.requested import end_of_step
-from symsimpson.run.step_equations import At, evaluate_curvature, evaluate_equations
+from symsimpson.run.requested import take_step
+from symsimpson.run.step_equations import StepArguments, evaluate_curvature, evaluate_equations
 from symsimpson.stepping.driving import node_times
-from symsimpson.stepping.request import Request, of_a_step, step_request
+from symsimpson.stepping.request import Request, inputs_for_one_step, step_request
 from symsimpson.stepping.spec import read_run
 from symsimpson.support.array_types import Reals
-from symsimpson.support.calling import explaining
+from symsimpson.support.calling import explain_methods
 
 if TYPE_CHECKING:
     from symsimpson.run.loop import ControlLoop
@@ -26,21 +26,21 @@ if TYPE_CHECKING:
 Parameters = Mapping[Any, Any]
 
 
-@explaining()
+@explain_methods()
 class Evaluator:
-    """The kernels of one module, which evaluate equations at any state and take single steps.
+    """The part of a stepper that evaluates equations at any state and takes single steps.
 
-    :class:`Stepper` adds whole runs, and describes parameters and attributes.
+    :class:`Stepper` adds runs. Its documentation describes the parameters and attributes.
     """
 
     def __init__(self, program: Program) -> None:
         if not isinstance(program, Program):
             reject(
-                f"a stepper is made of a program, and {type(program).__name__} is none.",
-                remedy="Make one with symsimpson.compile(system, scheme), or "
+                f"Stepper takes a compiled program, not a {type(program).__name__}.",
+                remedy="Make a stepper with symsimpson.compile(system, scheme), or "
                 "symsimpson.load(path).",
             )
-        #: The module, compiled, as the package knows it.
+        #: The compiled module.
         self.program = program
         self.source, self.reference_state = program.source, program.reference_state
         self.system, self.scheme, self.order = program.system, program.scheme, program.order
@@ -54,7 +54,7 @@ class Evaluator:
 
     @property
     def units(self) -> dict[str, str]:
-        """Units of quantities by name, as they were declared with the system."""
+        """Units of the quantities by name, as the system declares them."""
         return self.program.units
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -75,27 +75,30 @@ class Evaluator:
         inputs: Any = None,
         multipliers: ArrayLike | None = None,
     ) -> Reals:
-        """Evaluate the discrete Euler-Lagrange equations at given nodes.
+        """Evaluate the discrete Euler-Lagrange equations of one step.
 
         Parameters
         ----------
         q0, p0 : array_like, shape (n,)
+            Positions and conjugate momenta at the start of the step.
         nodes : array_like, shape (d, n)
-            Control points X_1..X_d of the path; the last is q1.
+            Control points X_1, ..., X_d of the path. The last one is q1.
         h : float
+            Step size, in the unit of time.
         parameters : mapping, optional
-        t : float, optional
-            When the step begins.
+            Values of the parameters, by symbol or name. By default, those of the declaration.
+        t : float, default 0.0
+            Time at the start of the step.
         inputs : mapping or array_like, optional
-            Those of the step, as for one of :meth:`Stepper.integrate`.
+            Values of the inputs during the step, as for one step of :meth:`Stepper.integrate`.
         multipliers : array_like, shape (d, m), optional
-            mu_k of the constraints at X_0..X_(d-1), impulses.
+            Multipliers mu_k of the m constraints at X_0, ..., X_(d-1). They are impulses.
 
         Returns
         -------
         ndarray, shape (d n,) or (d (n + m),)
-            D_k L_d for k = 1..d-1, then p0 + D_0 L_d. With multipliers, these less Phi^T mu_k, and
-            after them phi(X_k) for k = 1..d.
+            D_k L_d for k = 1, ..., d-1, then p0 + D_0 L_d. With multipliers, Phi^T mu_k is
+            subtracted, and phi(X_k) for k = 1, ..., d follows.
 
         Examples
         --------
@@ -105,7 +108,7 @@ class Evaluator:
         >>> bool(abs(stepper.residual([1.0], [0.0], [q1], h=0.01)).max() < 1e-14)
         True
         """
-        at = At(q0, nodes, h, parameters, t, inputs, multipliers)
+        at = StepArguments(q0, nodes, h, parameters, t, inputs, multipliers)
         return evaluate_equations(self.program, at, p0)[0]
 
     def jacobian(
@@ -120,9 +123,17 @@ class Evaluator:
         inputs: Any = None,
         multipliers: ArrayLike | None = None,
     ) -> Reals:
-        """Evaluate the exact Jacobian of :meth:`residual` by the nodes, shape (d n, d n).
+        """Evaluate the exact Jacobian matrix of :meth:`residual` with respect to the nodes.
 
-        With multipliers it is that by the nodes and by these, shape (d (n + m), d (n + m)).
+        Parameters
+        ----------
+        q0, p0, nodes, h, parameters, t, inputs, multipliers
+            The same arguments as for :meth:`residual`.
+
+        Returns
+        -------
+        ndarray, shape (d n, d n) or (d (n + m), d (n + m))
+            The derivatives by the nodes. With multipliers, their columns follow.
 
         Examples
         --------
@@ -131,7 +142,7 @@ class Evaluator:
         >>> stepper.jacobian([1.0], [0.0], [[0.9]], h=0.01).shape
         (1, 1)
         """
-        at = At(q0, nodes, h, parameters, t, inputs, multipliers)
+        at = StepArguments(q0, nodes, h, parameters, t, inputs, multipliers)
         return evaluate_equations(self.program, at, p0)[1]
 
     def hessian(
@@ -148,33 +159,35 @@ class Evaluator:
         constraint_weights: ArrayLike | None = None,
         wrt: str | Sequence[Any] = (),
     ) -> Reals:
-        """Evaluate second derivatives of weighted equations, sum_k weights_k . D_k L_d.
+        """Evaluate the second derivatives of the weighted equations, sum_k weights_k . D_k L_d.
 
-        Programmes of optimal control, whose Lagrangian they are part of, ask for these. A kernel
-        for them is derived and compiled when it is first asked for.
+        They are part of the Lagrangian's Hessian matrix in direct optimal control. The first call
+        derives and compiles a kernel for them.
 
         Parameters
         ----------
         q0, nodes, h, parameters, t, inputs, multipliers
-            As for :meth:`residual`.
+            The same arguments as for :meth:`residual`.
         weights : array_like, shape (d + 1, n)
-            Those of D_k L_d for k = 0..d, of forces too; with multipliers less Phi(X_k)^T mu_k.
+            Weights of D_k L_d for k = 0, ..., d, including forces. With multipliers,
+            Phi(X_k)^T mu_k is subtracted from D_k L_d.
         constraint_weights : array_like, shape (d + 1, m), optional
-            Weights of phi(X_k), which are added.
-        wrt : str, symbol or sequence of them
-            Parameters and inputs to differentiate by, besides control points and multipliers; "h"
-            and "t", the size of the step and the time of its start.
+            Weights of phi(X_k), whose weighted sum is added.
+        wrt : str, symbol or sequence of them, default ()
+            Parameters and inputs to differentiate by, besides control points and multipliers. "h"
+            is the step size, and "t" is the time at the start of the step.
 
         Returns
         -------
         ndarray, shape (K, K)
-            By X_0, ..., X_d, n columns each; by mu_0, ..., mu_(d-1), m each; by what ``wrt`` names:
-            a column for a parameter, and s for an input, by its values at the nodes. Symmetric.
+            A symmetric matrix. Its columns are derivatives by X_0, ..., X_d (n columns each), by
+            mu_0, ..., mu_(d-1) (m columns each), and by the names in ``wrt``. A parameter has one
+            column. An input has s columns, one for each node.
 
         Raises
         ------
         InputError
-            If shapes are other ones, or a step has no equations.
+            If an array has another shape, or the step has no equations.
 
         Examples
         --------
@@ -184,7 +197,7 @@ class Evaluator:
         >>> H.shape, bool(abs(H - H.T).max() == 0)
         ((3, 3), True)
         """
-        at = At(q0, nodes, h, parameters, t, inputs, multipliers)
+        at = StepArguments(q0, nodes, h, parameters, t, inputs, multipliers)
         return evaluate_curvature(self.program, at, weights, constraint_weights, wrt)
 
     def energy(
@@ -195,18 +208,21 @@ class Evaluator:
         *,
         t: ArrayLike = 0.0,
     ) -> Reals:
-        """Evaluate the Hamiltonian at states of any origin.
+        """Evaluate the Hamiltonian H at any states.
 
         Parameters
         ----------
         q, p : array_like, shape (N, n)
+            Positions and conjugate momenta.
         parameters : mapping, optional
-        t : float or array_like, shape (N,), optional
-            Times of the states, where T or V depend on it.
+            Values of the parameters, by symbol or name. By default, those of the declaration.
+        t : float or array_like, shape (N,), default 0.0
+            Times of the states. They matter if T or V depends on the time.
 
         Returns
         -------
         ndarray, shape (N,)
+            The energies, in the unit of T and V.
 
         Examples
         --------
@@ -232,23 +248,30 @@ class Evaluator:
 
         Parameters
         ----------
-        q, v, p : array_like, shape (n,)
-            One of ``v`` and ``p`` is left out.
+        q : array_like, shape (n,)
+            Positions at the start of the step.
+        v, p : array_like, shape (n,), optional
+            Velocities or conjugate momenta at the start of the step. Pass exactly one of them.
         h : float
-        t : float
-            The time at the start.
+            Step size, in the unit of time.
+        t : float, default 0.0
+            Time at the start of the step.
         inputs : mapping, optional
-            A number for each input, or one for each node of the step.
+            For each input a number, or an array of shape (s,) with a value for each node.
         parameters : mapping, optional
+            Values of the parameters, by symbol or name. By default, those of the declaration.
 
         Returns
         -------
         q1, p1 : ndarray, shape (n,)
+            Positions and conjugate momenta at the end of the step.
 
         Raises
         ------
-        InputError, ConvergenceError
-            As :meth:`integrate`.
+        InputError
+            If an argument is invalid.
+        ConvergenceError
+            If the step fails.
 
         Examples
         --------
@@ -259,22 +282,25 @@ class Evaluator:
         (True, True)
         """
         request = step_request(q, v, p, h, t, parameters, inputs)
-        end = end_of_step(self.program, request)
+        end = take_step(self.program, request)
         return end.q[0], end.p[0]
 
     def node_times(self, h: Any, steps: int, t0: Any = 0.0) -> Reals:
-        """Return the times at which inputs given at nodes are taken.
+        """Return the times of the nodes, at which steps evaluate the inputs.
 
         Parameters
         ----------
         h : float
+            Step size, in the unit of time.
         steps : int
-        t0 : float, optional
+            Number of steps.
+        t0 : float, default 0.0
+            Initial time.
 
         Returns
         -------
         ndarray, shape (steps, s)
-            t0 + (j + c_i) h for the nodes c_i of step j.
+            The times t0 + (j + c_i) h for the s nodes c_i of step j.
 
         Raises
         ------
@@ -301,24 +327,24 @@ class Evaluator:
         parameters: Parameters | None = None,
         events: Sequence[Event] | None = None,
     ) -> ControlLoop:
-        """Begin a run that is taken step by step, with inputs that may depend on what it does.
+        """Start a run that takes one step per call, with inputs that may depend on the state.
 
         Parameters
         ----------
         q0, v0, p0, h, t0, parameters, events
-            As for :meth:`integrate`.
+            The same arguments as for :meth:`integrate`.
 
         Returns
         -------
         ControlLoop
             ``loop.step(u)`` takes a step. ``loop.t``, ``.q``, ``.p``, ``.v``, ``.energy``,
-            ``.multipliers`` and ``.constraint_forces`` describe the state. Its steps are bitwise
-            identical to those from :meth:`integrate`.
+            ``.multipliers`` and ``.constraint_forces`` describe the current state. Its steps are
+            bitwise identical to those of :meth:`integrate`.
 
         Raises
         ------
         InputError
-            If the arguments make no sense.
+            If an argument is invalid.
 
         Examples
         --------
@@ -333,6 +359,7 @@ class Evaluator:
         from symsimpson.run.loop import ControlLoop
 
         zeros = np.zeros(len(self.inputs)) if self.inputs else None
-        begin = q0, v0, p0, h, None, 1, t0
-        request = Request(*begin, parameters, of_a_step(zeros), events=events)
+        request = Request(
+            q0, v0, p0, h, None, 1, t0, parameters, inputs_for_one_step(zeros), events=events
+        )
         return ControlLoop(self.program, read_run(self.program, request))

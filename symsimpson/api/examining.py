@@ -1,4 +1,4 @@
-"""Findings about steps or runs: derivatives, sections, certificates."""
+"""Derivatives of steps and runs, Poincaré sections, reports, C export and certificates."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from symsimpson.api.evaluator import Evaluator, Parameters
 from symsimpson.errors import reject
 from symsimpson.program.program import report_of
 from symsimpson.results.motion_derivatives import Chaos, Gradient, Linearisation
-from symsimpson.run.gradients import Wanted, gradient_of
+from symsimpson.run.gradients import GradientArguments, gradient_of
 from symsimpson.run.lyapunov import lyapunov
-from symsimpson.run.requested import tangent_of_step
+from symsimpson.run.requested import take_step_with_tangents
 from symsimpson.run.step_equations import linearise
-from symsimpson.stepping.inputs import read_varied
+from symsimpson.stepping.inputs import read_variables
 from symsimpson.stepping.request import Request, step_request
 from symsimpson.support.array_types import Reals
-from symsimpson.support.calling import explaining
+from symsimpson.support.calling import explain_methods
 from symsimpson.support.derivation import Report
 
 if TYPE_CHECKING:
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from symsimpson.study.analysis.certificate import Certificate
 
 
-@explaining()
-class Examining(Evaluator):
-    """Exact derivatives of steps or runs, sections, the report and the certificate of a stepper."""
+@explain_methods()
+class Analyser(Evaluator):
+    """The part of a stepper that differentiates and examines steps and runs."""
 
     def tangent(
         self,
@@ -45,32 +45,39 @@ class Examining(Evaluator):
         inputs: Any = None,
         parameters: Parameters | None = None,
     ) -> tuple[Reals, Reals, Reals]:
-        """Take one step, and differentiate it.
+        """Take one step and differentiate it.
 
         Parameters
         ----------
-        q, v, p : array_like, shape (n,)
-            One of ``v`` and ``p`` is left out.
+        q : array_like, shape (n,)
+            Positions at the start of the step.
+        v, p : array_like, shape (n,), optional
+            Velocities or conjugate momenta at the start of the step. Pass exactly one of them.
         h : float
-        wrt : sequence of str or symbols
-            "q" and "p" for positions and momenta at the start, names or symbols of parameters and
-            inputs, "h" and "t". Of an input it is the same change at all nodes.
+            Step size, in the unit of time.
+        wrt : str, symbol or sequence of them, default ("q", "p")
+            Variables to differentiate by. "q" and "p" are the positions and momenta at the start
+            of the step, "h" is the step size, and "t" is the initial time. Parameters and inputs
+            have their names or symbols. An input is varied equally at all nodes.
         t, inputs, parameters
-            As for :meth:`step`.
+            The same arguments as for :meth:`step`.
 
         Returns
         -------
         q1, p1 : ndarray, shape (n,)
+            Positions and conjugate momenta at the end of the step.
         D : ndarray, shape (2 n, k)
-            Derivatives of (q1, p1), with n columns for each of "q" and "p" and one for each name.
-            Those by parameters are at given v where that was given.
+            Derivatives of (q1, p1). "q" and "p" have n columns each, every other name has one. If
+            you pass ``v``, derivatives by parameters are taken at fixed v, else at fixed p.
 
         Raises
         ------
-        InputError, ConvergenceError
-            As :meth:`integrate`.
+        InputError
+            If an argument is invalid.
+        ConvergenceError
+            If the step fails.
         SchemeError
-            If steps of the scheme, or of the system, are not differentiated.
+            If steps of this scheme or system cannot be differentiated.
 
         Examples
         --------
@@ -82,9 +89,9 @@ class Examining(Evaluator):
         """
         n, given = self.n, tuple(wrt) if isinstance(wrt, (list, tuple)) else (wrt,)
         varied = [name for name in given if not (isinstance(name, str) and name in ("q", "p"))]
-        names = read_varied(self.program, varied, of_steps=True)
+        names = read_variables(self.program, varied, of_steps=True)
         request = step_request(q, v, p, h, t, parameters, inputs)
-        end = tangent_of_step(self.program, request._replace(tangents=2 * n), names)
+        end = take_step_with_tangents(self.program, request._replace(tangents=2 * n), names)
         assert end.variations is not None
         D = end.variations[0]
         places = {"q": range(n), "p": range(n, 2 * n)}
@@ -115,47 +122,53 @@ class Examining(Evaluator):
     ) -> Gradient:
         """Integrate, and differentiate a cost of the run by any number of variables.
 
-        The derivatives of the computed cost are exact to rounding: they are carried backwards by
-        the discrete adjoint of each step. This takes two or three times as long as the run, for
-        any number of parameters and inputs. Steps are stored, or computed again, so that memory
-        stays below some 100 MB.
+        The derivatives of the computed cost are exact up to round-off. The discrete adjoint of
+        each step carries them from the end of the run to its start. A gradient takes two or three
+        times as long as the run, for any number of parameters and inputs. The method stores steps,
+        or recomputes them, so that memory stays below about 100 MB.
 
         Parameters
         ----------
         q0, v0, p0, h, t_end, steps, t0, parameters, inputs
-            As for :meth:`integrate`.
+            The same arguments as for :meth:`integrate`.
         cost : SymPy expression or str, optional
-            Of the last state: in coordinates, velocities, momenta and parameters, as
-            :meth:`Trajectory.events` takes them.
+            Cost of the final state, in coordinates, velocities, momenta and parameters.
+            :meth:`Trajectory.events` describes the expressions.
         running : SymPy expression, optional
-            A cost that is integrated along the path by the scheme's quadrature; in coordinates,
-            velocities, parameters, inputs and the time.
+            Cost that the quadrature of the scheme integrates along the path. It may contain
+            coordinates, velocities, parameters, inputs and the time.
         samples : mapping from expression to array_like, shape (N // every + 1,), optional
-            Measured values of an expression as in ``cost``, at the first state and after each
-            ``every`` steps, NaN where there are none. The sum of the squared differences between
-            run and samples is added to the cost.
-        every : int
-            Steps between samples.
+            Measured values of expressions (as for ``cost``), at the initial state and after every
+            ``every`` steps. NaN marks missing values. The cost includes the sum of the squared
+            differences between the run and the samples.
+        every : int, default 1
+            Number of steps between samples.
         wrt : str, symbol or sequence of them
-            "q" and, as it was given, "v" or "p" of the initial state; parameters; inputs; "h" of
-            all steps, that is t_end / steps where nothing depends on the time, and "t", that is t0.
+            Variables to differentiate by: "q", and "v" or "p" (whichever you pass), are the initial
+            state. Parameters and inputs have their names or symbols. "h" is the size of all steps,
+            and "t" is t0. If nothing depends on the time, "h" is t_end / steps.
         progress : bool, optional
-            As for :meth:`integrate`.
+            Whether to show a progress bar, as for :meth:`integrate`.
 
         Returns
         -------
         Gradient
-            The pair (value, gradient) that ``scipy.optimize.minimize(..., jac=True)`` takes; its
-            ``parts`` have the derivatives by name, of an input in the shape in which it was given.
+            The pair (value, gradient) that ``scipy.optimize.minimize(..., jac=True)`` takes. Its
+            attribute ``parts`` has the derivatives by name. The derivatives by an input have the
+            shape of the values that you pass.
 
         Raises
         ------
-        InputError, ConvergenceError, Interrupted
-            As :meth:`integrate`.
+        InputError
+            If an argument is invalid.
+        ConvergenceError
+            If a step fails.
+        Interrupted
+            If you press Ctrl-C.
         ModelError
-            If ``running`` contains something else.
+            If ``running`` contains an unknown symbol or function.
         SchemeError
-            If steps of the scheme, or of the system, are not differentiated.
+            If steps of this scheme or system cannot be differentiated.
 
         Examples
         --------
@@ -168,7 +181,7 @@ class Examining(Evaluator):
         ((3,), ['l', 'q', 'v'])
         """
         request = Request(q0, v0, p0, h, t_end, steps, t0, parameters, inputs)
-        wanted = Wanted(cost, running, samples, every, wrt)
+        wanted = GradientArguments(cost, running, samples, every, wrt)
         return gradient_of(self.program, request, wanted, progress)
 
     def linearise(
@@ -186,31 +199,37 @@ class Examining(Evaluator):
         wrt: str | Sequence[Any] = (),
         progress: bool | None = None,
     ) -> Linearisation:
-        """Integrate, and differentiate each step by its start and by the inputs at its nodes.
+        """Integrate, and differentiate each step by its initial state and by its inputs.
 
-        These are the matrices of the linear system z_{k+1} = A_k z_k + B_k u_k along the run, exact
-        to rounding, as controllers and observers are designed with.
+        The derivatives are the matrices of the linear system z_{k+1} = A_k z_k + B_k u_k along the
+        run. They are exact up to round-off. Use them to design controllers and observers.
 
         Parameters
         ----------
         q0, v0, p0, h, t_end, steps, t0, parameters, inputs
-            As for :meth:`integrate`.
-        wrt : str, symbol or sequence of them
-            Parameters and inputs to differentiate by, besides the state; "h" and "t" of each step.
+            The same arguments as for :meth:`integrate`.
+        wrt : str, symbol or sequence of them, default ()
+            Parameters and inputs to differentiate by, besides the state. "h" is the size of each
+            step, and "t" is the time at its start.
         progress : bool, optional
-            As for :meth:`integrate`.
+            Whether to show a progress bar, as for :meth:`integrate`.
 
         Returns
         -------
         Linearisation
-            States, and derivatives by them, by parameters, and by the values of inputs at nodes.
+            The states, and the derivatives of each step by the state, by parameters, and by the
+            values of the inputs at the nodes.
 
         Raises
         ------
-        InputError, ConvergenceError, Interrupted
-            As :meth:`integrate`.
+        InputError
+            If an argument is invalid.
+        ConvergenceError
+            If a step fails.
+        Interrupted
+            If you press Ctrl-C.
         SchemeError
-            If steps of the scheme, or of the system, are not differentiated.
+            If steps of this scheme or system cannot be differentiated.
 
         Examples
         --------
@@ -238,34 +257,38 @@ class Examining(Evaluator):
         every: int = 20,
         progress: bool | None = None,
     ) -> Chaos:
-        """Integrate with variations of the state, and compute Lyapunov exponents and the like.
+        """Integrate, and compute Lyapunov exponents and other indicators of chaos.
 
-        The variations are propagated by the exact derivatives of the steps, and orthonormalized
-        every ``every`` steps. Without friction the sum of all exponents is zero to rounding. With
-        constraints the exponents are those of the constrained phase space.
+        The exact derivatives of the steps propagate variations of the state, which are
+        orthonormalised every ``every`` steps. Without friction, the sum of all exponents is zero
+        up to round-off. With constraints, the exponents are those of the constrained phase space.
 
         Parameters
         ----------
         q0, v0, p0, h, t_end, steps, t0, parameters, inputs
-            As for :meth:`integrate`.
+            The same arguments as for :meth:`integrate`.
         exponents : int, optional
-            How many, the largest ones; all unless given, two for each degree of freedom.
-        every : int
-            Steps from one time at which variations are made orthonormal to the next.
+            Number of exponents, the largest ones. By default all: two for each degree of freedom.
+        every : int, default 20
+            Number of steps between two orthonormalisations of the variations.
         progress : bool, optional
-            As for :meth:`integrate`.
+            Whether to show a progress bar, as for :meth:`integrate`.
 
         Returns
         -------
         Chaos
-            Lyapunov exponents, MEGNO, SALI and GALI, at the end and on the way.
+            Lyapunov exponents, MEGNO, SALI and GALI, during the run and at its end.
 
         Raises
         ------
-        InputError, ConvergenceError, Interrupted
-            As :meth:`integrate`.
+        InputError
+            If an argument is invalid.
+        ConvergenceError
+            If a step fails.
+        Interrupted
+            If you press Ctrl-C.
         SchemeError
-            If steps of the scheme, or of the system, are not differentiated.
+            If steps of this scheme or system cannot be differentiated.
 
         Examples
         --------
@@ -279,13 +302,14 @@ class Examining(Evaluator):
         return lyapunov(self.program, request, exponents, every, progress)
 
     def report(self) -> Report:
-        """Say how long deriving and compiling took, and how long the result is.
+        """Report the time that deriving and compiling took, and the size of the generated code.
 
         Returns
         -------
         Report
-            Seconds for each stage: reading T and V, structure, jet (derivatives at a node), text,
-            compiling or loading the kernels used so far. Also lines of code and operations.
+            The seconds of each stage, the lines of code and the number of operations. "reading" is
+            the parsing of T and V, "structure" is their analysis, "jet" is the derivation of L at a
+            node, and "text" is the module. "compilation" includes the kernels used so far.
 
         Examples
         --------
@@ -315,23 +339,30 @@ class Examining(Evaluator):
         progress: bool | None = None,
         on_failure: Literal["raise", "return"] = "raise",
     ) -> Events:
-        """Integrate, and keep only the states in which an expression becomes zero.
+        """Integrate, and store only the states at the zeros of an expression: a Poincaré section.
+
+        The run takes the same steps as :meth:`integrate`.
 
         Parameters
         ----------
         expression, direction, wrap
-            As for :meth:`Trajectory.events`.
+            The same arguments as for :meth:`Trajectory.events`.
         q0, v0, p0, h, t_end, steps, t0, parameters, inputs, events, progress, on_failure
-            As for :meth:`integrate`. The steps of the run are those of :meth:`integrate`.
+            The same arguments as for :meth:`integrate`.
 
         Returns
         -------
         Events
+            The states at the zeros.
 
         Raises
         ------
-        InputError, ConvergenceError, Interrupted
-            As :meth:`integrate`; the ``trajectory`` of the last two are the events so far.
+        InputError
+            If an argument is invalid.
+        ConvergenceError
+            If a step fails. Its attribute ``trajectory`` has the zeros found so far.
+        Interrupted
+            If you press Ctrl-C. Its attribute ``trajectory`` has the zeros found so far.
 
         Examples
         --------
@@ -350,25 +381,27 @@ class Examining(Evaluator):
         return poincare(self.program, request, wanted, progress, on_failure)
 
     def export_c(self, path: str | os.PathLike[str]) -> tuple[Path, Path]:
-        """Write the steps in C99, for programs without Python: a header and a source file.
+        """Write the steps as a C99 header and source file, for programs without Python.
 
-        They ask for nothing but functions of ``<math.h>``; nothing is allocated. A step takes the
-        inputs that it is given, held over it. States are those of :meth:`integrate` to rounding.
+        The code needs only functions of ``<math.h>`` and allocates no memory. Inputs are constant
+        during a step. The states equal those of :meth:`integrate` up to round-off.
 
         Parameters
         ----------
         path : path
-            Of both files, without an ending; its name begins all names of C that they define.
+            Path of both files without an extension. Its last part is the prefix of all public
+            names in the C code.
 
         Returns
         -------
         tuple of pathlib.Path
-            The header and the source.
+            The paths of the header and of the source file.
 
         Raises
         ------
         InputError
-            If the name is none of C; if the stepper has many digits, or a time of its own.
+            If the name is not a C identifier, the stepper has a ``precision``, or the system has a
+            time transformation.
         StorageError
             If a file cannot be written.
 
@@ -396,28 +429,33 @@ class Examining(Evaluator):
     ) -> Certificate:
         """Verify by measurement that this stepper has the properties of its scheme.
 
-        All are measured in 50 digits on its source, which compiled code is then compared with.
+        `certify` measures all properties on the generated source with 50 digits. It then compares
+        the compiled code with this source.
 
         Parameters
         ----------
-        q0, v0, p0 : array_like, shape (n,), optional
-            The state to measure at; the system's reference state, or a random one, if left out.
+        q0 : array_like, shape (n,), optional
+            Positions at which to measure. By default, `certify` takes the reference state of the
+            system, or a random state.
+        v0, p0 : array_like, shape (n,), optional
+            Velocities or conjugate momenta at which to measure.
         h : float, optional
-            The step; found by trial if left out.
+            Step size, in the unit of time. By default, `certify` finds one by trial.
         parameters : mapping, optional
+            Values of the parameters, by symbol or name. By default, those of the declaration.
         inputs : mapping, optional
-            A constant value for each input; 1 by default.
+            A constant value for each input, by symbol or name. By default 1.
 
         Returns
         -------
         Certificate
-            Prints as a table with a verdict in each row; ``.passed`` is the overall verdict.
+            Prints as a table with a verdict in each row. ``.passed`` is the overall verdict.
 
         Raises
         ------
         InputError
-            If the input makes no sense, or forces act and the stepper is of a file that is by
-            itself.
+            If an argument is invalid. Also if forces act and the stepper was loaded from a file,
+            because the file does not describe the forces.
 
         Examples
         --------
@@ -429,7 +467,8 @@ class Examining(Evaluator):
         tools = self.program.tools
         if tools is None:
             reject(
-                f"this stepper of {self.system} came with a stored result: it has no certificate.",
-                remedy="Certify one that symsimpson.compile or symsimpson.load made.",
+                "this stepper cannot be certified, because it belongs to a stored result.",
+                where=self.system,
+                remedy="Certify a stepper from symsimpson.compile or symsimpson.load.",
             )
         return tools.certify(self, q0, v0, p0=p0, h=h, parameters=parameters, inputs=inputs)

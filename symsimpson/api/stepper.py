@@ -1,4 +1,4 @@
-"""A compiled variational integrator of one system."""
+"""The class ``Stepper``: a compiled variational integrator of one system."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack, overload
 from numpy.typing import ArrayLike
 
 from symsimpson.api.evaluator import Parameters
-from symsimpson.api.examining import Examining
+from symsimpson.api.examining import Analyser
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.requested import run
 from symsimpson.stepping.request import Request
-from symsimpson.support.calling import explaining
+from symsimpson.support.calling import explain_methods
 
 if TYPE_CHECKING:
     from symsimpson.results.sampled import Sampled, Saved
@@ -22,21 +22,39 @@ if TYPE_CHECKING:
     from symsimpson.stepping.request import RunOptions, SavedOptions, TimesOptions
 
 
-@explaining()
-class Stepper(Examining):
-    """A variational integrator, ready to run; made by ``compile`` and ``load``.
+@explain_methods()
+class Stepper(Analyser):
+    """A compiled variational integrator of one system.
+
+    :func:`symsimpson.compile` and :func:`symsimpson.load` return steppers.
 
     Parameters
     ----------
     program : Program
-        A module, compiled, with names and values.
+        The compiled module, with the names of the user and the values of the parameters.
 
     Attributes
     ----------
-    system, scheme : str
+    system : str
+        Name of the system.
+    scheme : str
+        Name of the scheme.
     order : int
-    coordinates, parameters, inputs, invariants : tuple of str
+        Order of the scheme: the error of a run is proportional to h**order.
+    coordinates : tuple of str
+        Names of the n coordinates, in the order of the rows of q, v and p.
+    parameters : tuple of str
+        Names of the parameters.
+    inputs : tuple of str
+        Names of the inputs.
+    invariants : tuple of str
+        Names of the invariants that the system declares.
     source : str
+        Text of the generated module.
+    program : Program
+        The compiled module.
+    reference_state : object or None
+        The reference state of the system, if the system has one.
 
     Examples
     --------
@@ -89,67 +107,88 @@ class Stepper(Examining):
         progress: bool | None = None,
         on_failure: Literal["raise", "return"] = "raise",
     ) -> Trajectory | Sampled | Saved:
-        """Integrate the equations of motion with a fixed step.
+        """Integrate the equations of motion with a fixed step size.
 
         Parameters
         ----------
         q0 : array_like, shape (n,), or mapping
-            Initial positions: in the order of the coordinates, or by name or symbol.
-        v0, p0 : as q0
-            Initial velocities or conjugate momenta: exactly one of them.
+            Initial positions, in the order of ``coordinates``, or a mapping from names or symbols.
+            Units are those of the system.
+        v0 : array_like, shape (n,), or mapping, optional
+            Initial velocities. Pass exactly one of ``v0`` and ``p0``.
+        p0 : array_like, shape (n,), or mapping, optional
+            Initial conjugate momenta, p = dL/dv.
         h : float
-            Step; negative to run backwards.
+            Step size, in the unit of time. A negative step size integrates backwards.
         t_end : float, optional
-            Final time. If h does not divide the time up to it, the nearest smaller step that does
-            is taken: ``run.h``, and ``run.message`` says so.
+            Final time. Pass exactly one of ``t_end`` and ``steps``, or ``t_eval`` alone. If h does
+            not divide t_end - t0, the run takes the nearest smaller step size that does. The
+            attribute ``run.h`` has its value, and ``run.message`` reports it.
         steps : int, optional
-            Number of steps; exactly one of ``t_end`` and ``steps``, unless ``t_eval`` is given.
-        t0 : float
-        parameters : mapping, optional
-            Values by symbol or by name, in place of the defaults.
-        inputs : mapping, optional
-            Values of the system's inputs, by symbol or by name: a number; an array of shape
-            (steps,), constant on each step; (steps, s), at its nodes (:meth:`node_times`); a
-            function of time, which is evaluated at the nodes; or :func:`symsimpson.samples`. A
-            result of optimal control gives its own inputs.
-        every : int or None
-            Number of steps between stored states. The initial state is stored; the end is stored
-            if this divides the number of steps. None stores only the last state.
-        t_eval : array_like, optional
-            Times in the order of the run, at which alone states are kept.
-        save : str, symbol or sequence of them, optional
-            Quantities to keep in place of states, as in ``run["energy"]``; "q", "p" and "v" are all
-            of theirs. Neither goes with derivatives, ``record`` or ``checkpoint``.
-        tangents : int or array_like, shape (2 n, k), optional
-            Variations (dq, dp) of the initial state, one per column; k means the first k unit
-            vectors. ``run.tangent`` stores them.
-        sensitivities : name, symbol or sequence of them, optional
-            Parameters and inputs to differentiate by, at fixed q0 and v0 or p0; gives
-            ``run.sensitivity``. An input is varied equally at all steps.
-        record : "work", optional
-            Adds up ``run.work`` during the run: for runs that store few states, or one.
-        reduce : mapping from str to (kind, expression), optional
-            Quantities to evaluate at the start and after each step, stored or not, as for
-            :meth:`ensemble`; gives ``run.reduced``.
-        events : sequence of Event, optional
-            Events that act on the run: impacts, changes of the state, ends; ``run.events(name)``
-            has the record of each. The stored states are at the sample times.
-        exact_h : bool
-            Whether an h that does not divide the time up to ``t_end`` is an error.
-        checkpoint : path, optional
-            A file from which an interrupted run is resumed, to the same bits, by the same call or
-            :func:`symsimpson.resume`. Stored states go to a file beside it.
-        checkpoint_every : int, optional
-            Steps between checkpoints; about ten seconds unless given.
-        progress : bool, optional
-            Whether to show a bar (needs tqdm); None shows one after a second.
-        on_failure : {"raise", "return"}
-            Whether a failed step or Ctrl-C raises an error, or returns the states up to there.
+            Number of steps.
+        t0 : float, default 0.0
+            Initial time.
 
         Returns
         -------
-        Trajectory
-            A :class:`Saved` where ``save`` is given, else a :class:`Sampled` where ``t_eval`` is.
+        Trajectory, Sampled or Saved
+            A :class:`Saved` if you pass ``save``, else a :class:`Sampled` if you pass ``t_eval``,
+            else a :class:`Trajectory`.
+
+        Other Parameters
+        ----------------
+        parameters : mapping, optional
+            Values of the parameters, by symbol or name. Parameters that you do not list keep the
+            values of the declaration.
+        inputs : mapping, optional
+            Values of the inputs of the system, by symbol or name. A value has one of these forms:
+
+            - a number, which is constant during the run;
+            - an array of shape (steps,), whose values are constant during each step;
+            - an array of shape (steps, s), with a value for each node (:meth:`node_times`);
+            - a function of time, which is evaluated at the nodes;
+            - :func:`symsimpson.samples`, for values at a fixed rate.
+
+            You can also pass the result of an optimal control problem.
+        every : int or None, default 1
+            Number of steps between stored states. The run stores the states 0, ``every``,
+            2 ``every``, and so on. None stores only the final state.
+        t_eval : array_like, shape (N,), optional
+            Times at which to store states, in the order of the run. The run stores no others.
+        save : str, symbol or sequence of them, optional
+            Quantities to store instead of the states, named as in ``run["energy"]``. The names
+            "q", "p" and "v" select whole vectors. You cannot combine ``save`` or ``t_eval`` with
+            ``tangents``, ``sensitivities``, ``record`` or ``checkpoint``.
+        tangents : int or array_like, shape (2 n, k), optional
+            Variations (dq, dp) of the initial state, one per column. An integer k selects the
+            first k unit vectors. ``run.tangent`` has the variations of the stored states.
+        sensitivities : str, symbol or sequence of them, optional
+            Parameters and inputs to differentiate the states by, at fixed q0 and fixed v0 or p0.
+            ``run.sensitivity`` has the derivatives. An input is varied equally at all steps.
+        record : "work", optional
+            "work" integrates the work of the forces during the run. Use it if the run stores few
+            states, or only the final one.
+        reduce : mapping from str to (kind, expression), optional
+            Quantities to evaluate at the initial state and after each step. :meth:`ensemble` lists
+            the kinds. ``run.reduced`` has the results.
+        events : sequence of Event, optional
+            Events that act on the run: impacts, changes of the state, or terminal events.
+            ``run.events(name)`` has the record of each event. The run still stores states at the
+            sample times.
+        exact_h : bool, default False
+            True raises `InputError` if h does not divide t_end - t0.
+        checkpoint : path, optional
+            File for checkpoints. The same call, or :func:`symsimpson.resume`, continues an
+            interrupted run, with bitwise identical states. A file beside it holds stored states.
+        checkpoint_every : int, optional
+            Number of steps between checkpoints. By default, the run writes one about every ten
+            seconds.
+        progress : bool, optional
+            True shows a progress bar (needs tqdm), False shows none. By default, the bar appears
+            after a second.
+        on_failure : {"raise", "return"}, default "raise"
+            "raise": a failed step or Ctrl-C raises an error. "return": the run returns the states
+            computed so far.
 
         Raises
         ------
@@ -159,22 +198,22 @@ class Stepper(Examining):
         StorageError
             If the checkpoint cannot be read or written.
         ConvergenceError
-            If a step failed; it carries the trajectory up to there.
+            If a step fails. Its attribute ``trajectory`` has the states computed so far.
         Interrupted
-            At Ctrl-C; it carries the trajectory up to there.
+            If you press Ctrl-C. Its attribute ``trajectory`` has the states computed so far.
 
         Warns
         -----
         StabilityWarning
-            If h is beyond the limit of linear stability at the start, or does not resolve what is
-            fastest there.
+            If h exceeds the limit of linear stability at the initial state, or does not resolve the
+            fastest oscillation there.
         ResolutionWarning
-            If the energy, or a passage of a singular point, shows that steps did not resolve the
-            motion; the states after it are unreliable.
+            If the steps did not resolve the motion, as the energy or the passage of a singular
+            point shows. The states after it are unreliable.
         ConstraintWarning
-            If constraints nearly follow from one another on the way, as where a linkage folds.
+            If the constraints become nearly dependent during the run, as where a linkage folds.
         ModelWarning
-            If a parameter that is given a value has no effect.
+            If you set a parameter that has no effect.
 
         Examples
         --------
@@ -184,10 +223,10 @@ class Stepper(Examining):
         >>> run.q.shape, bool(abs(run.energy_error).max() < 1e-5)
         ((201, 1), True)
         """
-        begin = q0, v0, p0, h, t_end, steps, t0
-        derivatives, kept = (tangents, sensitivities), (t_eval, save, checkpoint)
-        further = record, reduce, events
-        request = Request(*begin, parameters, inputs, every, *derivatives, *kept, *further, exact_h)
+        request = Request(
+            *(q0, v0, p0, h, t_end, steps, t0, parameters, inputs, every, tangents, sensitivities),
+            *(t_eval, save, checkpoint, record, reduce, events, exact_h),
+        )
         return run(self.program, request, checkpoint_every, progress, on_failure)
 
     def ensemble(
@@ -217,59 +256,89 @@ class Stepper(Examining):
     ) -> Ensemble:
         """Integrate many trajectories, each with its own initial state and parameters.
 
-        Members run in parallel, on vector lanes and threads. The result of a member does not
-        depend on the other members or on the number of threads.
+        Each trajectory is an ensemble member. Members run in parallel, on SIMD lanes and threads.
+        The result of a member does not depend on the other members or on the number of threads.
 
         Parameters
         ----------
-        q0, v0, p0 : array_like, shape (K, n) or (n,), or mapping
-            Initial positions, and velocities or momenta, one row for all members; numbers or arrays
-            of shape (K,) by name.
-        h, t_end, steps, t0, exact_h
-            As for :meth:`integrate`.
+        q0 : array_like, shape (K, n) or (n,), or mapping
+            Initial positions of K members. One row of shape (n,) is the same for all members. A
+            mapping has a number or an array of shape (K,) for each name or symbol.
+        v0 : array_like, shape (K, n) or (n,), or mapping, optional
+            Initial velocities. Pass exactly one of ``v0`` and ``p0``.
+        p0 : array_like, shape (K, n) or (n,), or mapping, optional
+            Initial conjugate momenta, p = dL/dv.
+        h : float
+            Step size, in the unit of time. A negative step size integrates backwards.
+        t_end : float, optional
+            Final time. Pass exactly one of ``t_end`` and ``steps``. If h does not divide
+            t_end - t0, the members take the nearest smaller step size that does.
+        steps : int, optional
+            Number of steps.
+        t0 : float, default 0.0
+            Initial time.
         parameters : mapping, optional
-            Numbers, or arrays of shape (K,), by symbol or by name.
-        inputs : mapping, optional
-            As for :meth:`integrate`; with an axis of K members before the others, each has its own.
-        every : int or None
-            As for :meth:`integrate`.
-        reduce : mapping from str to (kind, expression) or kind, optional
-            Quantities to evaluate without storing states. The kinds "min", "max" and "mean" are
-            taken over the start and the states after each step. "first" is the time at which the
-            expression first becomes positive, by linear interpolation over a step, and NaN if it
-            never does; zeros to rounding are found by :meth:`Trajectory.events`, which says what
-            expressions may be.
-            "lyapunov", "megno" and "sali" take no expression: they measure how variations of each
-            motion grow, as :meth:`lyapunov` does. ("count", name) tells how often an event acted.
-        tangents, sensitivities, record
-            As for :meth:`integrate`; the same variations for all members.
-        events : sequence of Event, optional
-            As for :meth:`integrate`. Members on which none acts run in blocks, the others each by
-            itself; not with ``store``.
-        store : path, optional
-            A Zarr store, a folder or a URL, for results that do not fit into memory. If it was
-            begun by the same call, only what is missing is computed.
-        threads : int, optional
-            Number of threads; by default the number of processors.
-        client : distributed.Client, optional
-            Lets the workers of a cluster compute, and write to ``store``.
-        progress : bool, optional
-            Whether to show a bar (needs tqdm); None shows one after a second.
-        on_failure : {"raise", "return"}
-            Whether Ctrl-C raises, or returns the results so far. Failed members do not raise.
+            Values of the parameters, by symbol or name: numbers, or arrays of shape (K,).
+            Parameters that you do not list keep the values of the declaration.
 
         Returns
         -------
         Ensemble
+            The stored states of all members, and the outcome of each.
+
+        Other Parameters
+        ----------------
+        inputs : mapping, optional
+            Values of the inputs, as for :meth:`integrate`. A first axis of length K gives each
+            member its own values.
+        every : int or None, default None
+            Number of steps between stored states. None stores only the final state of each member.
+        reduce : mapping from str to (kind, expression) or kind, optional
+            Quantities to evaluate without storing states. ``found.reduced`` has one value per
+            member. :meth:`Trajectory.events` describes the expressions. The kinds are:
+
+            - "min", "max", "mean": over the initial state and the states after each step.
+            - "first": the time at which the expression first becomes positive, by linear
+              interpolation within a step. It is NaN if the expression never becomes positive.
+              :meth:`Trajectory.events` finds zeros up to round-off.
+            - "lyapunov", "megno", "sali": indicators of chaos, as in :meth:`lyapunov`. These kinds
+              take no expression.
+            - ("count", name): the number of times that an event acted.
+        tangents : int or array_like, shape (2 n, k), optional
+            Variations (dq, dp) of the initial state, as for :meth:`integrate`. They are the same
+            for all members.
+        sensitivities : str, symbol or sequence of them, optional
+            Parameters and inputs to differentiate the states by, as for :meth:`integrate`.
+        record : "work", optional
+            "work" integrates the work of the forces during the run.
+        events : sequence of Event, optional
+            Events that act on the members, as for :meth:`integrate`. Members without an event run
+            in vector blocks. A member with an event runs alone and is slower. You cannot combine
+            ``events`` with ``store``.
+        exact_h : bool, default False
+            True raises `InputError` if h does not divide t_end - t0.
+        store : path, optional
+            A Zarr store for results that do not fit into memory: a folder or a URL. If the same
+            call began the store, the run computes only the missing members.
+        threads : int, optional
+            Number of threads. By default, the number of processors.
+        client : distributed.Client, optional
+            A client of a cluster. Its workers compute the members and write them to ``store``.
+        progress : bool, optional
+            True shows a progress bar (needs tqdm), False shows none. By default, the bar appears
+            after a second.
+        on_failure : {"raise", "return"}, default "raise"
+            "raise": Ctrl-C raises an error. "return": Ctrl-C returns the results so far. Members
+            that fail never raise; ``found.status`` has the outcome of each member.
 
         Raises
         ------
         InputError
-            If the input makes no sense, or ``store`` holds something else.
+            If an argument is invalid, or ``store`` holds another ensemble.
         StorageError
             If the store cannot be read or written, or a task fails on the workers.
         Interrupted
-            At Ctrl-C; its ``trajectory`` is the ensemble, as far as it is done.
+            If you press Ctrl-C. Its attribute ``trajectory`` is the ensemble computed so far.
 
         Examples
         --------
@@ -283,8 +352,11 @@ class Stepper(Examining):
         """
         from symsimpson.run.ensemble.dispatch import run_ensemble
 
-        begin = q0, v0, p0, h, t_end, steps, t0
-        asked = parameters, inputs, every, tangents, sensitivities
-        further = {"record": record, "reduce": reduce, "events": events}
-        request = Request(*begin, *asked, **further, exact_h=exact_h)
+        request = Request(
+            *(q0, v0, p0, h, t_end, steps, t0, parameters, inputs, every, tangents, sensitivities),
+            record=record,
+            reduce=reduce,
+            events=events,
+            exact_h=exact_h,
+        )
         return run_ensemble(self.program, request, store, threads, client, progress, on_failure)

@@ -1,4 +1,4 @@
-"""The command line, thin over the public functions."""
+"""The command line, a thin layer over the public functions."""
 
 from __future__ import annotations
 
@@ -20,11 +20,16 @@ __all__ = ["main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; give 0, 1 after an error or a finding, 2 for wrong usage, 130 at Ctrl-C."""
-    os.environ.setdefault(LATE, "late")  # a command takes a run or two
+    """Run a command and return its exit status.
+
+    The status is 0 for success, 1 for an error or a failed check, 2 for wrong usage, and 130 for
+    Ctrl-C.
+    """
+    os.environ.setdefault(LATE, "late")  # a command does one or two runs only
     try:
-        options = _read(_joined(sys.argv[1:] if arguments is None else arguments))
-        with _warnings_in_words():
+        words = sys.argv[1:] if arguments is None else arguments
+        options = _parse_arguments(_join_negative_values(words))
+        with _print_warnings():
             return int(options.run(options))
     except SymsimpsonError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
@@ -36,14 +41,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
 
 
-def _read(arguments: list[str]) -> argparse.Namespace:
-    """Read a command; names of quantities may stand behind options, too."""
+def _parse_arguments(arguments: list[str]) -> argparse.Namespace:
+    """Parse a command; names of quantities may follow options, too."""
     options, others = parser().parse_known_args(arguments)
-    strange = [x.partition("=")[0] for x in others if x.startswith("-")]
-    if strange:
+    unknown = [x.partition("=")[0] for x in others if x.startswith("-")]
+    if unknown:
         known = re.findall(r"--[\w-]+", options.parser.format_usage())
         options.parser.error(
-            f"there is no option {strange[0]}.{did_you_mean(strange[0], known)}\n"
+            f"there is no option {unknown[0]}.{did_you_mean(unknown[0], known)}\n"
             f"{options.parser.prog} takes {', '.join(known) or 'none'}"
         )
     if others and "names" not in options:
@@ -54,15 +59,15 @@ def _read(arguments: list[str]) -> argparse.Namespace:
 
 
 @contextlib.contextmanager
-def _warnings_in_words() -> Iterator[None]:
-    """Print our own warnings as errors are printed, each once, without a place in the code."""
+def _print_warnings() -> Iterator[None]:
+    """Print each warning of symsimpson once, in the format of errors and without a code line."""
     with warnings.catch_warnings():
-        shown: set[str] = set()
+        printed: set[str] = set()
 
         def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-            if str(message) not in shown:
+            if str(message) not in printed:
                 print(f"{category.__name__}: {message}", file=sys.stderr)
-            shown.add(str(message))
+            printed.add(str(message))
 
         warnings.showwarning = show
         for category in (ModelWarning, StabilityWarning, ResolutionWarning):
@@ -70,12 +75,12 @@ def _warnings_in_words() -> Iterator[None]:
         yield
 
 
-def _joined(arguments: Sequence[str]) -> list[str]:
-    """Join options with values that begin with a minus, which would look like options."""
-    joined: list[str] = []
+def _join_negative_values(arguments: Sequence[str]) -> list[str]:
+    """Join options with negative values, which argparse would take for options."""
+    words: list[str] = []
     for argument in arguments:
-        if re.match(r"-[\d.]", argument) and joined and joined[-1].startswith("--"):
-            joined[-1] += f"={argument}"
+        if re.match(r"-[\d.]", argument) and words and words[-1].startswith("--"):
+            words[-1] += f"={argument}"
         else:
-            joined.append(argument)
-    return joined
+            words.append(argument)
+    return words

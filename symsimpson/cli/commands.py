@@ -1,4 +1,4 @@
-"""Commands: each reads what its words name, and does it."""
+"""The commands: each function runs one of them and returns its exit status."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from symsimpson.errors import ResolutionWarning, SymsimpsonError, reject
-from symsimpson.run.ended import uninterrupted
-from symsimpson.support.files import check_folder, written_beside
+from symsimpson.run.ended import raise_if_interrupted
+from symsimpson.support.files import atomic_path, check_folder
 from symsimpson.support.names import counted, did_you_mean
 
 if TYPE_CHECKING:
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from symsimpson.declare.system import MechanicalSystem
     from symsimpson.results.trajectory import Trajectory
 
-#: The schemes of which generated modules are kept.
+#: The schemes of the generated modules in the repository.
 SCHEMES = ("midpoint", "simpson")
-#: Where a run ends for which nothing is asked.
+#: The default final time of a run.
 END = 10.0
 
 
@@ -77,13 +77,14 @@ def check(options: argparse.Namespace) -> int:
     present = {path.name for path in directory.glob("*.py")}
     if not expected.keys() & present:
         reject(
-            f"{directory}: there are no modules of the catalogue to compare.",
-            remedy="This command is for "
-            "changes of the generator: run it in a clone of the repository, or name a folder by "
-            "--directory. symsimpson certify FILE measures a module of your own.",
+            "the folder has no generated modules of the catalogue.",
+            where=str(directory),
+            remedy="This command is for changes of the generator. To use it, "
+            "run it in a clone of the repository, or pass a folder with --directory. To verify "
+            "your own module, use symsimpson certify FILE.",
         )
     for name in sorted(present - expected.keys()):
-        print(f"other    {name}, which is not of the catalogue")
+        print(f"other    {name}, which is not in the catalogue")
     findings = [f"missing  {name}" for name in sorted(expected.keys() - present)]
     findings += [
         f"stale    {name}"
@@ -93,14 +94,14 @@ def check(options: argparse.Namespace) -> int:
     for finding in findings:
         print(finding)
     if findings:
-        print("Run symsimpson generate to write them.", file=sys.stderr)
+        print("Run symsimpson generate to update them.", file=sys.stderr)
         return 1
     print(f"{len(expected)} generated modules are up to date.")
     return 0
 
 
 def certify(options: argparse.Namespace) -> int:
-    """Print a certificate of a stepper: measured order, symplecticity, drift and other rows."""
+    """Print the certificate of a stepper: measured order, symplecticity, drift and more."""
     from symsimpson.api.compiling import compile as compile_system
     from symsimpson.api.compiling import load
 
@@ -108,14 +109,14 @@ def certify(options: argparse.Namespace) -> int:
     if path.suffix == ".py":
         if options.retimed:
             reject(
-                "--retimed does not go with a generated file.",
-                remedy="Generate the file from the retimed system.",
+                "--retimed cannot be combined with a generated file.",
+                remedy="Generate the file from the system with the time transformation.",
             )
         stepper = load(path)
     elif options.save:
         reject(
-            f"--save: {options.stepper} is no generated file.",
-            remedy="Write it with symsimpson generate.",
+            f"--save needs a generated file, but {options.stepper} is not one.",
+            remedy="Write the file with symsimpson generate.",
         )
     else:
         stepper = compile_system(find(options.stepper, options.retimed), options.scheme)
@@ -130,13 +131,13 @@ def certify(options: argparse.Namespace) -> int:
 
 def choose(options: argparse.Namespace) -> int:
     """Print the fastest scheme and step size for a given error."""
-    from symsimpson.study.analysis.choose import choose as chosen
+    from symsimpson.study.analysis.choose import choose as choose_scheme
 
     system = find(options.system, options.retimed)
     print(
-        chosen(
+        choose_scheme(
             system,
-            **state_of(system, options),
+            **read_state(system, options),
             t_end=options.t_end,
             error=options.error,
             parameters=dict(options.parameters),
@@ -146,16 +147,16 @@ def choose(options: argparse.Namespace) -> int:
 
 
 def stress(options: argparse.Namespace) -> int:
-    """Run a system for long, and at large steps."""
+    """Test a system with long runs and large steps."""
     from symsimpson.api.compiling import compile as compile_system
-    from symsimpson.study.analysis.stability import stress as stressed
+    from symsimpson.study.analysis.stability import stress as run_stress
     from symsimpson.study.analysis.stability import stress_standard
 
     if options.system is None:
         lines = stress_standard(options.scheme)
     else:
         stepper = compile_system(find(options.system, options.retimed), options.scheme)
-        lines = stressed(stepper, h=options.h, steps=options.steps)
+        lines = run_stress(stepper, h=options.h, steps=options.steps)
     for line in lines:
         print(line, flush=True)
     return 0
@@ -165,10 +166,10 @@ def bench(options: argparse.Namespace) -> int:
     """Measure run time against error."""
     from symsimpson.study.bench.work_precision import WorkPrecision, work_precision
 
-    if options.plot:  # before hours of measurements
+    if options.plot:  # raise errors before long measurements
         check_figure("plot", options.plot)
     if options.out and Path(options.out).suffix != ".json":
-        reject(f"--out {options.out}: unknown format.", remedy="Use a name in .json.")
+        reject(f"--out {options.out}: unknown format.", remedy="Use the extension .json.")
     if options.out:
         check_folder(Path(options.out), "record")
     before = WorkPrecision.load(options.against) if options.against else None
@@ -191,29 +192,31 @@ def bench(options: argparse.Namespace) -> int:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Integrate, and tell what came of it."""
+    """Integrate a system and print a summary."""
     from symsimpson.results.tables import check_kind
 
     if options.out:
         check_kind(Path(options.out))
         check_folder(Path(options.out), "file")
-    system = find(options.system, options.retimed)  # loads SymPy, which is not what is timed
+    system = find(options.system, options.retimed)  # loads SymPy, before the timing starts
     begin = time.perf_counter()
-    stepper, given = _made(system, options)
+    stepper, given = _prepare_run(system, options)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResolutionWarning)
-        # compiles and loads all that a run needs
-        steps = max(1, min(16, _steps(options)))
+        # compile and load everything that a run needs
+        steps = max(1, min(16, _count_steps(options)))
         brief: dict[str, Any]
         brief = {"t_end": options.h} if stepper.program.header.retimed else {"steps": steps}
         if "inputs" in given:
             brief["inputs"] = {name: x[:steps] for name, x in given["inputs"].items()}
         for _ in range(2):
-            uninterrupted(stepper.integrate(**given | brief, h=options.h, on_failure="return"))
+            raise_if_interrupted(
+                stepper.integrate(**given | brief, h=options.h, on_failure="return")
+            )
     ready = time.perf_counter()
-    trajectory = _integrated(options, stepper, given)
+    trajectory = _integrate(options, stepper, given)
     done = time.perf_counter()
-    _report(trajectory, given)
+    _print_report(trajectory, given)
     if trajectory.h != options.h:
         print(f"  {trajectory.message}")
     print(f"  derived and compiled in {ready - begin:.2f} s, run in {(done - ready) * 1e3:.2f} ms")
@@ -224,115 +227,117 @@ def run(options: argparse.Namespace) -> int:
 
 
 def plot(options: argparse.Namespace) -> int:
-    """Draw a run to a file."""
+    """Plot a run to a file."""
     check_figure("out", options.out)
     if options.names and options.kind not in ("time", "phase"):
         reject(
-            f"--kind {options.kind} draws no {', '.join(options.names)}.",
-            remedy="Leave the names out, or draw them by --kind time or --kind phase.",
+            f"--kind {options.kind} does not plot {', '.join(options.names)}.",
+            remedy="Leave the names out, or use --kind time or --kind phase.",
         )
     if options.kind == "phase" and len(options.names) > 2:
         reject(
-            f"--kind phase draws one quantity over another, not {', '.join(options.names)}.",
-            remedy="Name two, x and y, or one to draw its momentum over it.",
+            f"--kind phase plots two quantities, not {', '.join(options.names)}.",
+            remedy="Pass two names, or one coordinate to plot its momentum over it.",
         )
-    trajectory = _integrated(options, *_made(find(options.system, options.retimed), options))
+    trajectory = _integrate(options, *_prepare_run(find(options.system, options.retimed), options))
     if options.kind == "time":
         ax = trajectory.plot(options.names or None)
     elif options.kind == "phase":
         ax = trajectory.plot_phase(*options.names[:2])
     else:
         ax = trajectory.plot_energy() if options.kind == "energy" else trajectory.plot_path()
-    with written_beside(Path(options.out), "figure") as whole:
-        ax.figure.savefig(whole, bbox_inches="tight", dpi=150)
+    with atomic_path(Path(options.out), "figure") as file:
+        ax.figure.savefig(file, bbox_inches="tight", dpi=150)
     print(f"written to {options.out}")
     return 0
 
 
 def film(options: argparse.Namespace) -> int:
-    """Film a run to a file."""
+    """Write an animation of a run to a file."""
     check_folder(Path(options.out), "animation")
-    trajectory = _integrated(options, *_made(find(options.system, options.retimed), options))
-    print(
-        "written to "
-        f"{trajectory.animate(seconds=options.seconds, fps=options.fps).save(options.out)}"
-    )
+    trajectory = _integrate(options, *_prepare_run(find(options.system, options.retimed), options))
+    animation = trajectory.animate(seconds=options.seconds, fps=options.fps)
+    print(f"written to {animation.save(options.out)}")
     return 0
 
 
-def _made(system: MechanicalSystem, options: argparse.Namespace) -> tuple[Stepper, dict[str, Any]]:
-    """Return the stepper that is asked for, its state and the values of parameters."""
+def _prepare_run(
+    system: MechanicalSystem, options: argparse.Namespace
+) -> tuple[Stepper, dict[str, Any]]:
+    """Return the stepper, and the initial state, parameters and inputs of a run."""
     from symsimpson.api.compiling import compile as compile_system
 
-    state = state_of(system, options)
+    state = read_state(system, options)
     stepper = compile_system(system, options.scheme)
     given = state | {"parameters": dict(options.parameters)}
-    return stepper, given | _inputs(options, stepper, _steps(options))
+    return stepper, given | _read_inputs(options, stepper, _count_steps(options))
 
 
-def _integrated(options: argparse.Namespace, stepper: Stepper, given: dict[str, Any]) -> Trajectory:
+def _integrate(options: argparse.Namespace, stepper: Stepper, given: dict[str, Any]) -> Trajectory:
+    return stepper.integrate(**given, **_run_length(options), every=options.every)
+
+
+def _run_length(options: argparse.Namespace) -> dict[str, Any]:
+    """Return h, t_end and steps; END is the default if both others are missing."""
     t_end = END if options.t_end is None and options.steps is None else options.t_end
-    return stepper.integrate(
-        **given, h=options.h, t_end=t_end, steps=options.steps, every=options.every
-    )
+    return {"h": options.h, "t_end": t_end, "steps": options.steps}
 
 
-def _steps(options: argparse.Namespace) -> int:
-    """Return how many steps are requested; raises InputError if they make no sense."""
+def _count_steps(options: argparse.Namespace) -> int:
+    """Return the number of steps of a run; raise InputError if the options are invalid."""
     from symsimpson.program.numbers import FLOAT64
     from symsimpson.stepping.inputs import read_steps
     from symsimpson.stepping.request import Request
 
-    end = END if options.t_end is None and options.steps is None else options.t_end
-    return read_steps(Request(None, h=options.h, t_end=end, steps=options.steps), FLOAT64)[1]
+    return read_steps(Request(None, **_run_length(options)), FLOAT64)[1]
 
 
-def _inputs(options: argparse.Namespace, stepper: Stepper, steps: int) -> dict[str, Any]:
-    """Read inputs that are held over each of so many steps."""
+def _read_inputs(options: argparse.Namespace, stepper: Stepper, steps: int) -> dict[str, Any]:
+    """Return inputs from the file of --inputs, with one value for each step."""
     if options.inputs is None and stepper.inputs:
         reject(
-            f"{stepper.system} has the inputs {', '.join(stepper.inputs)}, of which no values are "
-            "given.",
-            remedy="Pass --inputs FILE: a .csv file whose first line names the inputs, and each "
-            f"further line has their values over a step; {steps} lines here.",
+            f"--inputs is missing: {stepper.system} has the inputs {', '.join(stepper.inputs)}.",
+            remedy="Pass --inputs FILE, a .csv file. Its first line has the names of the inputs. "
+            f"Each of the next {steps} lines has their values for one step.",
         )
     if options.inputs is None:
         return {}
     path = Path(options.inputs)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error", UserWarning)  # of a file in which there is nothing
+            warnings.simplefilter("error", UserWarning)  # NumPy warns of an empty file
             table = np.genfromtxt(
                 path, delimiter=",", names=True, deletechars="", ndmin=1, encoding="utf-8-sig"
             )
     except (OSError, ValueError, UserWarning) as error:
         why = str(error).rstrip(".")
         reject(
-            f"--inputs {path}: it cannot be read: {why}.",
-            remedy="The first line names the inputs, "
-            "each further line has their values over a step, with commas between.",
+            f"--inputs {path}: the file cannot be read: {why}.",
+            remedy="The first line must have the names of the inputs. Each further line has their "
+            "values for one step, separated by commas.",
         )
     names = table.dtype.names or ()
     if set(names) != set(stepper.inputs):
         reject(
-            f"--inputs {path}: its columns are {', '.join(names) or 'none'}; the inputs of "
-            f"{stepper.system} are {', '.join(stepper.inputs) or 'none'}.",
-            remedy="Name each once.",
+            f"--inputs {path}: the columns are {', '.join(names) or 'none'}.",
+            why=f"The inputs of {stepper.system} are {', '.join(stepper.inputs) or 'none'}.",
+            remedy="Write one column for each input.",
         )
     if len(table) < steps:
         reject(
-            f"--inputs {path}: it has {len(table)} rows for {steps} steps.",
-            remedy="Give a row for each.",
+            f"--inputs {path}: the file has {len(table)} rows for {steps} steps.",
+            remedy="Write one row for each step.",
         )
     return {"inputs": {name: table[name][:steps] for name in names}}
 
 
-def _report(trajectory: Trajectory, given: dict[str, Any]) -> None:
+def _print_report(trajectory: Trajectory, given: dict[str, Any]) -> None:
     from symsimpson.results.html import iterations_a_step
 
     program, end = trajectory.program, float(trajectory.t[-1])
     if trajectory.every is not None and not program.header.retimed:
-        end = float(trajectory.t[0] + trajectory.h * trajectory.steps)  # its state may be missing
+        # the final state may not be stored
+        end = float(trajectory.t[0] + trajectory.h * trajectory.steps)
     print(f"{program.system}, {program.scheme} (order {program.order}), h = {trajectory.h:g}")
     for name in ("q0", "v0", "p0"):
         if name in given:
@@ -340,8 +345,8 @@ def _report(trajectory: Trajectory, given: dict[str, Any]) -> None:
     for name, value in given["parameters"].items():
         print(f"  {name} = {value:g}")
     iterations = iterations_a_step(trajectory)
-    said = "" if iterations is None else f", {iterations:.2f} Newton iterations a step"
-    print(f"  {counted(trajectory.steps, 'step')} to t = {end:g}{said}")
+    rate = "" if iterations is None else f", {iterations:.2f} Newton iterations a step"
+    print(f"  {counted(trajectory.steps, 'step')} to t = {end:g}{rate}")
     if program.header.conservative:
         print(f"  largest relative energy error {np.abs(trajectory.energy_error).max():.2e}")
     else:
@@ -351,47 +356,47 @@ def _report(trajectory: Trajectory, given: dict[str, Any]) -> None:
         print(f"  {name}: {values[0]:.9g}, changed by at most {np.ptp(values):.1e}")
 
 
-#: Kinds of files that figures go to.
+#: File extensions of figures.
 FIGURES = (".png", ".pdf", ".svg")
 
 
 def check_figure(option: str, path: str) -> None:
-    """Refuse a figure's file that has an unknown format or no folder, before any computation.
+    """Check the file of a figure before any computation.
 
-    Raises InputError or StorageError.
+    Raises InputError if its format is unknown, and StorageError if its folder does not exist.
     """
     if Path(path).suffix not in FIGURES:
         reject(
             f"--{option} {path}: unknown format.",
-            remedy=f"Use a name in {', '.join(FIGURES[:-1])} or {FIGURES[-1]}.",
+            remedy=f"Use the extension {', '.join(FIGURES[:-1])} or {FIGURES[-1]}.",
         )
     check_folder(Path(path), "figure")
 
 
-def state_of(system: MechanicalSystem, options: argparse.Namespace) -> dict[str, Any]:
-    """Return the state that is asked for, or the one that the catalogue names.
+def read_state(system: MechanicalSystem, options: argparse.Namespace) -> dict[str, Any]:
+    """Return the initial state of the options, or the reference state of the catalogue.
 
-    Raises InputError if there is none.
+    Raises InputError if there is no complete state.
     """
     given = {k: getattr(options, k) for k in ("q0", "v0", "p0")}
-    asked = {k: x for k, x in given.items() if x is not None}
-    state = asked or dict(getattr(system, "reference_state", {}))
+    options_given = {k: x for k, x in given.items() if x is not None}
+    state = options_given or dict(getattr(system, "reference_state", {}))
     if "q0" not in state:
-        what = f"{' and '.join(f'--{k}' for k in asked)} without --q0"
-        what = what if asked else f"{system.name} has no reference state"
+        what = f"{' and '.join(f'--{k}' for k in options_given)} without --q0"
+        what = what if options_given else f"{system.name} has no reference state"
         reject(f"{what}.", remedy="Pass --q0 and --v0 or --p0.")
     if ("v0" in state) == ("p0" in state):
-        reject("--q0 needs exactly one of --v0 and --p0.", remedy="Pass numbers, as --v0 0,0.")
+        reject("--q0 needs exactly one of --v0 and --p0.", remedy="Pass numbers: --v0 0,0.")
     return state
 
 
 def find(name: str, rate: str | None = None) -> MechanicalSystem:
-    """Return a system of the catalogue or of file:attribute, retimed if a rate is given."""
-    system = _named(name)
+    """Return a system of the catalogue or a file; ``rate`` is a time transformation."""
+    system = _find_by_name(name)
     return system if rate is None else system.retimed(rate)
 
 
-def _named(name: str) -> MechanicalSystem:
+def _find_by_name(name: str) -> MechanicalSystem:
     from symsimpson.declare.system import MechanicalSystem
     from symsimpson.systems import CATALOGUE, EVERY
 
@@ -405,47 +410,47 @@ def _named(name: str) -> MechanicalSystem:
     if not separator:
         if name.endswith(".py") and Path(name).is_file():
             reject(
-                f"{name} is a file, of which this command needs a system.",
-                remedy="Name the variable that "
-                f"holds it: {name}:system. Generated modules are taken by symsimpson "
-                "certify alone.",
+                f"{name} is a file, but this command needs a system.",
+                remedy=f"Name the variable that has the system: {name}:system. Only symsimpson "
+                "certify accepts generated modules.",
             )
         reject(
-            f"there is no system {name!r} in the catalogue.{did_you_mean(name, EVERY)}",
-            remedy="Run symsimpson list to see the catalogue. For your own system give "
+            f"the catalogue has no system {name!r}.{did_you_mean(name, EVERY)}",
+            remedy="Run symsimpson list to see the catalogue. For your own system, pass "
             "path/to/file.py:attribute.",
         )
     if not Path(path).is_file():
-        reject(f"there is no file {path}.", remedy="Give path/to/file.py:attribute.")
-    with _as_a_script(path):
-        remedy = f"python {path} runs it by itself."
-        with _of_the_user(f"{path}: the file cannot be run", remedy):
+        reject(f"there is no file {path}.", remedy="Pass path/to/file.py:attribute.")
+    with _run_as_script(path):
+        remedy = f"Run python {path} to see the error."
+        with _report_user_errors(f"{path}: the file cannot be run", remedy):
             spec = importlib.util.spec_from_file_location("symsimpson_user_file", path)
             if spec is None or spec.loader is None:
                 raise ImportError("not a Python file")
             module = importlib.util.module_from_spec(spec)
-            sys.modules[spec.name] = module  # dataclasses look there
+            sys.modules[spec.name] = module  # dataclasses need this entry
             try:
                 spec.loader.exec_module(module)
             except SystemExit as error:
-                if error.code:  # neither None nor 0: the file says that it failed
+                if error.code:  # None and 0 mean success
                     raise
         candidate = getattr(module, attribute, None)
         if callable(candidate) and not isinstance(candidate, MechanicalSystem):
-            called = "The function that makes a system is called without arguments."
-            with _of_the_user(f"{path}: {attribute}() makes no system", called):
+            remedy = "The function must return a system, and is called without arguments."
+            with _report_user_errors(f"{path}: {attribute}() returns no system", remedy):
                 candidate = candidate()
     if not isinstance(candidate, MechanicalSystem):
         reject(
-            f"{path}: {attribute!r} is no MechanicalSystem.",
-            remedy="Give the name of a variable that holds one, or of a function that makes one.",
+            f"{attribute!r} is not a MechanicalSystem.",
+            where=path,
+            remedy="Pass the name of a system, or of a function that returns one.",
         )
     return candidate
 
 
 @contextlib.contextmanager
-def _as_a_script(path: str) -> Iterator[None]:
-    """Let a file find its neighbours, and no arguments of the command, as ``python path`` does."""
+def _run_as_script(path: str) -> Iterator[None]:
+    """Set ``sys.path`` and ``sys.argv`` as ``python path`` does, and restore them afterwards."""
     folder, before, arguments = Path(path).resolve().parent, {*sys.modules}, sys.argv
     sys.path.insert(0, str(folder))
     sys.argv = [path]
@@ -455,19 +460,19 @@ def _as_a_script(path: str) -> Iterator[None]:
         sys.argv = arguments
         with contextlib.suppress(ValueError):
             sys.path.remove(str(folder))
-        for name in {*sys.modules} - before:  # another file may have a neighbour of that name
+        for name in {*sys.modules} - before:  # another folder may have a module of this name
             if Path(getattr(sys.modules[name], "__file__", None) or "").parent == folder:
                 del sys.modules[name]
 
 
 @contextlib.contextmanager
-def _of_the_user(what: str, remedy: str) -> Iterator[None]:
-    """Tell what a user's own code raises, whatever it may be, in words."""
+def _report_user_errors(what: str, remedy: str) -> Iterator[None]:
+    """Raise InputError for any exception of the user's code."""
     try:
         yield
     except SymsimpsonError:
         raise
     except SystemExit as error:
-        reject(f"{what}: it calls sys.exit({error.code!r}).", remedy=f"{remedy}")
+        reject(f"{what}: it calls sys.exit({error.code!r}).", remedy=remedy)
     except Exception as error:
-        reject(f"{what}: {type(error).__name__}: {error}.", remedy=f"{remedy}", cause=error)
+        reject(f"{what}: {type(error).__name__}: {error}.", remedy=remedy, cause=error)

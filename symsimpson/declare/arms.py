@@ -1,46 +1,56 @@
-"""Serial arms: T and V handed from link to link, by Denavit and Hartenberg's parameters."""
+"""Serial arms: T and V, computed link by link from Denavit-Hartenberg parameters."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
-from symsimpson.declare.checks import fail, read_name, spell
+from symsimpson.declare.checks import read_name, reject_model, spell
 from symsimpson.declare.coordinates import coordinates
 from symsimpson.declare.system import MechanicalSystem
-from symsimpson.errors import ModelError, reject
 
 #: Three expressions, or three rows of them, as objects of NumPy.
 Vector = NDArray[Any]
-#: Floats this close to multiples of pi/2 are taken for these.
+#: A float this close to a multiple of pi/2 counts as that multiple.
 CLOSE = 1e-12
 
 
 @dataclass(frozen=True)
 class Link:
-    """A link of a serial arm and the joint before it; numbers or symbols, in SI units or others.
+    """A link of a serial arm and the joint before it.
+
+    All quantities are numbers or SymPy expressions, in one consistent system of units. Every
+    default is 0.
 
     Parameters
     ----------
     a, alpha, d, theta : number or expression
-        Denavit and Hartenberg's parameters: length, twist, offset and angle. The coordinate of the
-        joint is added to ``theta`` of a revolute joint, to ``d`` of a prismatic one.
+        Denavit-Hartenberg parameters: length, twist, offset and angle. The coordinate of the
+        joint is added to ``theta`` if the joint is revolute, and to ``d`` if it is prismatic.
     mass : number or expression
+        The mass of the link.
     centre : three numbers or expressions
-        Centre of mass in the frame of the link.
+        The centre of mass in the frame of the link.
     inertia : three or six numbers or expressions
         Moments of inertia about the centre in the frame of the link: xx, yy, zz and, if they are
         not zero, xy, yz, xz.
     rotor : number or expression
-        Inertia of the motor as the joint feels it, gear ratio squared times its own.
+        The inertia of the motor at the joint: the square of the gear ratio times its own inertia.
     prismatic : bool
-        Whether the joint slides along its axis rather than turn about it.
+        Whether the joint slides along its axis instead of turning about it. Default False.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> ss.Link(a=0.5, mass=2.0).prismatic
+    False
     """
 
     a: Any = 0
@@ -68,32 +78,36 @@ def serial_arm(
     Parameters
     ----------
     name : str
+        The name of the system.
     links : sequence of Link
-        From the base to the tool.
+        The links from the base to the tool.
     gravity : three numbers or expressions
-        Acceleration in the frame of the base.
-    modified : bool
-        Whether the parameters follow the modified convention (Craig), in which ``a`` and ``alpha``
-        of a link come before its joint; in the standard one (Denavit and Hartenberg [1]_) after it.
+        The acceleration of gravity in the frame of the base. The default is (0, 0, -9.81).
+    modified : bool, default False
+        Whether the parameters follow the modified convention (Craig), in which ``a`` and
+        ``alpha`` of a link come before its joint. In the standard convention (Denavit and
+        Hartenberg [1]_) they come after it.
     parameters : mapping from symbol to number, optional
-        Values of the symbols that links and gravity are made of.
+        Values of the symbols in links and gravity.
     joints : str, optional
-        Names of the coordinates; q1, q2, ... if not given.
+        Names of the coordinates. The default is q1, q2, ...
 
     Returns
     -------
     MechanicalSystem
-        With the joints and the tool as positions to draw.
+        The arm, with its joints and its tool as positions to draw.
 
     Raises
     ------
     ModelError
-        If there is no link, a vector has another number of entries, or as for MechanicalSystem.
+        If there is no link, or a vector has the wrong number of entries. All errors of
+        MechanicalSystem are also possible.
 
     Notes
     -----
-    Velocities are written in the frame of each link, from those of the link before (Luh, Walker
-    and Paul [2]_): so T is as long as the arm, and not as its matrices multiplied out.
+    Velocities are expressed in the frame of each link, from the velocities of the previous
+    link (Luh, Walker and Paul [2]_). The length of T is therefore proportional to the number of
+    links.
 
     References
     ----------
@@ -132,24 +146,20 @@ def arm_energies(
     *,
     modified: bool = False,
 ) -> tuple[sp.Expr, sp.Expr, dict[str, tuple[Any, ...]]]:
-    """Return T, V and the points to draw of a serial arm, to which other terms may be added.
-
-    Messages name the system. Raises ModelError.
-    """
+    """Return T, V and the points to draw of a serial arm, for a system with further terms."""
+    reject_here = partial(reject_model, name)
     if not isinstance(links, Sequence) or not all(isinstance(link, Link) for link in links):
-        reject(
-            f"system '{name}': the links are {spell(links)}, not a sequence of symsimpson.Link.",
-            remedy="Write links=[ss.Link(a=0.5, mass=2.0, inertia=(0, 0.04, 0.04)), ...].",
-            error=ModelError,
+        reject_here(
+            f"the links are {spell(links)}, not a sequence of symsimpson.Link.",
+            "Write links=[ss.Link(a=0.5, mass=2.0, inertia=(0, 0.04, 0.04)), ...].",
         )
     for link in links:
         for what in ("a", "alpha", "d", "theta", "mass", "rotor"):
-            _entries(name, what, (getattr(link, what),))
+            _entries(name, f"a link's {what}", (getattr(link, what),))
     if not links or len(links) != len(q):
-        reject(
-            f"system '{name}': {len(links)} links and {len(q)} joints.",
-            remedy="An arm has a link after each joint, one at least.",
-            error=ModelError,
+        reject_here(
+            f"it has {len(links)} links and {len(q)} joints.",
+            "Declare one link after each joint, and at least one.",
         )
     zero = np.full(3, sp.S.Zero)
     omega, velocity, origin, height = zero, zero, zero, sp.S.Zero
@@ -167,21 +177,25 @@ def arm_energies(
         height -= pull @ shift
         before = omega
         omega = omega + turn * axis
-        # the axis of the modified convention goes through the link's origin
+        # in the modified convention the axis contains the origin of the link
         lever = before if modified else omega
         velocity = velocity + np.cross(lever, shift) + slide * axis
         # components in the frame of the link
         omega, velocity, pull = (rotation.T @ y for y in (omega, velocity, pull))
-        centre = _vector(name, "centre", link.centre)
+        centre = _vector(name, "a link's centre", link.centre)
         v = velocity + np.cross(omega, centre)
-        terms += [link.mass * (v @ v), _spin(name, link, omega), link.rotor * x.diff() ** 2]
+        terms += [
+            link.mass * (v @ v),
+            _rotational_energy(name, link, omega),
+            link.rotor * x.diff() ** 2,
+        ]
         weights.append(link.mass * (height - pull @ centre))
     names = ["base", *(f"joint {k}" for k in range(2, len(links) + 1)), "tool"]
     return sp.Add(*terms) / 2, sp.Add(*weights), dict(zip(names, map(tuple, points), strict=True))
 
 
 def _joint(link: Link, x: Any, *, modified: bool) -> tuple[Vector, ...]:
-    """Return rotation and shift from the frame before, and the joint's axis in that frame."""
+    """Return the rotation, shift and axis of a joint in the frame of the previous link."""
     theta, d = (link.theta, link.d + x) if link.prismatic else (link.theta + x, link.d)
     (c, s), (ca, sa) = map(_cosine_and_sine, (theta, link.alpha))
     if modified:
@@ -193,14 +207,14 @@ def _joint(link: Link, x: Any, *, modified: bool) -> tuple[Vector, ...]:
     return tuple(np.array(x, dtype=object) for x in (rotation, shift, axis))
 
 
-def _spin(name: str, link: Link, omega: Vector) -> sp.Expr:
-    """Return omega.I.omega."""
-    inertia = _entries(name, "inertia", link.inertia)
+def _rotational_energy(name: str, link: Link, omega: Vector) -> sp.Expr:
+    """Return omega.I.omega, twice the energy."""
+    inertia = _entries(name, "a link's inertia", link.inertia)
     if len(inertia) not in (3, 6):
-        raise fail(
+        reject_model(
             name,
             f"a link's inertia has {len(inertia)} entries.",
-            "Give xx, yy, zz, or xx, yy, zz, xy, yz, xz.",
+            "Pass xx, yy, zz, or xx, yy, zz, xy, yz, xz.",
         )
     xx, yy, zz, xy, yz, xz = (*inertia, 0, 0, 0)[:6]
     x, y, z = omega
@@ -209,27 +223,26 @@ def _spin(name: str, link: Link, omega: Vector) -> sp.Expr:
 
 
 def _vector(name: str, what: str, given: Sequence[Any]) -> Vector:
+    """Check that a vector has three entries."""
     entries = _entries(name, what, given)
     if len(entries) != 3:
-        raise fail(name, f"a link's {what} has {len(entries)} entries.", "Give x, y and z.")
+        reject_model(name, f"{what} has {len(entries)} entries.", "Pass x, y and z.")
     return np.array(entries, dtype=object)
 
 
 def _entries(name: str, what: str, given: Any) -> tuple[Any, ...]:
-    """Return the entries of a vector, numbers or expressions."""
+    """Check that the entries of a vector are numbers or expressions."""
     try:
         entries = tuple(given)
         for entry in entries:
             sp.sympify(entry, strict=True)
     except (TypeError, sp.SympifyError):
-        raise fail(
-            name, f"a link's {what} is {spell(given)!r}.", "Give numbers or expressions of SymPy."
-        ) from None
+        reject_model(name, f"{what} is {spell(given)!r}.", "Pass numbers or SymPy expressions.")
     return entries
 
 
 def _cosine_and_sine(angle: Any) -> tuple[Any, Any]:
-    """Return cosine and sine; those of floats that are meant as right angles are whole."""
+    """Return cosine and sine, which are integers for floats near multiples of pi/2."""
     if isinstance(angle, (int, float)):
         quarters = round(2 * angle / math.pi)
         if abs(angle - quarters * math.pi / 2) < CLOSE:

@@ -1,8 +1,7 @@
-"""Rigid bodies that turn by unit quaternions, without a pole.
+"""Rigid bodies with unit quaternions, whose equations have no singular orientation.
 
-The first component of a quaternion is its scalar part; the quaternion turns from the body to space.
-Rates and rotations are those of ``ReferenceFrame.orient_quaternion`` in SymPy: polynomials without
-sines.
+The first component of a quaternion is its scalar part. It turns vectors from the body to space.
+Rates and rotations agree with ``ReferenceFrame.orient_quaternion`` of SymPy. They are polynomials.
 """
 
 from __future__ import annotations
@@ -17,25 +16,20 @@ from numpy.typing import ArrayLike
 from sympy.core.function import AppliedUndef
 
 from symsimpson.declare.coordinates import coordinates, time
+from symsimpson.declare.orientation import ROUNDED, multiply, read_array, read_orientation
 from symsimpson.errors import ModelError, ModelWarning, reject
 from symsimpson.support.array_types import Floats
-from symsimpson.support.calling import explaining, warn
+from symsimpson.support.calling import explain_methods, warn
 
-#: A quaternion or a rotation matrix may be off by so much.
-ROUNDED = 1e-9
-#: Moments are written in two digits or more.
+#: Relative error of moments of inertia, which people write with two digits or more.
 WRITTEN = 1e-2
 
-
-#: The quaternions of bodies that were made, and the names of these.
-_made: dict[tuple[AppliedUndef, ...], str] = {}
+#: Names of all bodies by their quaternions.
+_bodies: dict[tuple[AppliedUndef, ...], str] = {}
 
 
 def read_scalar(what: str, given: Any) -> sp.Expr:
-    """Read a number or an expression; text is not evaluated.
-
-    Raises ModelError if it is neither.
-    """
+    """Read a number or an expression, but no text."""
     try:
         scalar = sp.sympify(given, strict=True)
     except (sp.SympifyError, AttributeError, TypeError):
@@ -43,7 +37,8 @@ def read_scalar(what: str, given: Any) -> sp.Expr:
     if not isinstance(scalar, sp.Expr) or scalar.is_Matrix:
         reject(
             f"{what} is {given!r}, neither a number nor an expression.",
-            remedy="Text is not evaluated. Write SymPy symbols and numbers without quotes.",
+            why="The package never evaluates text.",
+            remedy="Write SymPy symbols and numbers without quotes.",
             error=ModelError,
         )
     return scalar
@@ -55,12 +50,13 @@ def quaternion(name: str) -> tuple[AppliedUndef, ...]:
     Parameters
     ----------
     name : str
-        The coordinates are called ``<name>0`` to ``<name>3``.
+        First part of the names of the coordinates, ``<name>0`` to ``<name>3``.
 
     Returns
     -------
     tuple of sympy functions of time
-        The scalar part first. They turn a body where their squares add up to one: a constraint.
+        The four components, the scalar part first. They describe a rotation if the sum of
+        their squares is one, which is a constraint.
 
     Raises
     ------
@@ -83,7 +79,7 @@ def quaternion(name: str) -> tuple[AppliedUndef, ...]:
 
 
 def rotation_matrix(q: Sequence[Any]) -> sp.ImmutableDenseMatrix:
-    """Return the matrix that turns components of vectors in the body into those in space.
+    """Return the matrix that converts the components of a vector from body axes to space axes.
 
     Parameters
     ----------
@@ -93,12 +89,12 @@ def rotation_matrix(q: Sequence[Any]) -> sp.ImmutableDenseMatrix:
     Returns
     -------
     sympy matrix, 3 by 3
-        Of the second degree in q. Its transpose is SymPy's ``body.dcm(space)``.
+        A quadratic polynomial in q. Its transpose is SymPy's ``body.dcm(space)``.
 
     Raises
     ------
     ModelError
-        If there are not four.
+        If q does not have four components.
 
     Examples
     --------
@@ -109,7 +105,7 @@ def rotation_matrix(q: Sequence[Any]) -> sp.ImmutableDenseMatrix:
     [0, 1, 0],
     [0, 0, 1]])
     """
-    a, b, c, d = _four(q)
+    a, b, c, d = _read_quaternion(q)
     return sp.ImmutableDenseMatrix(
         [
             [a**2 + b**2 - c**2 - d**2, 2 * (b * c - a * d), 2 * (a * c + b * d)],
@@ -120,23 +116,24 @@ def rotation_matrix(q: Sequence[Any]) -> sp.ImmutableDenseMatrix:
 
 
 def body_rates(q: Sequence[Any], rates: Sequence[Any] | None = None) -> sp.ImmutableDenseMatrix:
-    """Return the angular velocity in the body, in terms of a quaternion.
+    """Return the angular velocity of a quaternion, in body axes.
 
     Parameters
     ----------
     q : sequence of four expressions
+        A unit quaternion, the scalar part first.
     rates : sequence of four expressions, optional
-        The time derivatives of q; those of coordinates unless given.
+        The time derivatives of q. The default is ``.diff()`` of each component.
 
     Returns
     -------
     sympy matrix, 3 by 1
-        2 conj(q) q', without its scalar part.
+        The vector part of 2 conj(q) q'.
 
     Raises
     ------
     ModelError
-        If there are not four.
+        If q or its rates do not have four components.
 
     Examples
     --------
@@ -145,8 +142,10 @@ def body_rates(q: Sequence[Any], rates: Sequence[Any] | None = None) -> sp.Immut
     >>> ss.body_rates(q, (0, 0, 0, 1))[2]
     2*q0(t)
     """
-    a, b, c, d = _four(q)
-    u, x, y, z = _four([s.diff(time) for s in _four(q)] if rates is None else rates)
+    a, b, c, d = _read_quaternion(q)
+    u, x, y, z = _read_quaternion(
+        [s.diff(time) for s in _read_quaternion(q)] if rates is None else rates
+    )
     rates_of_axes = [
         2 * (a * x - b * u - c * z + d * y),
         2 * (a * y + b * z - c * u - d * x),
@@ -161,7 +160,7 @@ def coincide(first: Any, second: Any) -> list[sp.Expr]:
     Parameters
     ----------
     first, second : sequences of expressions
-        Components of the points, as :meth:`RigidBody.point` gives them.
+        Components of the two points, for example from :meth:`RigidBody.point`.
 
     Returns
     -------
@@ -171,7 +170,7 @@ def coincide(first: Any, second: Any) -> list[sp.Expr]:
     Raises
     ------
     ModelError
-        If they have different numbers of components.
+        If the points have different numbers of components.
 
     Examples
     --------
@@ -184,40 +183,40 @@ def coincide(first: Any, second: Any) -> list[sp.Expr]:
     if len(a) != len(b):
         reject(
             f"a point with {len(a)} components and one with {len(b)} cannot coincide.",
-            remedy="Give both in the same space.",
+            remedy="Pass two points with the same number of components.",
             error=ModelError,
         )
     return [x - y for x, y in zip(a, b, strict=True)]
 
 
 def read_components(point: Any) -> list[sp.Expr]:
-    """Read the components of a point: a sequence or a matrix."""
-    components = _listed(point)
+    """Read the components of a point from a sequence or a matrix."""
+    components = _to_list(point)
     if components is None:
         reject(
-            f"a point has components, and {point!r} has none.",
-            remedy="Write them in a row: coincide((x, y), (1, 2)), or body.point((0, 0, 1)).",
+            f"a point has components, but {point!r} has none.",
+            remedy="Write a sequence: coincide((x, y), (1, 2)), or body.point((0, 0, 1)).",
             error=ModelError,
         )
     return [read_scalar("a component of a point", x) for x in components]
 
 
-def _listed(given: Any) -> list[Any] | None:
-    """Return the parts of a sequence or a matrix, which has no iterator; None of anything else."""
+def _to_list(given: Any) -> list[Any] | None:
+    """Return the entries of a sequence or a matrix, and None for other objects."""
     try:
         return None if isinstance(given, str) else list(given)
     except TypeError:
         return None
 
 
-def _four(q: Sequence[Any]) -> tuple[sp.Expr, sp.Expr, sp.Expr, sp.Expr]:
+def _read_quaternion(q: Sequence[Any]) -> tuple[sp.Expr, sp.Expr, sp.Expr, sp.Expr]:
     """Read the four components of a quaternion."""
-    components = _listed(q)
+    components = _to_list(q)
     parts = tuple(read_scalar("a component of a quaternion", x) for x in components or ())
     if len(parts) != 4:
         reject(
-            f"a quaternion has four components, and {q!r} has {len(parts) or 'none'}.",
-            remedy="Make one: q = symsimpson.quaternion('q').",
+            f"a quaternion has four components, but {q!r} has {len(parts) or 'none'}.",
+            remedy="Make a quaternion: q = symsimpson.quaternion('q').",
             error=ModelError,
         )
     return parts
@@ -226,51 +225,61 @@ def _four(q: Sequence[Any]) -> tuple[sp.Expr, sp.Expr, sp.Expr, sp.Expr]:
 def warn_of_lengths(
     system: str, coordinates: Sequence[AppliedUndef], constraints: Sequence[sp.Expr]
 ) -> None:
-    """Warn of quaternions of bodies whose length nothing holds."""
-    held = {q for phi in constraints for q in sp.sympify(phi).atoms(AppliedUndef)}
-    for quaternion_of, body in _made.items():
-        if held.isdisjoint(quaternion_of) and {*quaternion_of} <= {*coordinates}:
+    """Warn of quaternions of bodies that no constraint contains."""
+    constrained = {q for phi in constraints for q in sp.sympify(phi).atoms(AppliedUndef)}
+    for components, body in _bodies.items():
+        if constrained.isdisjoint(components) and {*components} <= {*coordinates}:
             warn(
-                f"system '{system}': nothing holds the quaternion of the body {body!r} at length "
-                "1, so that it is stretched where the body turns.\nDeclare the system with "
+                f"system '{system}': no constraint keeps the quaternion of the body {body!r} at "
+                "length 1, so its length changes during the motion.\nDeclare the system with "
                 "constraints=[*body.constraints].",
                 ModelWarning,
             )
 
 
-@explaining(also=("__init__",))
+@explain_methods(also=("__init__",))
 class RigidBody:
     """A rigid body: coordinates, kinetic energy and the constraint of a unit quaternion.
 
-    Without a mass it turns about a fixed point, the origin of space and of the body. With one it
-    moves freely, and its origin is the centre of mass.
+    Without a mass, the body turns about a fixed point, the origin of space and of the body. With
+    a mass, it moves freely, and its origin is the centre of mass.
 
     Parameters
     ----------
     name : str
-        Begins the names of its coordinates, ``<name>_q0`` to ``<name>_q3`` and, with a mass,
-        ``<name>_x``, ``<name>_y``, ``<name>_z``.
+        First part of the names of its coordinates: ``<name>_q0`` to ``<name>_q3`` and, with a
+        mass, ``<name>_x``, ``<name>_y``, ``<name>_z``.
     inertia : three expressions, or a symmetric 3 by 3 matrix
-        Moments of inertia about the origin of the body, in axes of the body.
+        Moments of inertia about the origin of the body, in body axes.
     mass : expression, optional
+        The mass. The default None declares a body that turns about a fixed point.
     fourth : expression, optional
-        The inertia J0 of the length of the quaternion, T = (w.J.w + J0 w0^2)/2. The motion does
-        not depend on it; the errors of a step hardly do. A third of the trace of J unless given.
+        The inertia J0 in T = (w.J.w + J0 w0^2)/2, which belongs to changes of the quaternion's
+        length. The motion does not depend on J0, and errors of a step hardly do. The default is
+        a third of the trace of J.
+
+    Attributes
+    ----------
+    quaternion : tuple of four sympy functions
+        The components of the quaternion, the scalar part first.
+    position : tuple of three sympy functions
+        The position of the centre of mass. It is empty for a body without a mass.
 
     Raises
     ------
     ModelError
-        If the inertia is no three moments and no symmetric matrix, or has a negative moment.
+        If the inertia is neither three moments nor a symmetric matrix, or has a negative moment.
 
     Warns
     -----
     ModelWarning
-        If a principal moment is greater than the sum of the other two, which no body has.
+        If a principal moment is greater than the sum of the other two, which is impossible for a
+        body.
 
     Notes
     -----
-    w = 2 conj(q) q' is the angular velocity in the body, and its scalar part w0 = 2 q.q' vanishes
-    where q has length 1.
+    w = 2 conj(q) q' is the angular velocity in body axes. Its scalar part w0 = 2 q.q' vanishes if
+    q has length 1.
 
     Examples
     --------
@@ -292,10 +301,10 @@ class RigidBody:
         self.name = name
         self.mass = None if mass is None else read_scalar(f"the mass of {name!r}", mass)
         self.quaternion = quaternion(f"{name}_q")
-        _made[tuple(self.quaternion)] = name
+        _bodies[tuple(self.quaternion)] = name
         place = " ".join(f"{name}_{axis}" for axis in "xyz")
         self.position: tuple[AppliedUndef, ...] = coordinates(place) if mass is not None else ()
-        self.inertia = _inertia(name, inertia)
+        self.inertia = _read_inertia(name, inertia)
         self.fourth = self.inertia.trace() / 3
         if fourth is not None:
             self.fourth = read_scalar(f"the fourth moment of {name!r}", fourth)
@@ -305,22 +314,22 @@ class RigidBody:
 
     @property
     def coordinates(self) -> tuple[AppliedUndef, ...]:
-        """The quaternion, and after it the position of the centre of mass, if it moves."""
+        """The four components of the quaternion, then the position of a body that moves."""
         return (*self.quaternion, *self.position)
 
     @cached_property
     def angular_velocity(self) -> sp.ImmutableDenseMatrix:
-        """The angular velocity in the body, 3 by 1."""
+        """The angular velocity in body axes, 3 by 1."""
         return body_rates(self.quaternion)
 
     @cached_property
     def rotation(self) -> sp.ImmutableDenseMatrix:
-        """The matrix from the body to space, 3 by 3."""
+        """The matrix from body axes to space axes, 3 by 3."""
         return rotation_matrix(self.quaternion)
 
     @cached_property
     def kinetic(self) -> sp.Expr:
-        """The kinetic energy."""
+        """The kinetic energy, a polynomial in the quaternion and its velocity."""
         w = self.angular_velocity
         length = 2 * sum((q * q.diff() for q in self.quaternion), sp.S.Zero)
         turning = (w.T * self.inertia * w)[0] / 2 + self.fourth * length**2 / 2
@@ -329,11 +338,11 @@ class RigidBody:
 
     @property
     def constraints(self) -> tuple[sp.Expr, ...]:
-        """That the quaternion has length one."""
+        """The constraint (q.q - 1)/2 = 0 of the quaternion."""
         return ((sum((q**2 for q in self.quaternion), sp.S.Zero) - 1) / 2,)
 
     def to_space(self, vector: Sequence[Any]) -> sp.ImmutableDenseMatrix:
-        """Return the components in space of a vector given in the body, 3 by 1."""
+        """Convert a vector from body axes to space axes; the result is 3 by 1."""
         components = read_components(vector)
         if len(components) != 3:
             reject(
@@ -344,7 +353,9 @@ class RigidBody:
         return sp.ImmutableDenseMatrix(self.rotation * sp.Matrix(components))
 
     def point(self, place: Sequence[Any]) -> sp.ImmutableDenseMatrix:
-        """Return where in space a point of the body is, 3 by 1: for joints, potentials, drawings.
+        """Return the position in space of a point of the body, 3 by 1.
+
+        Use it for joints, potentials and points to draw.
 
         Examples
         --------
@@ -366,55 +377,51 @@ class RigidBody:
         position: ArrayLike = (0.0, 0.0, 0.0),
         velocity: ArrayLike = (0.0, 0.0, 0.0),
     ) -> tuple[Floats, Floats]:
-        """Return numbers to start from; the body is as in space unless one of the first is given.
+        """Return an initial state as numbers.
+
+        Pass at most one of angles, rotation and quaternion. The default is the orientation in
+        which body axes are space axes.
 
         Parameters
         ----------
         angles : array_like, shape (3,), optional
-            Euler angles (phi, theta, psi): turns about z, the new x, and the new z.
+            Euler angles (phi, theta, psi) in radians: turns about z, the new x, and the new z.
         rotation : array_like, shape (3, 3), optional
+            The rotation matrix from body axes to space axes.
         quaternion : array_like, shape (4,), optional
+            A unit quaternion, the scalar part first.
         angular_velocity : array_like, shape (3,)
-            In the body.
+            The angular velocity in body axes. The default is zero.
         position, velocity : array_like, shape (3,)
-            Of the centre of mass, in space.
+            Position and velocity of the centre of mass in space. The default is zero.
 
         Returns
         -------
         q0, v0 : ndarray, shape (4,) or (7,)
+            Values of the coordinates and of their velocities.
 
         Raises
         ------
         InputError
-            If more than one of the first is given, or it is no rotation.
+            If you pass more than one orientation, or an argument is invalid.
         """
-        given = [x is not None for x in (angles, rotation, quaternion)]
-        if sum(given) > 1:
-            reject("angles, rotation and quaternion exclude one another.", remedy="Pass one.")
-        if angles is not None:
-            q = _from_angles(_numbers("angles", angles, (3,)))
-        elif rotation is not None:
-            q = _from_matrix(_numbers("rotation", rotation, (3, 3)))
-        else:
-            q = _numbers("quaternion", (1, 0, 0, 0) if quaternion is None else quaternion, (4,))
-        size = float(np.linalg.norm(q))
-        if not abs(size - 1) <= ROUNDED:
-            reject(f"the quaternion has the length {size:.12g}, not 1.", remedy="Normalise it.")
-        q = q / size
-        w = np.concatenate([[0.0], _numbers("angular_velocity", angular_velocity, (3,))])
-        turning = _product(q, w) / 2
+        q = read_orientation(angles, rotation, quaternion)
+        w = np.concatenate([[0.0], read_array("angular_velocity", angular_velocity, (3,))])
+        turning = multiply(q, w) / 2
         if self.mass is None:
             if np.any(position) or np.any(velocity):
                 reject(
-                    f"the body {self.name!r} turns about a fixed point, and has no position.",
-                    remedy="Give it a mass, RigidBody(name, inertia, mass), to let it move.",
+                    f"the body {self.name!r} turns about a fixed point and has no position.",
+                    remedy="Let it move: RigidBody(name, inertia, mass).",
                 )
             return q, turning
-        place, speed = _numbers("position", position, (3,)), _numbers("velocity", velocity, (3,))
+        place = read_array("position", position, (3,))
+        speed = read_array("velocity", velocity, (3,))
         return np.concatenate([q, place]), np.concatenate([turning, speed])
 
 
-def _inertia(name: str, given: Any) -> sp.ImmutableDenseMatrix:
+def _read_inertia(name: str, given: Any) -> sp.ImmutableDenseMatrix:
+    """Check moments of inertia, and return them as a 3 by 3 matrix."""
     try:
         parts = [] if isinstance(given, str) else given
         parts = parts.tolist() if hasattr(parts, "tolist") else list(parts)
@@ -423,18 +430,19 @@ def _inertia(name: str, given: Any) -> sp.ImmutableDenseMatrix:
         what = f"an inertia of {name!r}"
         matrix = sp.ImmutableDenseMatrix([[read_scalar(what, x) for x in row] for row in parts])
         if matrix.shape == (3, 3) and matrix == matrix.T:
-            least, excess = _moments(matrix)
+            least, excess = _check_moments(matrix)
             if least < 0 or any(moment.is_negative for moment in matrix.diagonal()):
                 reject(
-                    f"the body {name!r} has a moment of inertia that is negative.",
-                    remedy="Moments are integrals of squares of distances: look at the signs.",
+                    f"the body {name!r} has a negative moment of inertia.",
+                    why="Moments are integrals of squared distances.",
+                    remedy="Check the signs.",
                     error=ModelError,
                 )
             if excess > 0:
                 warn(
                     f"a principal moment of inertia of {name!r} is greater than the sum of the "
-                    "other two.\nNo masses have such moments, though the motion is computed: look "
-                    "at the numbers, and at the axes and the point that they are about.",
+                    "other two.\nThis is impossible for a body, but the run computes its motion. "
+                    "Check the numbers, and the axes and the point of reference.",
                     ModelWarning,
                 )
             return matrix
@@ -442,59 +450,18 @@ def _inertia(name: str, given: Any) -> sp.ImmutableDenseMatrix:
         pass
     reject(
         f"the inertia of {name!r} is neither three moments nor a symmetric 3 by 3 matrix.",
-        remedy="Write inertia=(I1, I2, I3).",
+        remedy="Write inertia=(I1, I2, I3), or a symmetric matrix.",
         error=ModelError,
     )
 
 
-def _moments(matrix: sp.ImmutableDenseMatrix) -> tuple[float, float]:
-    """Return the least principal moment, and what the greatest has above the sum of the others.
+def _check_moments(matrix: sp.ImmutableDenseMatrix) -> tuple[float, float]:
+    """Return a negative principal moment, and the excess of the greatest over the other two.
 
-    Both are zero where they are rounding, and where moments are no numbers.
+    A result is zero if it is within round-off error, or if moments are not numbers.
     """
     if not all(x.is_number and x.is_finite for x in matrix):
         return 0.0, 0.0
     first, second, third = np.linalg.eigvalsh(np.array(matrix, dtype=np.float64))
     excess, size = third - second - first, max(abs(first), third)
     return first if -first > ROUNDED * size else 0.0, excess if excess > WRITTEN * size else 0.0
-
-
-def _numbers(name: str, given: ArrayLike, shape: tuple[int, ...]) -> Floats:
-    try:
-        array = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        array = np.array(np.nan)
-    if array.shape != shape or not np.isfinite(array).all():
-        reject(f"{name} is {given!r}.", remedy=f"Pass finite numbers of shape {shape}.")
-    return array
-
-
-def _product(p: Floats, q: Floats) -> Floats:
-    """Return the product of two quaternions."""
-    scalar = p[0] * q[0] - p[1:] @ q[1:]
-    return np.concatenate([[scalar], p[0] * q[1:] + q[0] * p[1:] + np.cross(p[1:], q[1:])])
-
-
-def _from_angles(angles: Floats) -> Floats:
-    c, s = np.cos(angles / 2), np.sin(angles / 2)
-    about_z = [np.array([c[k], 0.0, 0.0, s[k]]) for k in (0, 2)]
-    return _product(_product(about_z[0], np.array([c[1], s[1], 0.0, 0.0])), about_z[1])
-
-
-def _from_matrix(R: Floats) -> Floats:
-    """Return the quaternion of a rotation, its largest component from the diagonal."""
-    if not (np.abs(R @ R.T - np.eye(3)).max() <= ROUNDED and np.linalg.det(R) > 0):
-        reject(
-            "rotation is no matrix of a rotation: its rows are not orthonormal, or it mirrors.",
-            remedy="Pass one with R R^T = 1 and det R = 1, or angles=(phi, theta, psi).",
-        )
-    K = np.array(
-        [
-            [R.trace(), R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
-            [0, R[0, 0] - R[1, 1] - R[2, 2], R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]],
-            [0, 0, R[1, 1] - R[0, 0] - R[2, 2], R[1, 2] + R[2, 1]],
-            [0, 0, 0, R[2, 2] - R[0, 0] - R[1, 1]],
-        ]
-    )
-    eigenvector: Floats = np.linalg.eigh(K, UPLO="U")[1][:, -1]
-    return eigenvector if eigenvector[0] >= 0 else -eigenvector

@@ -1,7 +1,7 @@
-"""Checks of a declaration, each with its own message.
+"""Checks of the name, coordinates and parameters of a system.
 
-Every function raises :class:`~symsimpson.errors.ModelError` with what is wrong, where, why it
-matters and what to do; none of them changes anything.
+Every function raises :class:`~symsimpson.errors.ModelError` for an invalid declaration, and
+changes nothing.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from decimal import Decimal
 from functools import partial
-from typing import Any
+from typing import Any, NoReturn
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
@@ -24,25 +24,25 @@ from symsimpson.text.quantity import SCALARS
 
 
 def spell(expression: object, width: int = 60) -> str:
-    """Write an expression on one line, velocities as q', for use in a message."""
+    """Write an expression for a message: on one line, with velocities as q'."""
     text = re.sub(r"Derivative\(([^()]+)\(t\), t\)", r"\1'", str(expression)).replace("(t)", "")
     text = " ".join(text.split())
     return text if len(text) <= width else text[: width - 3] + "..."
 
 
-def fail(system: str, what: str, remedy: str) -> ModelError:
-    """Build the error for a system: what is wrong and where, then why and what to do."""
-    return ModelError(f"system '{system}': {what}\n{remedy}")
+def reject_model(system: str, problem: str, remedy: str) -> NoReturn:
+    """Raise a ModelError that names the system; the ``problem`` says what is wrong and why."""
+    reject(problem, f"system '{system}'", remedy=remedy, error=ModelError)
 
 
 def read_name(name: Any) -> str:
-    """Check that the name can be that of a file and of a module."""
+    """Check that a name is valid for a file and a Python module."""
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,63}", name):
         reject(
             f"the system's name {name!r} cannot be the name of a file and a Python module.",
-            remedy="Generated modules are called <name>__<scheme>.py. Use up to 64 ASCII "
-            "letters, digits "
-            "and underscores, the first a letter: 'cart_pole'.",
+            why="Generated modules are called <name>__<scheme>.py.",
+            remedy="Use up to 64 ASCII letters, digits and underscores. Begin with a letter: "
+            "'cart_pole'.",
             error=ModelError,
         )
     return name
@@ -50,98 +50,105 @@ def read_name(name: Any) -> str:
 
 def read_coordinates(system: str, coordinates: Any) -> tuple[AppliedUndef, ...]:
     """Check that the coordinates are distinct functions of time."""
-    refuse = partial(fail, system)
+    reject_here = partial(reject_model, system)
     if isinstance(coordinates, (AppliedUndef, sp.Symbol)):
         coordinates = (coordinates,)
     if isinstance(coordinates, sp.MatrixBase):
         coordinates = tuple(coordinates)
     if isinstance(coordinates, (set, frozenset, Mapping)):
-        raise refuse(
-            f"the coordinates are a {type(coordinates).__name__}, not a sequence.",
-            "Numbers of a state come in the order of the coordinates. Write a tuple: (x, y).",
+        reject_here(
+            f"the coordinates are a {type(coordinates).__name__}, not a sequence. "
+            "The numbers of a state follow the order of the coordinates.",
+            "Write a tuple: (x, y).",
         )
     if isinstance(coordinates, str) or not isinstance(coordinates, Iterable):
-        raise refuse(
+        reject_here(
             f"the coordinates are {coordinates!r}, not a tuple of functions of time.",
             "Make them first: q1, q2 = symsimpson.coordinates('q1 q2').",
         )
     coordinates = tuple(coordinates)
     if not coordinates:
-        raise refuse("there are no coordinates.", "Give at least one function of time.")
+        reject_here("there are no coordinates.", "Pass at least one function of time.")
     for q in coordinates:
         if isinstance(q, AppliedUndef) and [str(t) for t in q.args] == [str(time)]:
             _check_time(system, q)
         if not isinstance(q, AppliedUndef) or q.args != (time,):
-            raise refuse(
-                f"the coordinate {spell(q)} is not a function of time, sympy's dynamicsymbols._t.",
-                "Its velocity q.diff() would be zero. Make it with "
-                f"symsimpson.coordinates('{str(q).partition('(')[0]}') or sympy's dynamicsymbols.",
+            reject_here(
+                f"the coordinate {spell(q)} is not a function of time, sympy's dynamicsymbols._t. "
+                "Its velocity q.diff() would be zero.",
+                f"Make it with symsimpson.coordinates('{str(q).partition('(')[0]}') or sympy's "
+                "dynamicsymbols.",
             )
         for assumed in ("positive", "negative", "nonnegative", "nonpositive", "nonzero", "integer"):
             if getattr(q, f"is_{assumed}"):
-                raise refuse(
-                    f"the coordinate {spell(q)} is declared {assumed}.",
-                    "SymPy simplified T and V with that assumption, and a motion need not keep to "
-                    f"it. Make it with symsimpson.coordinates('{spell(q)}').",
+                reject_here(
+                    f"the coordinate {spell(q)} is declared {assumed}. "
+                    "SymPy simplified T and V with that assumption, but the motion may violate it.",
+                    f"Make the coordinate with symsimpson.coordinates('{spell(q)}').",
                 )
     names = [q.func.__name__ for q in coordinates]
     for name in names:
         if names.count(name) > 1:
-            raise refuse(
-                f"the coordinate {name} is declared {names.count(name)} times.",
-                "Each coordinate has one equation of motion. List it once.",
+            reject_here(
+                f"the coordinate {name} is declared {names.count(name)} times. "
+                "Each coordinate has one equation of motion.",
+                "List each coordinate once.",
             )
     check_names(system, names)
     return coordinates
 
 
 def _check_time(system: str, q: AppliedUndef) -> None:
-    """Refuse a function of a time of one's own, which SymPy holds apart by its assumptions."""
+    """Reject a coordinate whose argument is called t but has assumptions that the time lacks."""
     (t,) = q.args
     if t != time:
         assumed = ", ".join(sorted(key for key, is_so in t.assumptions0.items() if is_so))
-        raise fail(
+        reject_model(
             system,
             f"the coordinate {q.func.__name__} is a function of a symbol {t} with assumptions "
-            f"({assumed}), which SymPy holds apart from the time.",
-            f"The time has no assumptions: write t = symsimpson.time, or t = sympy.Symbol('{t}'), "
-            "and make coordinates, forces and energies with that.",
+            f"({assumed}). "
+            "The time has no assumptions, so SymPy takes the two for different symbols.",
+            f"Write t = symsimpson.time, or t = sympy.Symbol('{t}'). Make coordinates, forces and "
+            "energies with that symbol.",
         )
 
 
 def check_names(system: str, coordinates: Sequence[str], invariants: Iterable[str] = ()) -> None:
-    """Refuse two quantities of one name: columns of a table, ``run["energy"]``."""
-    refuse = partial(fail, system)
+    """Reject two quantities with the same name, because ``run[name]`` would be ambiguous."""
+    reject_here = partial(reject_model, system)
     taken = {"t": "the time", **{scalar.name: f"the {scalar.doc}" for scalar in SCALARS}}
     for name in coordinates:
         taken |= {f"p_{name}": f"the momentum of {name}", f"v_{name}": f"the velocity of {name}"}
     for name in coordinates:
         if name.endswith("(t)"):
-            raise refuse(
-                f"the name of the coordinate {name} has the time in it.",
-                f"The time is its argument: write sympy.Function('{name.removesuffix('(t)')}')(t).",
+            reject_here(
+                f"the name of the coordinate {name} contains the time. "
+                "The time is the argument of the function, not a part of its name.",
+                f"Write sympy.Function('{name.removesuffix('(t)')}')(t).",
             )
         if name in taken:
-            raise refuse(
-                f"the coordinate {name} has the name of {taken[name]}.",
-                f"run['{name}'] could be either. Give the coordinate another name.",
+            reject_here(
+                f"the coordinate {name} has the name of {taken[name]}. "
+                f"run['{name}'] would be ambiguous.",
+                "Give the coordinate another name.",
             )
     taken |= {name: f"the coordinate {name}" for name in coordinates}
     for name in invariants:
         if name in taken:
-            raise refuse(
-                f"the invariant {name!r} has the name of {taken[name]}.",
-                f"run[{name!r}] could be either. Give the invariant another name.",
+            reject_here(
+                f"the invariant {name!r} has the name of {taken[name]}. "
+                f"run[{name!r}] would be ambiguous.",
+                "Give the invariant another name.",
             )
 
 
 def read_parameters(
     system: str, parameters: Any, coordinates: Sequence[AppliedUndef]
 ) -> dict[sp.Symbol, float]:
-    """Check that parameters are distinct symbols with finite real values that fit them."""
-    refuse = partial(fail, system)
+    """Check that parameters are distinct symbols with finite values that fit their assumptions."""
+    reject_here = partial(reject_model, system)
     if not isinstance(parameters, Mapping):
-        raise refuse(
+        reject_here(
             f"the parameters are {spell(parameters)!r}, not a mapping from symbols to values.",
             "Write parameters={m: 1.0, g: 9.81}.",
         )
@@ -149,39 +156,40 @@ def read_parameters(
     names = {q.func.__name__: "a coordinate" for q in coordinates}
     for symbol, value in parameters.items():
         if symbol == time:
-            raise refuse(
-                f"the parameter {spell(symbol)!r} is the time, on which coordinates depend.",
-                "Give the parameter another name. The time needs no value: symsimpson.time may "
-                "stand in energies and forces as it is.",
+            reject_here(
+                f"the parameter {spell(symbol)!r} is the time, on which coordinates depend. "
+                "The time needs no value: energies and forces may contain symsimpson.time.",
+                "Give the parameter another name.",
             )
         if symbol in coordinates:
-            raise refuse(
+            reject_here(
                 f"the parameter {spell(symbol)!r} is a coordinate, whose value changes in a run.",
-                "Leave it out of the parameters. Its start is given to each run: integrate(q0, "
-                "v0, ...).",
+                "Remove it from the parameters. Pass its initial value to each run: "
+                "integrate(q0, v0, ...).",
             )
         if not isinstance(symbol, sp.Symbol):
-            raise refuse(
+            reject_here(
                 f"the parameter {spell(symbol)!r} is not a SymPy symbol.",
-                "Write the symbol that stands in T and V, without quotes: {m: 1.0}, after "
-                "m = sympy.Symbol('m', positive=True). Runs find it by its name, too.",
+                "Write the symbol that T and V contain, without quotes: {m: 1.0}, after "
+                "m = sympy.Symbol('m', positive=True). Runs accept its name, too.",
             )
         if symbol.name in names:
-            raise refuse(
-                f"two symbols of one name, '{symbol.name}': a parameter and {names[symbol.name]}.",
-                "SymPy holds them apart by their assumptions, a reader cannot. "
-                "Make the symbol once and use it everywhere, or rename one of them.",
+            reject_here(
+                f"two symbols have the name '{symbol.name}': a parameter and {names[symbol.name]}. "
+                "Only their assumptions differ, so a reader cannot distinguish them.",
+                "Create the symbol once and use it everywhere, or rename one of them.",
             )
         if symbol.is_real is False:
-            raise refuse(
-                f"the parameter {symbol.name} is declared as a symbol that is not real.",
-                "Energies are real. Make it with sympy.Symbol(name, real=True).",
+            reject_here(
+                f"the parameter {symbol.name} is declared as a symbol that is not real. "
+                "Energies are real.",
+                "Make it with sympy.Symbol(name, real=True).",
             )
         if symbol.is_integer:
-            raise refuse(
-                f"the parameter {symbol.name} is declared an integer.",
-                "SymPy simplified T and V with that assumption, and a run may be given any real "
-                "value. Make it with sympy.Symbol(name, real=True), or write the number.",
+            reject_here(
+                f"the parameter {symbol.name} is declared an integer. "
+                "SymPy simplified T and V with that assumption, but a run accepts any real value.",
+                "Make it with sympy.Symbol(name, real=True), or write the number.",
             )
         names[symbol.name] = "another parameter"
         values[symbol] = read_value(system, symbol, value)
@@ -189,16 +197,16 @@ def read_parameters(
 
 
 def read_value(system: str, symbol: sp.Symbol, value: Any) -> float:
-    """Check one parameter's value."""
-    refuse = partial(fail, system)
+    """Check that a parameter's value is a finite real number that fits the symbol's assumptions."""
+    reject_here = partial(reject_model, system)
     if value is None:
-        raise refuse(
-            f"the parameter {symbol.name} has no value.",
-            f"Every parameter needs a default; it can be changed at each run. "
+        reject_here(
+            f"the parameter {symbol.name} has no value. "
+            "Every parameter needs a default value, which each run may change.",
             f"Write parameters={{..., {symbol.name}: 1.0}}.",
         )
     real = isinstance(value, (numbers.Real, Decimal, sp.Expr)) and not isinstance(value, bool)
-    # as arrays of xarray and NumPy hold single numbers
+    # xarray and NumPy store single numbers as arrays without a dimension
     if getattr(value, "shape", None) == () and not is_masked(value):
         real = getattr(getattr(value, "dtype", None), "kind", None) in ("f", "i", "u")
     try:
@@ -206,11 +214,11 @@ def read_value(system: str, symbol: sp.Symbol, value: Any) -> float:
     except (TypeError, OverflowError, ValueError):
         number = math.nan
     if not math.isfinite(number):
-        raise refuse(
-            f"the parameter {symbol.name} has the value "
-            f"{repr(value) if isinstance(value, str) else spell(value)}, "
-            "which is not a finite real number.",
-            f"Give it a number: {{{symbol.name}: 1.0}}.",
+        shown = repr(value) if isinstance(value, str) else spell(value)
+        reject_here(
+            f"the parameter {symbol.name} has the value {shown}, which is not a finite real "
+            "number.",
+            f"Write a number: {{{symbol.name}: 1.0}}.",
         )
     signs = {
         "positive": number > 0,
@@ -221,9 +229,9 @@ def read_value(system: str, symbol: sp.Symbol, value: Any) -> float:
     }
     for sign, holds in signs.items():
         if getattr(symbol, f"is_{sign}") and not holds:
-            raise refuse(
-                f"the parameter {symbol.name} is declared {sign} and has the value {number:g}.",
-                "SymPy simplifies with that assumption, so the equations would be wrong. "
+            reject_here(
+                f"the parameter {symbol.name} is declared {sign} and has the value {number:g}. "
+                "SymPy simplifies with that assumption, so the equations would be wrong.",
                 "Change the value or the assumption.",
             )
     return number

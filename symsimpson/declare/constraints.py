@@ -1,9 +1,9 @@
-"""Constraints of positions, phi(q) = 0, or of velocities, A(t, q) v = b(t, q).
+"""Constraints of positions, phi(q) = 0, and of velocities, A(t, q) v = b(t, q).
 
-L - lambda.phi is the Lagrangian with multipliers lambda, so that p' = L_q - Phi^T lambda with
+L - lambda.phi is the Lagrangian with multipliers lambda, so p' = L_q - Phi^T lambda with
 Phi = dphi/dq (Hairer, Lubich and Wanner, Geometric Numerical Integration, VII.1). Constraints
-A v = b, of wheels that roll or of blades, pull by -A^T nu (Lagrange and d'Alembert): their rows
-follow those of Phi.
+A v = b describe rolling wheels and blades. They exert the force -A^T nu (Lagrange and d'Alembert),
+and their rows follow the rows of Phi.
 """
 
 from __future__ import annotations
@@ -16,44 +16,39 @@ from typing import Any, NamedTuple
 import numpy as np
 import sympy as sp
 
-from symsimpson.declare.checks import fail, spell
-from symsimpson.declare.plain import SAMPLES, Held, Plain, Symbols
-from symsimpson.declare.quadratic import (
-    has_full_rank,
-    is_well_conditioned,
-    mass_rows,
-    rank,
-    samples,
-)
+from symsimpson.declare.checks import reject_model, spell
+from symsimpson.declare.plain import SAMPLES, ConstraintRows, Plain, Symbols
+from symsimpson.declare.quadratic import has_full_rank, is_well_conditioned, mass_rows, rank, sample
 from symsimpson.errors import ModelWarning
 from symsimpson.graph.derive import Derivatives, gradient
-from symsimpson.graph.evaluate import doubles
-from symsimpson.graph.findings import Findings
-from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
-from symsimpson.graph.rebuild import fixed, rebuilt
+from symsimpson.graph.evaluate import evaluate_doubles
+from symsimpson.graph.findings import IdentityTest
+from symsimpson.graph.nodes import ZERO, Graph, Value, scale
+from symsimpson.graph.rebuild import fix_symbols, rebuild
 from symsimpson.support.calling import warn
 from symsimpson.support.names import counted
 
 Read = Callable[[str, Any], Value]
-#: Entries below this, relative to the largest, are zero at random points of doubles.
+#: Relative size below which an entry counts as zero at a random point.
 NOTHING = 1e-9
 
 
 class Accelerations(NamedTuple):
-    """Values that determine accelerations and multipliers."""
+    """The coefficients of M v' + W^T lambda = push and W v' = -curve."""
 
     rows: list[list[Value]]  #: W: Phi, then A.
     push: list[Value]  #: L_q + f - (d L_v/dq) v - d L_v/dt.
-    curve: list[Value]  #: How Phi v and A v - b change with q and t, so that W v' = -curve.
+    curve: list[Value]  #: The rates of change of Phi v and A v - b by q and t.
     rates: list[Value]  #: Phi v, then A v - b.
 
 
-def names_of(name: str, constraints: Any, taken: Sequence[str] | None = None) -> dict[str, sp.Expr]:
-    """Return the constraints by name; those of a list are called "1", "2", ...
+def name_constraints(
+    name: str, constraints: Any, taken: Sequence[str] | None = None
+) -> dict[str, sp.Expr]:
+    """Return the constraints by name; constraints of a list are called "1", "2", ...
 
-    Those of velocities are told by the names that are ``taken`` by others, which they leave out.
-    Raises ModelError if they are no mapping from texts to expressions, and no sequence of
-    expressions.
+    Pass ``taken`` for velocity constraints only: the names of the constraints of positions.
+    Numbers continue after these.
     """
     if constraints is None:
         return {}
@@ -72,16 +67,16 @@ def names_of(name: str, constraints: Any, taken: Sequence[str] | None = None) ->
         numbers = (str(i) for i in count(len(taken or ()) + 1) if str(i) not in (taken or ()))
         expressions = {next(numbers): expression for expression in constraints}
     else:
-        raise fail(
+        reject_model(
             name,
             f"{what} is {spell(constraints)!r}, neither a list nor a mapping.",
             f"Write {what}=[{example}], or with names: {what}={{{shown!r}: {example}}}.",
         )
     for key, expression in expressions.items():
         if not isinstance(key, str) or not key.strip() or not key.isprintable():
-            raise fail(
+            reject_model(
                 name,
-                f"the constraint's name {key!r} is not a text that can be printed.",
+                f"the constraint's name {key!r} is not a printable string.",
                 f"Write {what}={{{shown!r}: {example}}}.",
             )
         if isinstance(expression, sp.Equality):
@@ -92,25 +87,22 @@ def names_of(name: str, constraints: Any, taken: Sequence[str] | None = None) ->
 def read_constraints(
     name: str, given: Mapping[str, sp.Expr], symbols: Symbols, read: Read
 ) -> dict[str, Value]:
-    """Check constraints and read them into the graph.
-
-    Raises ModelError if one is not an equation of positions.
-    """
+    """Check that constraints are equations of positions, and read them into the graph."""
     graph = symbols.graph
     values: dict[str, Value] = {}
     q = set(symbols.numbers(symbols.q))
     for key, expression in given.items():
         _check_positions(name, key, expression, symbols)
         value = read(f"constraint {key!r}", expression)
-        findings = Findings(graph, [value])
+        findings = IdentityTest(graph, [value])
         present = graph.nodes[value[1]].symbols & q
         if not any(findings.depends(value, x) for x in present):
             what = "is true everywhere" if findings.vanishes(value) else "depends on no coordinate"
-            raise fail(
+            reject_model(
                 name,
-                f"the constraint {key!r}, {spell(expression)} = 0, {what}.",
-                "It says nothing about the motion, or cannot be met. Leave it out, or write what "
-                "vanishes on all positions that are allowed.",
+                f"the constraint {key!r}, {spell(expression)} = 0, {what}. It does not restrict "
+                "the motion, or cannot be satisfied.",
+                "Remove it, or write an expression that vanishes at all allowed positions.",
             )
         values[key] = value
     return values
@@ -119,19 +111,20 @@ def read_constraints(
 def accelerations(
     graph: Graph,
     L: Value,
-    held: Held,
+    constraints: ConstraintRows,
     f: Sequence[Value],
     places: tuple[Sequence[int], Sequence[int], int],
 ) -> Accelerations:
-    """Return what determines accelerations and multipliers: M v' + W^T lambda = push.
+    """Derive the coefficients of accelerations and multipliers: M v' + W^T lambda = push.
 
-    ``f`` are forces by coordinate, ``places`` the nodes of q and of v, and that of t.
+    The forces ``f`` have one entry for each coordinate. The ``places`` are the nodes of q, the
+    nodes of v and the node of t.
     """
     q, v, time = places
-    derivatives, rows = Derivatives(graph), slopes(graph, held.phi, q)
+    derivatives, rows = Derivatives(graph), slopes(graph, constraints.phi, q)
     rates = [graph.add(graph.products(row, v)) for row in rows]
-    rows += [list(row[:-1]) for row in held.rows]
-    rates += held.rates(graph, v)
+    rows += [list(row[:-1]) for row in constraints.rows]
+    rates += constraints.rates(graph, v)
     curve = []
     for rate in rates:
         moving = graph.products([derivatives(rate, x) for x in q], v)
@@ -140,13 +133,13 @@ def accelerations(
     push = []
     for force, applied_force, momentum in zip(forces, f, momenta, strict=True):
         *turned, drift = gradient(graph, momentum, [*q, time])
-        moving = graph.products([scaled(-1, slope) for slope in turned], v)
-        push.append(graph.add([force, applied_force, *moving, scaled(-1, drift)]))
+        moving = graph.products([scale(-1, slope) for slope in turned], v)
+        push.append(graph.add([force, applied_force, *moving, scale(-1, drift)]))
     return Accelerations(rows, push, curve, rates)
 
 
 def slopes(graph: Graph, phi: Iterable[Value], q: Sequence[int]) -> list[list[Value]]:
-    """Return Phi, a row for each constraint."""
+    """Return Phi = dphi/dq, one row for each constraint."""
     derivatives = Derivatives(graph)
     return [[derivatives(value, x) for x in q] for value in phi]
 
@@ -154,20 +147,21 @@ def slopes(graph: Graph, phi: Iterable[Value], q: Sequence[int]) -> list[list[Va
 def check_number(
     name: str, rows: Mapping[str, Sequence[Value]], symbols: Symbols, *, driven: bool
 ) -> None:
-    """Reject constraints that leave nothing to move, or that depend on each other.
+    """Reject constraints that prevent all motion, or that depend on each other.
 
-    ``name`` is the system's name. ``rows`` has the row of each constraint on velocities, Phi or A.
-    If a row of A v = b has a b, they are ``driven``, and as many as coordinates move.
-    Raises ModelError with the names of the fewest first ones that depend on each other.
+    The mapping ``rows`` has the row of Phi or A of each constraint. If a velocity constraint
+    A v = b has a b, the constraints are ``driven``: there may be as many as coordinates. The
+    message names the first constraints that depend on each other.
     """
     if not rows:
         return
     if len(rows) >= len(symbols.q) + driven:
-        raise fail(
+        reject_model(
             name,
-            f"{counted(len(rows), 'constraint')} on {counted(len(symbols.q), 'coordinate')}.",
-            "Nothing could move. There must be fewer constraints than coordinates, or as many if a "
-            "velocity constraint has a right-hand side, as x' = cos(t).",
+            f"{counted(len(rows), 'constraint')} on {counted(len(symbols.q), 'coordinate')}, so "
+            "nothing can move.",
+            "Declare fewer constraints than coordinates. There may be as many if a velocity "
+            "constraint has a right-hand side, for example x' = cos(t).",
         )
     every = list(rows.values())
     if has_full_rank(symbols, every):
@@ -179,20 +173,18 @@ def check_number(
         without = (every[:k] + every[k + 1 : number] for k in range(number - 1))
         others = [k for k, left in enumerate(without) if rank(symbols.graph, left) == len(left)]
         with_it = ", ".join(repr(names[k]) for k in [*others, number - 1])
-        raise fail(
+        reject_model(
             name,
-            f"the constraints {with_it} depend on each other: one of them follows from the others.",
-            "The forces that hold them would not be determined. Leave one out.",
+            f"the constraints {with_it} depend on each other: one of them follows from the others. "
+            "Their multipliers are not unique.",
+            "Remove one of them.",
         )
 
 
-def check_held_mass(
+def check_constrained_mass(
     name: str, M: Mapping[tuple[int, int], Value], rows: Sequence[Sequence[Value]], symbols: Symbols
 ) -> None:
-    """Refuse kinetic energies that vanish for velocities which the constraints leave free.
-
-    Raises ModelError.
-    """
+    """Reject a kinetic energy that vanishes for velocities that satisfy the constraints."""
     mass = mass_rows(M, range(len(symbols.q)))
     columns = [list(column) for column in zip(*rows, strict=True)]
     matrix = [row + column for row, column in zip(mass, columns, strict=True)]
@@ -201,19 +193,19 @@ def check_held_mass(
         return
     bare = [i for i, row in enumerate(mass) if not any(c for c, _ in row)]
     which = ", ".join(spell(symbols.back[symbols.q[i]]) for i in bare)
-    raise fail(
+    reject_model(
         name,
         "some velocities that the constraints allow carry no kinetic energy"
-        + (f"; {which} {'has' if len(bare) == 1 else 'have'} no mass." if bare else "."),
-        "Such a motion has no equation. Give each body its own kinetic energy, or use fewer "
-        "coordinates.",
+        + (f"; {which} {'has' if len(bare) == 1 else 'have'} no mass." if bare else ".")
+        + " Such a motion has no equation.",
+        "Give each body its own kinetic energy, or use fewer coordinates.",
     )
 
 
 def regular_mass(plain: Plain, parameters: Iterable[float]) -> bool:
     """Return whether M is regular without constraints, at random positions with these parameters.
 
-    Where it is not, as with a rotation that has no inertia of its length, constraints help out.
+    M is singular, for example, for a quaternion whose length has no inertia.
     """
     size, random = range(len(plain.q)), np.random.default_rng(21)
     entries = [plain.entry(i, j) for i in size for j in size]
@@ -222,34 +214,34 @@ def regular_mass(plain: Plain, parameters: Iterable[float]) -> bool:
         place = random.uniform(0.3, 1.0, len(plain.q))
         point = known | dict(zip(plain.numbers(plain.q), place.tolist(), strict=True))
         point[plain.time] = 0.5
-        matrix = doubles(plain.graph, entries, point)
+        matrix = evaluate_doubles(plain.graph, entries, point)
         if is_well_conditioned(np.reshape(matrix, (len(size), len(size)))):
             return True
     return False
 
 
 def _check_positions(name: str, key: str, expression: Any, symbols: Symbols) -> None:
-    """Refuse velocities, the time and inputs by messages of their own."""
+    """Reject velocities and the time in a constraint of positions."""
     if not isinstance(expression, sp.Expr):
-        return  # what else it is, reading tells
+        return  # read_expression rejects it
     present = expression.atoms(sp.Symbol, sp.Derivative)
     velocities = [x for x in present if symbols.replace.get(x) in symbols.v]
     if velocities:
-        raise fail(
+        reject_model(
             name,
-            f"the constraint {key!r} contains the velocity {spell(velocities[0])}: it is no "
+            f"the constraint {key!r} contains the velocity {spell(velocities[0])}, so it is not a "
             "constraint of positions.",
-            "Give it as velocity_constraints={...}, as those of a wheel that rolls or of a blade; "
-            "if it is the time derivative of an equation of positions, give that equation.",
+            "Declare it as velocity_constraints={...}, as for a rolling wheel or a blade. If it is "
+            "the time derivative of an equation of positions, declare that equation.",
         )
     if symbols.t in expression.xreplace(symbols.replace).free_symbols:
-        raise fail(
+        reject_model(
             name,
-            f"the constraint {key!r} depends on the time.",
-            "Constraints that move are not integrated to rounding. Choose a coordinate that "
-            "follows the prescribed motion, and write it into T and V, where t may stand; or give "
-            f"velocity_constraints={{{key!r}: phi.diff(symsimpson.time)}}, which keeps phi to the "
-            "error of the scheme.",
+            f"the constraint {key!r} depends on the time. The schemes satisfy such constraints "
+            "only up to their error.",
+            "Choose a coordinate that follows the prescribed motion, and write the motion into T "
+            f"and V, which may contain t. Or declare velocity_constraints={{{key!r}: "
+            "phi.diff(symsimpson.time)}, which satisfies phi with the error of the scheme.",
         )
 
 
@@ -260,91 +252,94 @@ def read_velocity_constraints(
     symbols: Symbols,
     read: Callable[[str, Any], Value],
 ) -> dict[str, tuple[Value, ...]]:
-    """Return the row of A, and b behind it, of each velocity constraint A v - b = 0.
+    """Return the row of A, followed by b, for each velocity constraint A v - b = 0.
 
-    ``name`` is that of the system, and ``taken`` has names of other constraints; ``read`` checks an
-    expression and reads it, and its first argument says what it is. Raises ModelError if one is not
-    linear in the velocities, or holds none of them.
+    The mapping ``taken`` has the names of the constraints of positions. The function ``read``
+    checks an expression and reads it; its first argument names the expression.
     """
-    refuse = partial(fail, name)
+    reject_here = partial(reject_model, name)
     graph, v = symbols.graph, symbols.numbers(symbols.v)
     rows: dict[str, tuple[Value, ...]] = {}
     for key, expression in given.items():
         if key in taken:
-            raise refuse(
-                f"two constraints are called {key!r}, one of positions and one of velocities.",
-                f"run['lambda_{key}'] could be either. Rename one of them.",
+            reject_here(
+                f"two constraints are called {key!r}, one of positions and one of velocities. "
+                f"run['lambda_{key}'] would be ambiguous.",
+                "Rename one of them.",
             )
         value = read(f"velocity constraint {key!r}", expression)
         driven = graph.nodes[value[1]].symbols & set(symbols.numbers(symbols.u))
         if driven:
             which = next(u for u, (_, n) in symbols.known.items() if n in driven)
-            raise refuse(
-                f"the velocity constraint {key!r} depends on the input {spell(which)}.",
-                "Inputs have values at nodes, and a constraint holds between them. Prescribe the "
-                "motion by a function of time, or by a parameter.",
+            reject_here(
+                f"the velocity constraint {key!r} depends on the input {spell(which)}. Inputs have "
+                "values at nodes only, but a constraint holds between them.",
+                "Prescribe the motion by a function of time, or by a parameter.",
             )
         if graph.nodes[value[1]].symbols.isdisjoint(v):
-            nothing = Findings(graph, [value]).vanishes(value)
-            raise refuse(
+            nothing = IdentityTest(graph, [value]).vanishes(value)
+            reject_here(
                 f"the velocity constraint {key!r}, {spell(expression)} = 0, "
                 + ("is true everywhere." if nothing else "contains no velocity."),
-                "It says nothing about the motion. Leave it out."
+                "It does not restrict the motion. Remove it."
                 if nothing
-                else "It is a constraint of positions. Give it as constraints={...}.",
+                else "It is a constraint of positions. Declare it as constraints={...}.",
             )
-        rows[key] = _row(name, key, expression, value, symbols)
+        rows[key] = _split_row(name, key, expression, value, symbols)
     return rows
 
 
-def _row(name: str, key: str, expression: Any, value: Value, symbols: Symbols) -> tuple[Value, ...]:
-    """Split A v - b into the row of A and b."""
+def _split_row(
+    name: str, key: str, expression: Any, value: Value, symbols: Symbols
+) -> tuple[Value, ...]:
+    """Split A v - b into the row of A, followed by b."""
     graph, v = symbols.graph, symbols.numbers(symbols.v)
-    if not Findings(graph, [value]).affine([value], v)[0]:
-        raise fail(
+    if not IdentityTest(graph, [value]).affine([value], v)[0]:
+        reject_model(
             name,
             f"the velocity constraint {key!r}, {spell(expression)} = 0, is not linear in the "
-            "velocities.",
-            "Such a condition does not determine the force that holds it, not without a further "
-            "rule. Write it as A(q, t) v = b(q, t), if it can be.",
+            "velocities. This does not determine its constraint force.",
+            "Write it as A(q, t) v = b(q, t), if possible.",
         )
     values = [*gradient(graph, value, v), value]
     try:
-        *row, rest = rebuilt(graph, values, dict.fromkeys(v, ZERO))
-    except ZeroDivisionError:  # terms that cancel are divided by velocities
-        moved = [graph.add([values[-1], *(scaled(-1, x) for x in graph.products(values[:-1], v))])]
-        *row, rest = (fixed(graph, x, v) or x for x in [*values[:-1], *moved])
-    findings = Findings(graph, [*row, rest])
+        *row, rest = rebuild(graph, values, dict.fromkeys(v, ZERO))
+    except ZeroDivisionError:  # terms that cancel have velocities in their denominators
+        moved = [graph.add([values[-1], *(scale(-1, x) for x in graph.products(values[:-1], v))])]
+        *row, rest = (fix_symbols(graph, x, v) or x for x in [*values[:-1], *moved])
+    findings = IdentityTest(graph, [*row, rest])
     *row, rest = (ZERO if findings.vanishes(x) else x for x in (*row, rest))
     if not any(c for c, _ in row):
-        raise fail(
+        reject_model(
             name,
             f"the velocity constraint {key!r}, {spell(expression)} = 0, "
-            + ("cannot be met: no velocity is left in it." if rest[0] else "is true everywhere."),
-            "Its velocities cancel each other. Look at its terms, or leave it out.",
+            + ("cannot be satisfied" if rest[0] else "is true everywhere")
+            + ", because its velocities cancel each other.",
+            "Check its terms, or remove it.",
         )
-    return (*row, scaled(-1, rest))
+    return (*row, scale(-1, rest))
 
 
 def warn_of_integrable(
     name: str,
     rows: Mapping[str, tuple[Value, ...]],
-    held: Sequence[Sequence[Value]],
+    of_positions: Sequence[Sequence[Value]],
     symbols: Symbols,
 ) -> None:
-    """Warn of velocity constraints that follow from equations of positions, by Frobenius' theorem.
+    """Warn of velocity constraints that follow from equations of positions (theorem of Frobenius).
 
-    With omega = A dq - b dt they do if d omega(x, y) = 0 for all displacements x, y that the
-    constraints allow, together with those of positions or each alone.
+    Let omega = A dq - b dt. A constraint A v = b is integrable if d omega(x, y) = 0 for all
+    displacements x, y that the constraints allow. The function tests all constraints together,
+    including the rows ``of_positions``, and each velocity constraint separately.
     """
     if not rows:
         return
-    driven = len(rows) + len(held) == len(symbols.q)  # by the time, if not held by equations
-    whole = not driven and _integrable(rows, held, symbols)
+    driven = len(rows) + len(of_positions) == len(symbols.q)  # b moves the last coordinate
+    whole = not driven and _integrable(rows, of_positions, symbols)
     names = (
         list(rows) if whole else [key for key in rows if _integrable({key: rows[key]}, (), symbols)]
     )
-    # with b the time stands in the equation of positions, which cannot be asked for
+    # with b, the equation of positions would contain the time, and would be rejected
     names = [key for key in names if not rows[key][-1][0]]
     if not names:
         return
@@ -354,23 +349,24 @@ def warn_of_integrable(
         f"system '{name}': the velocity constraint{'s' if several else ''} {which} "
         f"follow{'' if several else 's'} from {'equations' if several else 'an equation'} of "
         "positions.\n"
-        "Given as constraints={...}, positions would satisfy it to rounding at every step, and the "
-        "step would be symplectic. As it is, they drift from it with the error of the scheme.",
+        "Declared as constraints={...}, the equations of positions hold up to round-off at every "
+        "step, and the step is symplectic. Otherwise positions drift from them with the error of "
+        "the scheme.",
         ModelWarning,
     )
 
 
 def _integrable(
-    rows: Mapping[str, tuple[Value, ...]], held: Sequence[Sequence[Value]], symbols: Symbols
+    rows: Mapping[str, tuple[Value, ...]], of_positions: Sequence[Sequence[Value]], symbols: Symbols
 ) -> bool:
-    """Return whether the rows are integrable together, at a few random points."""
+    """Return whether the rows are integrable together, tested at a few random points."""
     graph, size = symbols.graph, len(symbols.q) + 1
     places = [*symbols.numbers(symbols.q), symbols.numbers([symbols.t])[0]]
-    forms = [[*row[:-1], scaled(-1, row[-1])] for row in rows.values()]
-    allowed = [*forms, *([*row, ZERO] for row in held)]
+    forms = [[*row[:-1], scale(-1, row[-1])] for row in rows.values()]
+    allowed = [*forms, *([*row, ZERO] for row in of_positions)]
     derivatives = Derivatives(graph)
     turns = [derivatives(x, place) for form in forms for x in form for place in places]
-    for numbers in samples(symbols, [*(x for row in allowed for x in row), *turns]):
+    for numbers in sample(symbols, [*(x for row in allowed for x in row), *turns]):
         matrix = np.reshape(numbers[: len(allowed) * size], (len(allowed), size))
         slopes = np.reshape(numbers[len(allowed) * size :], (len(forms), size, size))
         length = np.linalg.norm(matrix, axis=1)

@@ -1,4 +1,4 @@
-"""Symbols that users write energies with: coordinates, their momenta, and the time."""
+"""Symbols of energies: coordinates, their momenta, and the time."""
 
 from __future__ import annotations
 
@@ -8,38 +8,38 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from symsimpson.errors import ModelError, reject
-from symsimpson.support.calling import explained
+from symsimpson.support.calling import explain_arguments
 from symsimpson.support.names import speed_of_approach
 
-#: The time, equal to ``dynamicsymbols._t`` of SymPy, of which coordinates are functions. It is made
-#: here because SymPy's mechanics, with units and constants, takes long to import.
+#: The time, on which coordinates depend. It equals ``dynamicsymbols._t`` of SymPy, which is not
+#: imported here because SymPy's mechanics takes long to import.
 time: sp.Symbol = sp.Symbol("t")
-#: The speed at which a gap closes, of which the restitution of an impact may be a function.
+#: The speed at which a gap closes, on which the restitution of an impact may depend.
 approach: sp.Symbol = speed_of_approach()
 
 
-@explained(ModelError)
+@explain_arguments(ModelError)
 def coordinates(names: str, *more: str, **assumed: object) -> tuple[AppliedUndef, ...]:
     """Make generalized coordinates: functions of time whose velocities are ``q.diff()``.
 
     Parameters
     ----------
     names : str
-        Names separated by spaces or commas; ``"q:3"`` stands for q0, q1, q2.
+        Names separated by spaces or commas. ``"q:3"`` makes q0, q1, q2.
     *more
-        Not accepted: a second text is refused in words.
+        Not accepted. Pass all names in one string.
     **assumed
-        Not accepted: coordinates have no assumptions, as ``positive=True`` of SymPy's symbols.
+        Not accepted. Coordinates have no assumptions such as ``positive=True``.
 
     Returns
     -------
     tuple of sympy functions of ``dynamicsymbols._t``
-        Always a tuple, also for one name.
+        A tuple, also for one name.
 
     Raises
     ------
     ModelError
-        If there are no names, or something else than one text.
+        If there are no names, or the argument is not one string.
 
     Examples
     --------
@@ -51,7 +51,7 @@ def coordinates(names: str, *more: str, **assumed: object) -> tuple[AppliedUndef
     if more or not (isinstance(names, str) and names.replace(",", " ").split()):
         given = ", ".join(map(repr, (names, *more)))
         reject(
-            f"coordinates are named by one text with their names, not by {given}.",
+            f"coordinates needs one string with all names, not {given}.",
             remedy="Write q1, q2 = symsimpson.coordinates('q1 q2').",
             error=ModelError,
         )
@@ -59,18 +59,18 @@ def coordinates(names: str, *more: str, **assumed: object) -> tuple[AppliedUndef
         words = [f"{name}={value!r}" for name, value in assumed.items()]
         reject(
             f"coordinates accept no assumptions such as {', '.join(words)}.",
-            remedy="A coordinate is a "
-            "real function of time, and its motion may change its sign. Leave them out. "
-            "Parameters accept them: sympy.symbols('m', positive=True).",
+            why="A coordinate is a real function of time, and may change its sign.",
+            remedy="Remove the assumptions. Parameters accept them: "
+            "sympy.symbols('m', positive=True).",
             error=ModelError,
         )
     try:
         functions = sp.symbols(names, cls=sp.Function)
     except ValueError as error:
         reject(
-            f"coordinates cannot be called {names!r}: {error}.",
-            remedy="A colon stands for a range, as in "
-            "'q0:3'; write q1, q2 = symsimpson.coordinates('q1 q2').",
+            f"coordinates cannot have the names {names!r}: {error}.",
+            why="A colon denotes a range, such as 'q0:3'.",
+            remedy="Write q1, q2 = symsimpson.coordinates('q1 q2').",
             error=ModelError,
         )
     if isinstance(functions, (tuple, list)):
@@ -79,51 +79,51 @@ def coordinates(names: str, *more: str, **assumed: object) -> tuple[AppliedUndef
 
 
 class _Single(tuple[AppliedUndef, ...]):
-    """One coordinate in its tuple, which tells those who calculate with it as if it were none."""
+    """A tuple of one coordinate, which rejects arithmetic as if it were the coordinate."""
 
     def __getattr__(self, name: str) -> Any:
         if name in ("diff", "dt", "subs"):
-            self._refuse()
+            self._reject()
         raise AttributeError(f"a tuple has no attribute {name!r}")
 
-    def _refuse(self, *_: object) -> NoReturn:
+    def _reject(self, *_: object) -> NoReturn:
         name = self[0].func.__name__
         reject(
             f"this is the tuple ({name},) of one coordinate, not the coordinate.",
-            remedy=f"Write ({name},) = symsimpson.coordinates({name!r}), with brackets "
-            "and a comma.",
+            remedy=f"Write ({name},) = symsimpson.coordinates({name!r}), with parentheses and a "
+            "comma.",
             error=ModelError,
         )
 
     def __add__(self, other: Any) -> Any:
-        return super().__add__(other) if isinstance(other, tuple) else self._refuse()
+        return super().__add__(other) if isinstance(other, tuple) else self._reject()
 
     def __mul__(self, other: Any) -> Any:
-        return super().__mul__(other) if isinstance(other, int) else self._refuse()
+        return super().__mul__(other) if isinstance(other, int) else self._reject()
 
     __rmul__ = __mul__
-    __radd__ = __neg__ = __sub__ = __rsub__ = _refuse
-    __pow__ = __rpow__ = __truediv__ = __rtruediv__ = _refuse
+    __radd__ = __neg__ = __sub__ = __rsub__ = _reject
+    __pow__ = __rpow__ = __truediv__ = __rtruediv__ = _reject
 
 
-@explained(ModelError)
+@explain_arguments(ModelError)
 def momenta(*coordinates: AppliedUndef) -> tuple[sp.Symbol, ...]:
-    """Return the symbols that stand for the conjugate momenta in ``invariants``.
+    """Return symbols of the conjugate momenta, for use in ``invariants``.
 
     Parameters
     ----------
     *coordinates : functions of time
-        As made by :func:`coordinates`.
+        Coordinates from :func:`coordinates`.
 
     Returns
     -------
     tuple of sympy.Symbol
-        Named ``p_<coordinate>``.
+        Symbols named ``p_<coordinate>``.
 
     Raises
     ------
     ModelError
-        If something else is given.
+        If an argument is not a coordinate.
 
     Examples
     --------

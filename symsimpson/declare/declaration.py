@@ -1,4 +1,4 @@
-"""A declaration read into a graph, part by part, each with its checks."""
+"""Read the energies, constraints, forces and labels of a declaration, and check them together."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from symsimpson.declare.bodies import warn_of_lengths
-from symsimpson.declare.checks import check_names, fail, spell
+from symsimpson.declare.checks import check_names, reject_model, spell
 from symsimpson.declare.constraints import (
-    check_held_mass,
+    check_constrained_mass,
     check_number,
     read_constraints,
     read_velocity_constraints,
@@ -29,29 +29,29 @@ from symsimpson.declare.quadratic import (
     QuadraticInVelocities,
     check_degenerate,
     check_mass_matrix,
-    polynomial,
     quadratic_form,
+    split_by_velocities,
 )
-from symsimpson.graph.findings import Findings
-from symsimpson.graph.nodes import ZERO, Value, scaled
+from symsimpson.graph.findings import IdentityTest
+from symsimpson.graph.nodes import ZERO, Value, scale
 from symsimpson.graph.read import tree_size
 from symsimpson.support.names import did_you_mean, spelled
 from symsimpson.text.quantity import SCALARS
 
 
-def energies(
+def split_lagrangian(
     lagrangian: sp.Expr, parts: QuadraticInVelocities, symbols: Symbols
 ) -> tuple[sp.Expr, sp.Expr, sp.Expr]:
-    """Return T, a.v and V of a Lagrangian; what would be a large tree is left as it is written."""
-    graph, restored = symbols.graph, symbols.restored
-    linear = restored(graph.add(graph.products(parts.a, symbols.numbers(symbols.v))))
-    potential: sp.Expr = -restored(parts.rest)
+    """Return T, a.v and V of a Lagrangian, without expanding an M of more than LARGE nodes."""
+    graph, to_user = symbols.graph, symbols.to_user
+    linear = to_user(graph.add(graph.products(parts.a, symbols.numbers(symbols.v))))
+    potential: sp.Expr = -to_user(parts.rest)
     entries = sum(tree_size(graph, value) for value in parts.M.values())
     if entries > LARGE:
         return lagrangian - linear + potential, linear, potential
     velocities = [symbols.back[x] for x in symbols.v]
     terms = (
-        restored(value) * velocities[i] * velocities[j] / (2 if i == j else 1)
+        to_user(value) * velocities[i] * velocities[j] / (2 if i == j else 1)
         for (i, j), value in parts.M.items()
     )
     return sp.Add(*terms), linear, potential
@@ -63,8 +63,8 @@ def read_energies(
     parameters: Mapping[sp.Symbol, float],
     given: Declared,
 ) -> tuple[Plain, Positions, Mapping[str, sp.Expr]]:
-    """Check the energies and read them into a graph."""
-    refuse = partial(fail, name)
+    """Check a declaration, and return its graph, its positions and its invariants."""
+    reject_here = partial(reject_model, name)
     s = Symbols(coordinates, parameters, given.inputs)
 
     def read(what: str, expression: Any, *allowed: Sequence[sp.Symbol]) -> Value:
@@ -77,32 +77,32 @@ def read_energies(
     kinetic = read_timed("kinetic energy", given.kinetic)
     potential = read("potential", given.potential, (s.t,))
     linear = read_timed("gyroscopic term", given.gyroscopic)
-    parts = polynomial(name, "kinetic energy", kinetic, s)
+    parts = split_by_velocities(name, "kinetic energy", kinetic, s)
     left = [*parts.a, parts.rest]
-    carried = any(s.graph.symbol(s.t.name)[1] in s.graph.nodes[n].symbols for _, n in left)
-    if carried:  # by a motion that is prescribed: these terms belong to a and to V
+    prescribed = any(s.graph.symbol(s.t.name)[1] in s.graph.nodes[n].symbols for _, n in left)
+    if prescribed:  # a prescribed motion adds terms to T that belong to a and to V
         kinetic = quadratic_form(s.graph, parts.M, s.numbers(s.v))
-        potential = s.graph.add([potential, scaled(-1, parts.rest)])
+        potential = s.graph.add([potential, scale(-1, parts.rest)])
         linear = s.graph.add([linear, *s.graph.products(parts.a, s.numbers(s.v))])
-    elif not all(map(Findings(s.graph, left).vanishes, left)):
+    elif not all(map(IdentityTest(s.graph, left).vanishes, left)):
         leftover = s.graph.add([*s.graph.products(parts.a, s.numbers(s.v)), parts.rest])
         if not parts.M and not any(c for c, _ in parts.a):
-            raise refuse(
+            reject_here(
                 f"the kinetic energy {spell(given.kinetic)} contains no velocity.",
-                f"A velocity is the derivative of a coordinate: write {s.back[s.v[0]].expr}.diff() "
-                f"for that of {s.back[s.v[0]].expr}.",
+                "A velocity is the derivative of a coordinate. Write "
+                f"{s.back[s.v[0]].expr}.diff() for the velocity of {s.back[s.v[0]].expr}.",
             )
         there, moving = (s.graph.nodes[n].symbols for _, n in (leftover, kinetic))
         places = zip(s.v, s.numbers(s.q), s.numbers(s.v), strict=True)
         still = [s.back[v].expr for v, q, rate in places if q in there and rate not in moving]
         meant = f"Did you mean {' or '.join(f'{x.func}.diff()' for x in still)}? " if still else ""
-        raise refuse(
-            f"the kinetic energy is not a quadratic form in the velocities: it contains "
-            f"{spell(s.restored(leftover))}.",
-            f"{meant}Move terms without velocities to the potential (with the opposite sign) and "
-            "linear ones to a Lagrangian: MechanicalSystem.from_lagrangian(name, L, ...).",
+        reject_here(
+            f"the kinetic energy is not a quadratic form in the velocities. It contains "
+            f"{spell(s.to_user(leftover))}.",
+            f"{meant}Move terms without velocities to the potential, with the opposite sign. Move "
+            "linear terms to a Lagrangian: MechanicalSystem.from_lagrangian(name, L, ...).",
         )
-    gyroscopic = polynomial(name, "gyroscopic term", linear, s)
+    gyroscopic = split_by_velocities(name, "gyroscopic term", linear, s)
     constraints = read_constraints(name, given.constraints, s, read)
 
     def read_moving(what: str, expression: Any) -> Value:
@@ -117,15 +117,15 @@ def read_energies(
     check_number(name, rows, s, driven=any(row[-1][0] for row in rolling.values()))
     warn_of_integrable(name, rolling, of_positions, s)
     if rows:
-        check_held_mass(name, parts.M, list(rows.values()), s)
+        check_constrained_mass(name, parts.M, list(rows.values()), s)
     else:
         check_degenerate(name, QuadraticInVelocities(parts.M, gyroscopic.a, ZERO), s)
         if not given.mass_checked:
             check_mass_matrix(name, parts.M, s)
-    if gyroscopic.M or not Findings(s.graph, [gyroscopic.rest]).vanishes(gyroscopic.rest):
-        raise refuse(
+    if gyroscopic.M or not IdentityTest(s.graph, [gyroscopic.rest]).vanishes(gyroscopic.rest):
+        reject_here(
             f"the gyroscopic term {spell(given.gyroscopic)} is not linear in the velocities.",
-            "It must have the form a(q).v; put the rest into T or V.",
+            "It must have the form a(q).v. Move the other terms to T or V.",
         )
 
     forces = read_forces(name, coordinates, given.forces, given.dissipation, s, read_moving)
@@ -134,16 +134,17 @@ def read_energies(
     pairs = zip(momenta(*coordinates), s.p, strict=True)
     of_momenta = {user: s.graph.symbol(symbol.name) for user, symbol in pairs}
     for both in s.known.keys() & of_momenta.keys() if given.invariants is not None else ():
-        raise refuse(
-            f"the parameter {both} is the symbol of a momentum, too.",
-            "An invariant could mean either. Give the parameter another name.",
+        reject_here(
+            f"the parameter {both} is also the symbol of a momentum. An invariant that contains "
+            "it would be ambiguous.",
+            "Give the parameter another name.",
         )
     watch = s.known | of_momenta
     invariants: dict[str, sp.Expr] = {}
     values: dict[str, Value] = {}
-    for key, quantity in _by_name(name, "invariants", given.invariants, "{'J': x**2}").items():
+    for key, quantity in _read_mapping(name, "invariants", given.invariants, "{'J': x**2}").items():
         if not isinstance(key, str):
-            raise refuse(
+            reject_here(
                 f"the invariant's name {key!r} is not a string.",
                 "Write invariants={'angular momentum': ...}.",
             )
@@ -170,21 +171,22 @@ def read_energies(
     )
     warn_of_lengths(name, coordinates, [*given.constraints.values()] if given.constraints else [])
     names = [q.func.__name__ for q in coordinates]
-    written_out = _momenta_written_out(plain, names)
+    written_out = _explicit_momenta(plain, names)
     check_names(name, names, (key for key in invariants if key not in written_out))
     for key in (f"lambda_{key}" for key in rows):
         taken = {*names, *(str(a) for a in parameters), *invariants}
-        # those of a list have numbers for names, which need not be found by them
+        # constraints of a list have numbers as names, and need not be found by name
         if key in taken and not key.removeprefix("lambda_").isdigit():
-            raise refuse(
-                f"the multiplier of a constraint has the name {key!r}, and so has something else.",
-                f"run[{key!r}] could be either. Give the constraint another name.",
+            reject_here(
+                f"the multiplier of a constraint has the name {key!r} of another quantity. "
+                f"run[{key!r}] would be ambiguous.",
+                "Give the constraint another name.",
             )
     return plain, MappingProxyType(positions), MappingProxyType(invariants)
 
 
-def _momenta_written_out(plain: Plain, names: Sequence[str]) -> set[str]:
-    """List the invariants that have the name of a momentum and its value."""
+def _explicit_momenta(plain: Plain, names: Sequence[str]) -> set[str]:
+    """Return the invariants that have both the name and the value of a momentum."""
     graph, v, p = plain.graph, plain.numbers(plain.v), plain.numbers(plain.p)
     keys = set()
     for i, x in enumerate(names):
@@ -193,19 +195,19 @@ def _momenta_written_out(plain: Plain, names: Sequence[str]) -> set[str]:
             row = [plain.entry(i, j) for j in range(len(v))]
             momentum = graph.add([plain.a[i], *graph.products(row, v)])
             given: Value = plain.invariants[key]
-            findings = Findings(graph, [given, momentum, (1, p[i])])
+            findings = IdentityTest(graph, [given, momentum, (1, p[i])])
             if any(findings.equal(given, other) for other in (momentum, (1, p[i]))):
                 keys.add(key)
     return keys
 
 
-def _by_name(name: str, what: str, given: Any, example: str) -> Mapping[Any, Any]:
-    """Return what is given by names; nothing for None."""
+def _read_mapping(name: str, what: str, given: Any, example: str) -> Mapping[Any, Any]:
+    """Return a mapping as it is, and an empty one for None."""
     if given is not None and not isinstance(given, Mapping):
-        raise fail(
+        reject_model(
             name,
             f"the {what} are a {type(given).__name__}, not a mapping from names.",
-            f"Each has a name, by which runs tell it: {what}={example}.",
+            f"Give each of them a name, which runs use: {what}={example}.",
         )
     return given or {}
 
@@ -213,9 +215,9 @@ def _by_name(name: str, what: str, given: Any, example: str) -> Mapping[Any, Any
 def _read_positions(
     name: str, given: Declared, symbols: Symbols, read: Callable[..., Value]
 ) -> dict[str, tuple[Any, ...]]:
-    """Check what is to be drawn."""
+    """Check the positions to draw: a point is a tuple, a body a tuple of corners."""
     positions: dict[str, tuple[Any, ...]] = {}
-    for key, point in _by_name(name, "positions", given.positions, "{'bob': (x, y)}").items():
+    for key, point in _read_mapping(name, "positions", given.positions, "{'bob': (x, y)}").items():
         nested = isinstance(point, (tuple, list))
         body = nested and all(isinstance(x, (tuple, list, sp.MatrixBase)) for x in point)
         corners = point if body else [point]
@@ -224,10 +226,10 @@ def _read_positions(
             single = not isinstance(corner, (tuple, list, sp.MatrixBase))
             components = (corner,) if single else tuple(corner)
             if not 1 <= len(components) <= 3:
-                raise fail(
+                reject_model(
                     name,
-                    f"position {key!r} has {len(components)} components.",
-                    "A point has one to three Cartesian components.",
+                    f"the position {key!r} has {len(components)} components.",
+                    "Pass one to three Cartesian components for a point.",
                 )
             for component in components:
                 read(f"position {key!r}", component, (symbols.t,))
@@ -239,34 +241,34 @@ def _read_positions(
 def read_units(
     name: str, given: Mapping[Any, Any] | None, coordinates: Iterable[Any], others: Iterable[Any]
 ) -> dict[str, str]:
-    """Read units by name, and add those of velocities.
+    """Check units, and add units of velocities and scalars.
 
-    ``given`` are units by names or symbols, ``others`` further quantities that a system has:
-    parameters, inputs, invariants, points. Raises ModelError if a name is none of these, or a unit
-    is no text.
+    The ``others`` are further quantities that may have a unit: parameters, inputs, invariants
+    and points.
     """
     names = [spelled(q) for q in coordinates]
     known = [*names, *(f"{x}_{q}" for x in "vp" for q in names), *map(spelled, others), "t"]
     known += [x.name for x in SCALARS]
     units: dict[str, str] = {}
-    labels = "Units are labels: units={'x': 'm', 't': 's'}."
+    labels = "Units are labels, written as strings: units={'x': 'm', 't': 's'}."
     if given is not None and not isinstance(given, Mapping):
-        raise fail(name, f"units is {type(given).__name__}, no mapping.", labels)
+        reject_model(name, f"units is {type(given).__name__}, not a mapping.", labels)
     for key, unit in (given or {}).items():
         quantity = spelled(key)
         if quantity not in known:
-            raise fail(
+            reject_model(
                 name,
-                f"units names {quantity!r}, which the system does not have."
+                f"units contains {quantity!r}, which the system does not have."
                 f"{did_you_mean(quantity, known)}",
-                "Name coordinates, momenta and velocities (p_ and v_ before a coordinate), "
-                f"parameters, invariants, points, 't', {', '.join(x.name for x in SCALARS)}.",
+                "Quantities with units are coordinates, momenta and velocities (p_ and v_ before a "
+                "coordinate), parameters, inputs, invariants, points, 't', "
+                f"{', '.join(x.name for x in SCALARS)}.",
             )
         if quantity in units:
-            what = f"units gives {quantity} twice, by name and by symbol."
-            raise fail(name, what, "Give it once.")
+            what = f"units contains {quantity} twice, by name and by symbol."
+            reject_model(name, what, "Give it once.")
         if not isinstance(unit, str):
-            raise fail(name, f"the unit of {quantity} is {unit!r}, no text.", labels)
+            reject_model(name, f"the unit of {quantity} is {unit!r}, not a string.", labels)
         units[quantity] = unit
     for q in names if "t" in units else ():
         if q in units:

@@ -1,4 +1,4 @@
-"""The declaration of a system: its expressions, its digest, the numbers that users give for it."""
+"""The fields of a declared system, its digest, and values that users pass for it."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from symsimpson.errors import reject
 from symsimpson.graph.read import tree_size
 from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.literals import float_literals
-from symsimpson.support.names import Named, is_masked, read_mapping, spelled
+from symsimpson.support.names import NameTable, is_masked, read_mapping, spelled
 
 Positions = Mapping[str, Sequence[Any]]
 Matrix: TypeAlias = sp.ImmutableDenseMatrix
-#: Parts of a Lagrangian with more nodes than this, as trees, are left as they are written.
+#: Parts of a Lagrangian with more nodes than this, as trees, are not rewritten.
 LARGE = 2000
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Declared:
-    """Parts of a system as a user declared them; :class:`MechanicalSystem` describes them."""
+    """The fields of a :class:`MechanicalSystem`, without its checks and methods."""
 
     name: str
     coordinates: tuple[AppliedUndef, ...] = field(kw_only=True)
@@ -45,7 +45,7 @@ class Declared:
     constraints: Mapping[str, sp.Expr] = field(kw_only=True, default_factory=dict)
     velocity_constraints: Mapping[str, sp.Expr] = field(kw_only=True, default_factory=dict)
     units: Mapping[Any, str] = field(kw_only=True, default_factory=dict)
-    mass_checked: ClassVar[bool] = False  # M/g of a retimed system was
+    mass_checked: ClassVar[bool] = False  # True if M is known to be regular: M/g of a retimed one
     plain: Plain = field(init=False)
     seconds: dict[str, float] = field(init=False)
 
@@ -67,18 +67,18 @@ class Declared:
 
     @property
     def too_large_for_sympy(self) -> bool:
-        """Whether T and V together exceed LARGE nodes: they are left out of SymPy's output."""
+        """True if T and V exceed LARGE nodes, so that SymPy's output omits them."""
         plain = self.plain
         return sum(tree_size(plain.graph, value) for value in (plain.T, plain.V)) > LARGE
 
 
-def fingerprint(system: Declared) -> str:
-    """Return the SHA-256 over names and equations of a system, not over its parameters' values."""
+def compute_digest(system: Declared) -> str:
+    """Return the SHA-256 of the names and equations of a system, without parameter values."""
     plain = system.plain
     forces = [value for force in plain.forces.values() for value in force]
     values = [plain.T, *plain.energies, *plain.invariants.values(), *forces]
-    values += plain.held_values
-    nodes = plain.graph.reached(n for _, n in values)
+    values += plain.constraint_values
+    nodes = plain.graph.descendants(n for _, n in values)
     place = {n: k for k, n in enumerate(nodes)}
 
     def spelled(n: int) -> str:
@@ -109,8 +109,8 @@ def fingerprint(system: Declared) -> str:
 
 
 def read_vector(system: Declared, name: str, given: Any) -> Floats:
-    """Read a number for each coordinate, in order or by name; raises InputError."""
-    table = Named("coordinate", [spelled(q) for q in system.coordinates])
+    """Read one number for each coordinate, in order or by name."""
+    table = NameTable("coordinate", [spelled(q) for q in system.coordinates])
     try:
         ordered = table.in_order(name, given)
         vector = np.array(None if is_masked(ordered) else ordered, dtype=np.float64)
@@ -118,8 +118,8 @@ def read_vector(system: Declared, name: str, given: Any) -> Floats:
         vector = np.empty(0)
     if vector.shape != (system.n,) or not np.isfinite(vector).all():
         reject(
-            f"{name} is {given!r}, not {system.n} finite numbers, one for each of "
-            f"{', '.join(table.shown)}."
+            f"{name} is {given!r}, not {system.n} finite numbers.",
+            remedy=f"Pass one number for each of {', '.join(table.shown)}.",
         )
     return vector
 
@@ -127,36 +127,37 @@ def read_vector(system: Declared, name: str, given: Any) -> Floats:
 def read_values(
     name: str, what: str, defaults: Mapping[Any, Any], given: Mapping[Any, Any] | None
 ) -> list[float]:
-    """Read values by symbol or by name, in place of defaults, in their order; raises InputError."""
-    table = Named(what, [spelled(key) for key in defaults])
+    """Read values by symbol or name, and return them in the order of the defaults."""
+    table = NameTable(what, [spelled(key) for key in defaults])
     values = [float(x) for x in defaults.values()]
-    for place, value in table.by_place(read_mapping(name, given, what[0]), name).items():
+    for place, value in table.values_by_place(read_mapping(name, given, what[0]), name).items():
         try:
             values[place] = np.nan if is_masked(value) else float(value)
         except (TypeError, ValueError, OverflowError):
             values[place] = np.nan
         if not np.isfinite(values[place]):
             reject(
-                f"{name}: the {what} {table.shown[place]} is {value!r}, not a finite number.",
+                f"the {what} {table.shown[place]} is {value!r}, not a finite number.",
+                where=name,
                 remedy="Pass a number.",
             )
     return values
 
 
 def points_of(system: Declared, t: Reals, q: Reals, values: Reals) -> dict[str, Floats]:
-    """Evaluate the positions that were declared with a system, at t of shape (...), q (..., n).
+    """Evaluate the declared positions at times t of shape (...) and positions q of shape (..., n).
 
-    They are of shape (..., 2) or (..., 3) for a point, (..., corners, 2 or 3) for a body; there are
-    none if no positions were declared.
+    A point has the shape (..., 2) or (..., 3), a body (..., corners, 2 or 3). The result is
+    empty if no positions were declared.
     """
     positions = system.positions or {}
     columns = [np.asarray(x, dtype=np.float64) for x in (t, q, values)]
     numbers = [columns[0], *(x[..., k] for x in columns[1:] for k in range(x.shape[-1]))]
     shape = columns[1].shape[:-1]
     points = {}
-    # by what is computed: systems are equal whatever points they declare
+    # cached by expression, because two systems are equal if only their positions differ
     arguments = (time, *system.coordinates, *system.parameters)
-    places = _function(arguments, tuple(positions.values()))(*numbers) if positions else []
+    places = _position_function(arguments, tuple(positions.values()))(*numbers) if positions else []
     for (name, given), corners in zip(positions.items(), places, strict=True):
         rows = [
             np.stack([np.broadcast_to(axis, shape) for axis in corner], axis=-1)
@@ -168,11 +169,13 @@ def points_of(system: Declared, t: Reals, q: Reals, values: Reals) -> dict[str, 
 
 
 @lru_cache(maxsize=64)
-def _function(arguments: tuple[sp.Basic, ...], positions: tuple[Any, ...]) -> Callable[..., Any]:
-    """Return a function of t, positions and parameters that gives all axes of all corners.
+def _position_function(
+    arguments: tuple[sp.Basic, ...], positions: tuple[Any, ...]
+) -> Callable[..., Any]:
+    """Return a function of t, positions and parameters that computes all corners.
 
-    It is one for all points, of symbols that are names in Python: others would be replaced one by
-    one, in all expressions.
+    Names that Python does not accept would make SymPy replace symbols one by one, so the
+    function uses symbols of its own.
     """
     plain = {x: sp.Symbol(f"x_{k}") for k, x in enumerate(arguments)}
     corners = [

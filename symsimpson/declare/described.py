@@ -1,4 +1,4 @@
-"""Consequences of a declaration: Lagrangian, equations of motion, their linear form, LaTeX."""
+"""Properties that follow from a declaration: equations of motion, linearisation, LaTeX."""
 
 from __future__ import annotations
 
@@ -19,40 +19,44 @@ from symsimpson.declare.declared import Declared, read_values, read_vector
 from symsimpson.declare.plain import Plain, Symbols
 from symsimpson.errors import ModelError, reject
 from symsimpson.graph.derive import gradient
-from symsimpson.graph.evaluate import doubles
-from symsimpson.graph.nodes import Value, scaled
+from symsimpson.graph.evaluate import evaluate_doubles
+from symsimpson.graph.nodes import Value, scale
 from symsimpson.support.array_types import Floats
-from symsimpson.support.calling import explaining
+from symsimpson.support.calling import explain_methods
 from symsimpson.support.markup import aligned, in_text
 
-#: How far a state may be from one that satisfies the constraints, relative to it.
+#: Largest relative distance of an accepted state from one that satisfies the constraints.
 NEAR = 1e-6
-#: Names that SymPy may typeset as they are: letters of any alphabet, or a Greek one by its LaTeX
-#: name, with a subscript and primes behind it.
+#: Names that SymPy may typeset unchanged: letters of any alphabet, or a Greek letter by its LaTeX
+#: name, with a subscript and primes.
 PLAIN = re.compile(r"([^\W\d_]\w*|\\(?P<macro>[A-Za-z]+)(_\w+)?)(_\{\w+\})?'*")
 #: Commands of LaTeX that are letters.
 LETTERS = greek_letters_set | other_symbols
-#: Equations of motion are shown for so many coordinates, with so many operations.
+#: Limits for showing equations of motion: number of coordinates, and of operations in each.
 SHOWN, MOST_OPERATIONS = 4, 300
-#: What the rest of the package asks a system for, and users do not.
-INNER = frozenset({"digest", "large", "mass_checked", "plain", "retimer", "retiming", "seconds"})
+#: Attributes for the package, which ``dir`` does not list.
+INNER = frozenset(
+    {"digest", "mass_checked", "plain", "retimer", "retiming", "seconds", "too_large_for_sympy"}
+)
 
 
-def terms(system: Declared, multipliers: list[sp.Symbol]) -> list[tuple[sp.Expr, sp.Expr, sp.Expr]]:
-    """Return dL/dv, dL/dq and what else pulls, for each coordinate."""
+def equation_terms(
+    system: Declared, multipliers: list[sp.Symbol]
+) -> list[tuple[sp.Expr, sp.Expr, sp.Expr]]:
+    """Return dL/dv, dL/dq and the sum of forces and constraint forces, for each coordinate."""
     back = dict(Symbols(system.coordinates, system.parameters, system.inputs).back)
     lagrangian = system.lagrangian
     m = len(system.constraints)
     phis = zip(multipliers[:m], system.constraints.values(), strict=True)
-    held = sum((multiplier * phi for multiplier, phi in phis), sp.S.Zero)
+    potential = sum((multiplier * phi for multiplier, phi in phis), sp.S.Zero)
     rates = zip(multipliers[m:], system.velocity_constraints.values(), strict=True)
     rolling = sum((multiplier * rate for multiplier, rate in rates), sp.S.Zero)
     return [
         (
             sp.diff(lagrangian, q.diff(time)),
             sp.diff(lagrangian, q),
-            system.plain.written(force).xreplace(back)
-            - sp.diff(held, q)
+            system.plain.to_sympy(force).xreplace(back)
+            - sp.diff(potential, q)
             - sp.diff(rolling, q.diff(time)),
         )
         for q, force in zip(system.coordinates, system.plain.f, strict=True)
@@ -60,35 +64,36 @@ def terms(system: Declared, multipliers: list[sp.Symbol]) -> list[tuple[sp.Expr,
 
 
 def _residual(plain: Plain) -> tuple[list[Value], tuple[int, ...]]:
-    """Write M a + W^T lambda - push and W a + curve, and tell the nodes of a and lambda."""
+    """Write M a + W^T lambda - push and W a + curve, and return the nodes of a and lambda."""
     graph, q, v = plain.graph, plain.numbers(plain.q), plain.numbers(plain.v)
     places = (q, v, plain.time)
-    held = accelerations(graph, plain.L, plain.held_rows(graph), plain.f, places)
+    terms = accelerations(graph, plain.L, plain.write_constraints(graph), plain.f, places)
     a = graph.numbers(f"acceleration_{i}" for i in range(len(q)))
     pulls = graph.numbers(s.name for s in plain.multipliers)
     residual = []
-    for i, push in enumerate(held.push):
+    for i, push in enumerate(terms.push):
         mass = graph.products([plain.entry(i, j) for j in range(len(q))], a)
-        turned = graph.products([row[i] for row in held.rows], pulls)
-        residual.append(graph.add([*mass, *turned, scaled(-1, push)]))
-    # W v stays as it is, which determines the multipliers
-    for row, curve in zip(held.rows, held.curve, strict=True):
+        turned = graph.products([row[i] for row in terms.rows], pulls)
+        residual.append(graph.add([*mass, *turned, scale(-1, push)]))
+    # the rate of change of W v is zero, which determines the multipliers
+    for row, curve in zip(terms.rows, terms.curve, strict=True):
         residual.append(graph.add([*graph.products(row, a), curve]))
     return residual, (*a, *pulls)
 
 
-def _check_held(
+def _check_constraints(
     system: Declared, q: Floats, v: Floats, parameters: Mapping[Any, float] | None, t: float
 ) -> None:
-    """Refuse a state that the constraints do not allow."""
-    if not system.plain.held:
+    """Reject a state that does not satisfy the constraints."""
+    if not system.plain.constraint_names:
         return
     nearest = consistent(system, q, v, (), parameters, t)
     for name, given, near in zip(("q0", "v0"), (q, v), nearest, strict=True):
         if np.abs(near - given).max() > NEAR * np.abs(near).max():
             reject(
-                f"{system.name}: {name} does not satisfy the constraints.",
-                remedy="Take the nearest state that does: q0, v0 = system.consistent(q0, v0).",
+                f"{name} does not satisfy the constraints.",
+                where=system.name,
+                remedy="Use the nearest state that does: q0, v0 = system.consistent(q0, v0).",
             )
 
 
@@ -96,7 +101,7 @@ def _equations(declared: Declared) -> str:
     """Write T, V, M and, for few coordinates, the equations of motion in LaTeX."""
     from sympy.physics.vector import vlatex  # long to import
 
-    safe = _safe(declared)
+    safe = _plain_names(declared)
     kinetic, potential = (
         sp.sympify(x).xreplace(safe) for x in (declared.kinetic, declared.potential)
     )
@@ -107,7 +112,7 @@ def _equations(declared: Declared) -> str:
     multipliers = [sp.Symbol(f"lambda_{k + 1}" if m > 1 else "lambda") for k in range(m)]
     if declared.n <= SHOWN:
         lines.append(("M", declared.mass_matrix.xreplace(safe)))
-        equations = zip(declared.coordinates, terms(declared, multipliers), strict=True)
+        equations = zip(declared.coordinates, equation_terms(declared, multipliers), strict=True)
         for q, (moment, slope, pull) in equations:
             name, moment, force = (x.xreplace(safe) for x in (q, moment, slope + pull))
             if sp.count_ops([moment, force]) > MOST_OPERATIONS:
@@ -118,8 +123,8 @@ def _equations(declared: Declared) -> str:
     return aligned([(left, vlatex(right)) for left, right in lines])
 
 
-def _safe(declared: Declared) -> dict[Any, Any]:
-    """Map what is named oddly to plain symbols."""
+def _plain_names(declared: Declared) -> dict[Any, Any]:
+    """Map symbols whose names SymPy cannot typeset to plain ones."""
     replace: dict[Any, Any] = {
         a: sp.Symbol(f"a_{i}") for i, a in enumerate(declared.parameters) if not _is_plain(a.name)
     }
@@ -131,37 +136,37 @@ def _safe(declared: Declared) -> dict[Any, Any]:
 
 
 def _is_plain(name: str) -> bool:
-    """Return whether a name is typeset as it is: of LaTeX's commands, letters alone."""
+    """Return whether a name can be typeset unchanged; of LaTeX's commands, only letters can."""
     match = PLAIN.fullmatch(name)
     macro = match and match["macro"]
     return match is not None and (macro is None or macro.removeprefix("var").lower() in LETTERS)
 
 
-@explaining(ModelError)
+@explain_methods(ModelError)
 class Described(Declared):
-    """Properties that follow from the declaration of a system, in the user's own symbols."""
+    """Properties that follow from the declaration of a system, in the user's symbols."""
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Number of coordinates, less that of constraints of positions."""
+        """Number of coordinates minus the number of constraints of positions."""
         return self.n - len(self.constraints)
 
     @property
     def velocity_degrees_of_freedom(self) -> int:
-        """Number of coordinates, less that of all constraints: velocities that are free."""
+        """Number of free velocities: coordinates minus all constraints."""
         return self.degrees_of_freedom - len(self.velocity_constraints)
 
     @cached_property
     def equations(self) -> tuple[sp.Eq, ...]:
         """The Euler-Lagrange equations d/dt dL/dv - dL/dq = f, one for each coordinate, in SymPy.
 
-        Of a system with constraints, with -Phi^T lambda on the right, and phi = 0 after them; of
-        those of velocities, with -A^T lambda, and A v - b = 0.
+        With constraints, -Phi^T lambda is added to the right side, and the equations phi = 0
+        follow. With velocity constraints, -A^T lambda is added, and A v - b = 0 follows.
 
         Raises
         ------
         ModelError
-            If T and V are too long for expressions of SymPy.
+            If T and V are too long for SymPy expressions.
 
         Examples
         --------
@@ -171,14 +176,15 @@ class Described(Declared):
         """
         if self.too_large_for_sympy:
             reject(
-                f"system {self.name!r}: T and V are too long for equations in SymPy.",
-                remedy="Use stepper.residual and stepper.jacobian, which evaluate them as numbers.",
+                "T and V are too long for equations in SymPy.",
+                where=f"system '{self.name}'",
+                remedy="Evaluate them as numbers with stepper.residual and stepper.jacobian.",
                 error=ModelError,
             )
-        multipliers = [sp.Symbol(f"lambda_{name}") for name in self.plain.held]
+        multipliers = [sp.Symbol(f"lambda_{name}") for name in self.plain.constraint_names]
         written = [
             sp.Eq(sp.diff(moment, time) - force, pull)
-            for moment, force, pull in terms(self, multipliers)
+            for moment, force, pull in equation_terms(self, multipliers)
         ]
         held = (*self.constraints.values(), *self.velocity_constraints.values())
         return (*written, *(sp.Eq(expression, 0) for expression in held))
@@ -192,34 +198,37 @@ class Described(Declared):
         inputs: Mapping[Any, float] | None = None,
         t: float = 0.0,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the linear equations of motion about a state, x' = A x + B u.
+        """Linearise the equations of motion about a state: x' = A x + B u with x = (q, v).
 
-        Constraints hold on, so multipliers change with the state. The eigenvalues of A are those of
-        the motion, and zeros: two for a constraint of positions, one for one of velocities.
+        The linear equations respect the constraints, so multipliers vary with the state. A has
+        the eigenvalues of the motion, and in addition the eigenvalue 0: twice for each constraint
+        of positions, once for each velocity constraint.
 
         Parameters
         ----------
-        q0, v0 : array_like, shape (n,)
-            Positions and velocities; at rest unless v0 is given.
-        parameters, inputs : mapping, optional
-            Values; the system's own for parameters, 0 for inputs, unless given.
-        t : float
-            The time, where something depends on it.
+        q0 : array_like, shape (n,)
+            Positions.
+        v0 : array_like, shape (n,), optional
+            Velocities. The default is zero.
+        parameters : mapping, optional
+            Values of parameters by symbol or name. The default is the system's own values.
+        inputs : mapping, optional
+            Values of inputs by symbol or name. The default is 0.
+        t : float, default 0.0
+            The time, if the equations depend on it.
 
         Returns
         -------
         A : ndarray, shape (2 n, 2 n)
-            How the rates of (q, v) change with (q, v).
+            Derivatives of the rates of (q, v) by (q, v).
         B : ndarray, shape (2 n, m)
-            How they change with the inputs.
+            Derivatives of the rates of (q, v) by the m inputs.
 
         Raises
         ------
         InputError
-            If the state makes no sense or does not satisfy the constraints, or nothing is
-            smooth there.
-        ModelError
-            If the system is too large.
+            If the state is invalid or does not satisfy the constraints, or if a derivative is
+            not finite there.
 
         Examples
         --------
@@ -234,7 +243,7 @@ class Described(Declared):
         v = np.zeros(n) if v0 is None else read_vector(self, "v0", v0)
         values = read_values("parameters", "parameter", self.parameters, parameters)
         given = read_values("inputs", "input", dict.fromkeys(self.inputs, 0.0), inputs)
-        _check_held(self, q, v, parameters, t)
+        _check_constraints(self, q, v, parameters, t)
         symbols = plain.numbers((*plain.q, *plain.v, *plain.parameters, *plain.u, plain.t))
         known = dict(zip(symbols, (*q.tolist(), *v.tolist(), *values, *given, t), strict=True))
         residual, unknowns = _residual(plain)
@@ -243,7 +252,7 @@ class Described(Declared):
 
         def at(there: Sequence[float], wanted: Sequence[Sequence[Value]]) -> Floats:
             point = known | dict(zip(unknowns, there, strict=True))
-            flat = doubles(plain.graph, [value for row in wanted for value in row], point)
+            flat = evaluate_doubles(plain.graph, [value for row in wanted for value in row], point)
             return np.reshape(flat, (len(wanted), -1))
 
         size = len(unknowns)
@@ -260,7 +269,8 @@ class Described(Declared):
         B = np.vstack([np.zeros((n, m)), changes[:, 2 * n :]])
         if not (np.isfinite(A).all() and np.isfinite(B).all()):
             reject(
-                f"{self.name}: the linear equations have no finite values there.",
+                "the linear equations have no finite values at this state.",
+                where=self.name,
                 remedy="Choose a state at which T, V and forces are smooth.",
             )
         return A, B
@@ -278,23 +288,24 @@ class Described(Declared):
         Parameters
         ----------
         q0, v0 : array_like, shape (n,)
+            Approximate positions and velocities.
         fixed : sequence of coordinates or their names, optional
-            Those that stay as they are.
+            Coordinates whose positions and velocities do not change. The default is none.
         parameters : mapping, optional
-            Values other than the defaults.
-        t : float
-            The time, where velocity constraints depend on it.
+            Values of parameters by symbol or name. The default is the system's own values.
+        t : float, default 0.0
+            The time, if velocity constraints depend on it.
 
         Returns
         -------
         q0, v0 : ndarray, shape (n,)
-            They satisfy phi(q) = 0, dphi/dq.v = 0 and A v = b to rounding. No state near
-            them is nearer to the given ones, in the norm of M(q0).
+            A state with phi(q) = 0, dphi/dq.v = 0 and A v = b up to round-off. It is a local
+            minimum of the distance to the state that you pass, in the norm of M(q0).
 
         Raises
         ------
         InputError
-            If there is no such state nearby, or the arguments make no sense.
+            If there is no such state nearby, or an argument is invalid.
 
         Examples
         --------

@@ -1,4 +1,4 @@
-"""A system in a graph, so that nothing derived depends on what a user calls things."""
+"""A system as a graph, whose symbols do not depend on the user's names."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from sympy.core.function import AppliedUndef
 
 from symsimpson.declare.coordinates import time
 from symsimpson.graph.derive import gradient
-from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
-from symsimpson.graph.read import written
-from symsimpson.graph.rebuild import rebuilt
+from symsimpson.graph.nodes import ZERO, Graph, Value, scale
+from symsimpson.graph.read import to_sympy
+from symsimpson.graph.rebuild import rebuild
 from symsimpson.graph.roots import Signs
 
 Matrix: TypeAlias = sp.ImmutableDenseMatrix
@@ -26,24 +26,24 @@ SIGNS = {
     "negative": (-1, True),
     "positive": (1, True),
 }
-#: Points at which values are looked at in doubles.
+#: Number of random points at which values are evaluated in doubles.
 SAMPLES = 3
-#: Stands for the time.
+#: The plain symbol of the time.
 TIME = sp.Symbol("t_0", real=True)
 
 
-class Held(NamedTuple):
-    """Constraints: phi of those of positions; of A v = b the rows of A, each with b behind it."""
+class ConstraintRows(NamedTuple):
+    """The values phi of constraints of positions, and the rows (A, b) of A v = b."""
 
     phi: tuple[Value, ...]
     rows: tuple[tuple[Value, ...], ...] = ()
 
     def rates(self, graph: Graph, v: Sequence[int]) -> list[Value]:
         """Write A v - b of each velocity constraint."""
-        return [graph.add([*graph.products(row, v), scaled(-1, b)]) for *row, b in self.rows]
+        return [graph.add([*graph.products(row, v), scale(-1, b)]) for *row, b in self.rows]
 
     def pulls(self, graph: Graph, q: Sequence[int], multipliers: Sequence[int]) -> list[Value]:
-        """Write Phi^T lambda + A^T nu, by coordinate."""
+        """Write Phi^T lambda + A^T nu, one entry for each coordinate."""
         m = len(self.phi)
         slopes = gradient(graph, graph.add(graph.products(self.phi, multipliers[:m])), q)
         turned = (
@@ -56,13 +56,14 @@ class Held(NamedTuple):
 class Plain:
     """A system in a graph: L = T + a(q).v - V(q), T = v.M(q).v/2, and forces f(t, q, v, u).
 
-    ``q``, ``v``, ``p``, ``t``, ``u`` and ``parameters`` are real symbols with names of our own,
-    which the graph's symbols bear, too. ``M`` holds the entries on and below the diagonal that are
-    not zero. M, a and V may depend on t as well. ``forces`` has the components of each named force,
-    ``u`` the inputs of them; ``constraints`` are phi(q) = 0, ``velocity_constraints`` the rows of
-    A(t, q) v = b(t, q), each with b behind it. A step may take damping into account by itself:
-    -2 ``rate`` L_v by its weights, ``rates`` times M v in its kicks. Then ``acting`` are the forces
-    that are left.
+    ``q``, ``v``, ``p``, ``t``, ``u`` and ``parameters`` are real symbols with plain names, and
+    are symbols of the graph, too. ``M`` has the nonzero entries on and below the diagonal. M, a
+    and V may depend on t as well. ``forces`` has the components of each named force, and ``u``
+    their inputs. ``constraints`` are phi(q) = 0. ``velocity_constraints`` are rows of
+    A(t, q) v = b(t, q), each followed by b.
+
+    A step may treat linear damping exactly. Then -2 ``rate`` L_v enters its weights, or
+    ``rates`` times M v enters its kicks, and ``acting`` are the remaining forces.
     """
 
     graph: Graph
@@ -90,31 +91,31 @@ class Plain:
         return (*self.q, *self.v, *self.p, *self.parameters, *self.u, self.t)
 
     @property
-    def held(self) -> tuple[str, ...]:
-        """Names of all constraints, those of velocities behind those of positions."""
+    def constraint_names(self) -> tuple[str, ...]:
+        """Names of the constraints of positions, then of the velocity constraints."""
         return (*self.constraints, *self.velocity_constraints)
 
     @property
     def multipliers(self) -> tuple[sp.Symbol, ...]:
-        """A symbol for the multiplier of each constraint."""
-        return tuple(sp.Symbol(f"l_{c}", real=True) for c in range(len(self.held)))
+        """One symbol for the multiplier of each constraint."""
+        return tuple(sp.Symbol(f"l_{c}", real=True) for c in range(len(self.constraint_names)))
 
-    def held_rows(self, graph: Graph) -> Held:
-        """Write the constraints in another graph, whose symbols have the names of these."""
-        values = rebuilt(self.graph, self.held_values, {}, graph)
+    def write_constraints(self, graph: Graph) -> ConstraintRows:
+        """Write the constraints in another graph that has symbols of the same names."""
+        values = rebuild(self.graph, self.constraint_values, {}, graph)
         m, width = len(self.constraints), len(self.q) + 1
         rows = (tuple(values[k : k + width]) for k in range(m, len(values), width))
-        return Held(tuple(values[:m]), tuple(rows))
+        return ConstraintRows(tuple(values[:m]), tuple(rows))
 
     @property
-    def held_values(self) -> list[Value]:
-        """Values that constraints are made of: phi, then the rows of A, each with b behind it."""
+    def constraint_values(self) -> list[Value]:
+        """The phi of each constraint of positions, then the rows of A, each followed by b."""
         rows = self.velocity_constraints.values()
         return [*self.constraints.values(), *(value for row in rows for value in row)]
 
     @property
-    def bound(self) -> list[frozenset[int]]:
-        """The coordinates that each velocity constraint binds, or depends on."""
+    def constrained_coordinates(self) -> list[frozenset[int]]:
+        """For each velocity constraint, the coordinates in its row and in its coefficients."""
         nodes, place = self.graph.nodes, {x: i for i, x in enumerate(self.numbers(self.q))}
         return [
             frozenset(i for i, (c, _) in enumerate(row[:-1]) if c)
@@ -124,24 +125,24 @@ class Plain:
 
     @property
     def step(self) -> tuple[sp.Symbol, sp.Symbol, sp.Symbol]:
-        """Symbols for h, for a node's place in the step, and for 1 if v there goes with 1/h."""
+        """Symbols for h, for a node's place in the step, and for 1 if v scales with 1/h."""
         h, place, moving = (sp.Symbol(f"s_{k}", real=True) for k in range(3))
         return h, place, moving
 
     @property
     def weights(self) -> tuple[sp.Symbol, ...]:
-        """Symbols for weights of F, of P and of a cost, or of momenta and constraints."""
+        """Symbols for weights of F, P and a cost, or of momenta and constraints."""
         return tuple(sp.Symbol(f"w_{k}", real=True) for k in range(2 * len(self.q) + 1))
 
     def numbers(self, symbols: Iterable[sp.Symbol]) -> tuple[int, ...]:
-        """Return the nodes of symbols."""
+        """Return the node of each symbol."""
         return self.graph.numbers(s.name for s in symbols)
 
     @property
     def L(self) -> Value:
         """The Lagrangian."""
         linear = self.graph.products(self.a, self.numbers(self.v))
-        return self.graph.add([self.T, *linear, scaled(-1, self.V)])
+        return self.graph.add([self.T, *linear, scale(-1, self.V)])
 
     @property
     def linear(self) -> Value:
@@ -150,12 +151,12 @@ class Plain:
 
     @property
     def energies(self) -> tuple[Value, ...]:
-        """The entries of M and of a, and V, of which the Lagrangian is made."""
+        """The entries of M and a, and V."""
         return (*self.M.values(), *self.a, self.V)
 
     @cached_property
     def f(self) -> tuple[Value, ...]:
-        """The sum of all forces in the equations, by coordinate."""
+        """The sum of all forces in the equations of motion, by coordinate."""
         if self.acting is not None:
             return self.acting
         size, forces = range(len(self.q)), self.forces.values()
@@ -163,7 +164,7 @@ class Plain:
 
     @cached_property
     def right_sides(self) -> tuple[Value, ...]:
-        """dL/dq + f, the right sides of the equations of Lagrange, by coordinate."""
+        """dL/dq + f, the right sides of Lagrange's equations, by coordinate."""
         slopes = gradient(self.graph, self.L, self.numbers(self.q))
         return tuple(map(self.graph.add, zip(slopes, self.f, strict=True)))
 
@@ -174,31 +175,31 @@ class Plain:
 
     @cached_property
     def autonomous(self) -> bool:
-        """Whether neither L, nor a force, nor a constraint depends on t."""
-        written = (*self.energies, *self.f, *self.held_values)
+        """True if neither L, nor a force, nor a constraint depends on t."""
+        written = (*self.energies, *self.f, *self.constraint_values)
         return all(self.time not in self.graph.nodes[n].symbols for _, n in written)
 
     @cached_property
     def dragged(self) -> bool:
-        """Whether a velocity stands in a force."""
+        """True if a force contains a velocity."""
         nodes, v = self.graph.nodes, set(self.numbers(self.v))
         return any(not nodes[n].symbols.isdisjoint(v) for _, n in self.f)
 
     @cached_property
     def conservative(self) -> bool:
-        """Whether the energy is constant: no force, no t, and no constraint that does work."""
+        """True if the energy is constant: no force, no t, and no constraint that does work."""
         return not self.forces and self.autonomous and not self.carried
 
     @property
     def carried(self) -> bool:
-        """Whether a velocity constraint A v = b has a b, by which it does work."""
+        """True if a velocity constraint A v = b has a nonzero b, and so does work."""
         return any(row[-1][0] for row in self.velocity_constraints.values())
 
     @cached_property
     def powers(self) -> dict[str, Value]:
-        """The power f.v of each force and, where t stands in L or a force, dL/dt behind them.
+        """The power f.v of each force, and dL/dt if L or a force contains t.
 
-        Between them that of velocity constraints that move, which act where no node is.
+        Velocity constraints with a b have the power 0 here: they do work between nodes only.
         """
         graph, v = self.graph, self.numbers(self.v)
         powers = {
@@ -216,14 +217,14 @@ class Plain:
 
     @cached_property
     def signs(self) -> Signs:
-        """The signs of what is made of parameters of known sign."""
+        """Signs of expressions of parameters, as far as they follow from assumptions."""
         return _signs(self.graph, self.parameters)
 
     def level(self, graph: Graph) -> Callable[[int], int]:
-        """Return a function that tells of nodes what they depend on.
+        """Return a function that classifies a node by the symbols that it depends on.
 
-        0 for parameters alone, 1 for t, u and q, 2 for v, p, multipliers or weights. The graph may
-        be another one with symbols of these names.
+        The levels are 0 for parameters only, 1 for t, u and q, and 2 for v, p, multipliers or
+        weights. The graph may be another one that has symbols of the same names.
         """
         positions = set(graph.numbers(s.name for s in (*self.q, *self.u, self.t)))
         others = (*self.v, *self.p, *self.multipliers, *self.weights, *self.step)
@@ -238,26 +239,26 @@ class Plain:
         return level
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return unfrozen(self)
+        return reduce_frozen(self)
 
-    # Trees of SymPy, made on request: not for large systems.
+    # SymPy trees are made on request only, because those of large systems are huge.
 
-    def written(self, value: Value) -> sp.Expr:
-        """Write a value in the plain symbols."""
+    def to_sympy(self, value: Value) -> sp.Expr:
+        """Write a value as an expression of the plain symbols."""
         known = dict(zip(self.numbers(self.symbols), self.symbols, strict=True))
-        return written(self.graph, value, {**known, self.graph.constant("Tiny")[1]: sp.S.Zero})
+        return to_sympy(self.graph, value, {**known, self.graph.constant("Tiny")[1]: sp.S.Zero})
 
     @property
     def mass(self) -> Matrix:
-        """M(q), n by n."""
+        """M(q) as an n by n matrix of the plain symbols."""
         n = len(self.q)
-        entries = {place: self.written(value) for place, value in self.M.items()}
+        entries = {place: self.to_sympy(value) for place, value in self.M.items()}
         entries |= {(j, i): entry for (i, j), entry in entries.items()}
         return Matrix(n, n, lambda i, j: entries.get((i, j), sp.S.Zero))
 
 
-def unfrozen(value: Any) -> tuple[Any, ...]:
-    """Tell pickle to call the constructor again; what is read-only is handed over as a dict."""
+def reduce_frozen(value: Any) -> tuple[Any, ...]:
+    """Return what pickle needs: the constructor and its arguments, read-only mappings as dicts."""
     given = {f.name: getattr(value, f.name) for f in fields(value) if f.init}
     plain = {k: dict(x) if isinstance(x, Mapping) else x for k, x in given.items()}
     kind: Any = type(value)
@@ -265,7 +266,7 @@ def unfrozen(value: Any) -> tuple[Any, ...]:
 
 
 class Symbols:
-    """The user's symbols, the plain ones that stand for them, and a graph that has these."""
+    """The user's symbols, the plain symbols that replace them, and a graph of these."""
 
     def __init__(
         self,
@@ -300,7 +301,7 @@ class Symbols:
 
     @cached_property
     def points(self) -> list[dict[int, float]]:
-        """A few random points in doubles, the same each time; parameters have their signs."""
+        """A few random points in doubles, always the same; parameters have their signs."""
         random = Random(20)
         return [
             {
@@ -310,19 +311,20 @@ class Symbols:
             for _ in range(SAMPLES)
         ]
 
-    def restored(self, value: Value) -> sp.Expr:
-        """Write a value in the user's symbols: a tree, for messages and short expressions."""
+    def to_user(self, value: Value) -> sp.Expr:
+        """Write a value as an expression of the user's symbols; only short ones are affordable."""
         names = {n: user for user, (_, n) in self.known.items()}
-        return written(self.graph, value, names)
+        return to_sympy(self.graph, value, names)
 
 
 def _real(name: str, user: sp.Symbol) -> sp.Symbol:
-    """Return a real symbol with the sign that the user's symbol is assumed to have."""
+    """Return a real symbol with the sign that the user's symbol has by assumption."""
     assumed = {sign: True for sign in (*SIGNS, "nonzero") if getattr(user, f"is_{sign}")}
     return sp.Symbol(name, real=True, **assumed)
 
 
 def _signs(graph: Graph, parameters: Iterable[sp.Symbol]) -> Signs:
+    """Return the signs of expressions of these parameters."""
     known = {
         graph.symbol(a.name)[1]: sign
         for a in parameters

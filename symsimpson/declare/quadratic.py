@@ -1,4 +1,4 @@
-"""Energies as polynomials in the velocities, and the mass matrix they hold."""
+"""Energies as quadratic polynomials in the velocities, and checks of the mass matrix."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ import numpy as np
 import sympy as sp
 from sympy.utilities.iterables import connected_components
 
-from symsimpson.declare.checks import fail, spell
+from symsimpson.declare.checks import reject_model, spell
 from symsimpson.declare.plain import Symbols
 from symsimpson.graph.derive import Derivatives, gradient
-from symsimpson.graph.evaluate import doubles
+from symsimpson.graph.evaluate import evaluate_doubles
 from symsimpson.graph.field import Element, PrimeField
-from symsimpson.graph.findings import Findings
+from symsimpson.graph.findings import IdentityTest
 from symsimpson.graph.nodes import ZERO, Graph, Value
-from symsimpson.graph.read import Reader, tree_size
-from symsimpson.graph.rebuild import fixed, rebuilt
+from symsimpson.graph.read import SympyConverter, tree_size
+from symsimpson.graph.rebuild import fix_symbols, rebuild
 
-#: Second derivatives with more nodes than this are not simplified, and not shown.
+#: Second derivatives with more nodes than this are neither simplified nor shown.
 TOO_LONG = 400
 
 
 @dataclass(frozen=True)
 class QuadraticInVelocities:
-    """An energy v.M(q).v/2 + a(q).v + rest(q); M on and below its diagonal, without zeros."""
+    """An energy v.M(q).v/2 + a(q).v + rest(q), with the nonzero entries M_ij, i >= j."""
 
     M: Mapping[tuple[int, int], Value]
     a: tuple[Value, ...]
@@ -36,7 +36,7 @@ class QuadraticInVelocities:
 
 
 def quadratic_form(graph: Graph, M: Mapping[tuple[int, int], Value], v: Sequence[int]) -> Value:
-    """Write v.M.v/2, of the entries of M on and below its diagonal."""
+    """Write v.M.v/2 from the entries of M on and below its diagonal."""
     half = Fraction(1, 2)
     return graph.add(
         graph.multiply([value, (half if i == j else 1, v[i]), (1, v[j])])
@@ -44,22 +44,23 @@ def quadratic_form(graph: Graph, M: Mapping[tuple[int, int], Value], v: Sequence
     )
 
 
-def polynomial(system: str, what: str, energy: Value, symbols: Symbols) -> QuadraticInVelocities:
-    """Split an energy by its powers of the velocities; refuse what is not of degree two at most.
+def split_by_velocities(
+    system: str, what: str, energy: Value, symbols: Symbols
+) -> QuadraticInVelocities:
+    """Split an energy by its powers of the velocities.
 
-    Raises ModelError if the second derivatives depend on a velocity, or there is no value at rest,
-    or nowhere.
+    Reject an energy that is not quadratic in the velocities, or that has no value at rest.
     """
     graph, v = symbols.graph, symbols.numbers(symbols.v)
     momenta = gradient(graph, energy, v)
     try:
-        findings = Findings(graph, [energy, *momenta])
+        findings = IdentityTest(graph, [energy, *momenta])
     except ZeroDivisionError:
-        raise fail(
+        reject_model(
             system,
-            f"the {what} divides by zero wherever it is looked at.",
+            f"the {what} divides by zero at every tested point.",
             "Look for a denominator that vanishes identically.",
-        ) from None
+        )
     derivatives = Derivatives(graph)
     affine = findings.affine(momenta, v)
     entries: dict[tuple[int, int], Value] = {}
@@ -70,56 +71,52 @@ def polynomial(system: str, what: str, energy: Value, symbols: Symbols) -> Quadr
             entry = derivatives(momentum, v[j])
             moving = sorted(graph.nodes[entry[1]].symbols & set(v))
             if moving and affine[i]:
-                entry = fixed(graph, entry, moving) or entry
+                entry = fix_symbols(graph, entry, moving) or entry
             elif moving:
-                entry = _simplified(system, what, entry, (i, j), symbols)
+                entry = _remove_velocities(system, what, entry, (i, j), symbols)
             entries[i, j] = entry
     if entries:
-        findings = Findings(graph, list(entries.values()))
+        findings = IdentityTest(graph, list(entries.values()))
         entries = {place: entry for place, entry in entries.items() if not findings.vanishes(entry)}
     try:
-        *a, constant = rebuilt(graph, [*momenta, energy], dict.fromkeys(v, ZERO))
+        *a, constant = rebuild(graph, [*momenta, energy], dict.fromkeys(v, ZERO))
     except ZeroDivisionError:
-        raise fail(
+        reject_model(
             system,
-            f"the {what} has no value at rest: it divides by velocities.",
-            "Newton's equations follow from L = v.M(q).v/2 + a(q).v - V(q). "
-            "Write the velocities as a polynomial of degree two.",
-        ) from None
+            f"the {what} has no value at rest, because it divides by velocities. Newton's "
+            "equations follow from L = v.M(q).v/2 + a(q).v - V(q).",
+            "Write a polynomial of degree two in the velocities.",
+        )
     return QuadraticInVelocities(entries, tuple(a), constant)
 
 
-def _simplified(
+def _remove_velocities(
     system: str, what: str, entry: Value, place: tuple[int, int], symbols: Symbols
 ) -> Value:
-    """Remove velocities that only seem to be in a second derivative, by SymPy.
-
-    Raises ModelError if they stay, or the expression is too long.
-    """
+    """Remove velocities that cancel in a second derivative, with SymPy; reject others."""
     graph, moving = symbols.graph, set(symbols.numbers(symbols.v))
     short = tree_size(graph, entry) <= TOO_LONG
-    rest = sp.simplify(symbols.restored(entry)) if short else None
+    rest = sp.simplify(symbols.to_user(entry)) if short else None
     if rest is not None:
-        value = Reader(graph, symbols.known)(rest)
+        value = SympyConverter(graph, symbols.known)(rest)
         if graph.nodes[value[1]].symbols.isdisjoint(moving):
             return value
     first, second = (spell(symbols.back[symbols.v[k]]) for k in sorted(place))
     shown = f" is {spell(rest)}" if rest is not None else " depends on velocities"
-    raise fail(
+    reject_model(
         system,
         f"the {what} is not quadratic in the velocities: its second derivative by "
-        f"{first} and {second}{shown}.",
-        "Newton's equations follow from L = v.M(q).v/2 + a(q).v - V(q). "
-        "Write the velocities as a polynomial of degree two, without roots or "
-        "functions of them.",
+        f"{first} and {second}{shown}. Newton's equations follow from "
+        "L = v.M(q).v/2 + a(q).v - V(q).",
+        "Write a polynomial of degree two in the velocities, without roots or functions of them.",
     )
 
 
 def check_degenerate(system: str, lagrangian: QuadraticInVelocities, symbols: Symbols) -> None:
-    """Refuse coordinates of whose velocities L has terms of first order, but none of second.
+    """Reject a coordinate without mass that L couples to velocities.
 
-    So are those that have no velocity in L, and stand in terms of first order of others. Raises
-    ModelError with the coordinate.
+    The velocity of such a coordinate is linear in L, or is absent while the coordinate itself
+    multiplies other velocities. Then the equations of motion are of first order.
     """
     graph = symbols.graph
     coupled = frozenset().union(*(graph.nodes[n].symbols for c, n in lagrangian.a if c))
@@ -127,92 +124,90 @@ def check_degenerate(system: str, lagrangian: QuadraticInVelocities, symbols: Sy
     for i, x in enumerate(symbols.numbers(symbols.q)):
         if i not in massive and (lagrangian.a[i][0] or x in coupled):
             name = spell(symbols.back[symbols.q[i]])
-            raise fail(
+            reject_model(
                 system,
-                f"the Lagrangian is degenerate: it has no term quadratic in {name}', only ones "
-                "linear in the velocities.",
-                "Its equations of motion are of first order (point vortices, Lotka and Volterra's "
-                "equations, guiding centres), and such systems are not integrated here: they need "
-                f"another kind of step. If {name} has a mass, add its kinetic energy.",
+                f"the Lagrangian is degenerate: it has no term quadratic in {name}', only terms "
+                "linear in the velocities. Its equations of motion are of first order (point "
+                "vortices, Lotka-Volterra equations, guiding centres), which need another kind of "
+                "step.",
+                f"If {name} has a mass, add its kinetic energy.",
             )
 
 
 def check_mass_matrix(system: str, M: Mapping[tuple[int, int], Value], symbols: Symbols) -> None:
-    """Refuse a mass matrix that is singular for all q, or has an entry M_ii that is negative.
+    """Reject a mass matrix that is singular for all q, or has a negative entry M_ii.
 
-    Whether it is positive definite depends on q, and is looked at where a run begins. Raises
-    ModelError with the coordinate that has no mass, where there is one.
+    A run checks at its initial state whether M is positive definite, because that depends on q.
     """
-    refuse = partial(fail, system)
+    reject_here = partial(reject_model, system)
     massive = {i for place in M for i in place}
     for i, (q, v) in enumerate(zip(symbols.q, symbols.v, strict=True)):
         name, velocity = spell(symbols.back[q]), spell(symbols.back[v])
         if i not in massive:
-            raise refuse(
+            reject_here(
                 f"the kinetic energy does not depend on {velocity}, so the mass matrix has a "
-                "zero row.",
-                f"A variational step needs an invertible mass matrix. Give {name} a mass "
-                f"(T += m*{velocity}**2/2) or remove {name} from the coordinates. A derivative by "
-                f"another symbol t, with other assumptions, is 0: write {name}.diff(), or "
-                f"{name}.diff(symsimpson.time).",
+                "zero row. A variational step needs an invertible mass matrix.",
+                f"Give {name} a mass (T += m*{velocity}**2/2), or remove {name} from the "
+                "coordinates. A derivative by another symbol t, with other assumptions, is 0: "
+                f"write {name}.diff(), or {name}.diff(symsimpson.time).",
             )
         if symbols.signs(M.get((i, i), ZERO)) == (-1, True):
-            raise refuse(
-                f"the kinetic energy is negative for every {velocity}: M is not positive definite.",
-                "Masses are positive. Look at the sign of that term in T, or at the sign that a "
-                "symbol was declared with.",
+            reject_here(
+                f"the kinetic energy is negative for every {velocity}, so M is not positive "
+                "definite. Masses are positive.",
+                "Check the sign of that term in T, and the declared sign of its symbols.",
             )
-    blocks = connected(len(symbols.q), M)
+    blocks = connected_groups(len(symbols.q), M)
     if all(has_full_rank(symbols, mass_rows(M, block)) for block in blocks):
         return
     names = ", ".join(spell(symbols.back[q]) for q in symbols.q)
-    raise refuse(
-        "the mass matrix is singular for every configuration: its determinant is zero.",
-        "A variational step needs an invertible mass matrix: some combination of the velocities "
-        f"of {names} carries no kinetic energy. Give each body its own term, or use fewer "
-        "coordinates.",
+    reject_here(
+        "the mass matrix is singular for every configuration: its determinant is zero. "
+        f"Some combination of the velocities of {names} carries no kinetic energy.",
+        "A variational step needs an invertible mass matrix. Give each body its own kinetic "
+        "energy, or use fewer coordinates.",
     )
 
 
 def mass_rows(M: Mapping[tuple[int, int], Value], block: Sequence[int]) -> list[list[Value]]:
-    """Return a block of M, of which ``M`` has the entries on and below the diagonal."""
+    """Return a block of M as full rows, from its entries on and below the diagonal."""
     return [[M.get((max(i, j), min(i, j)), ZERO) for j in block] for i in block]
 
 
-def connected(size: int, pairs: Iterable[tuple[int, int]]) -> list[list[int]]:
-    """Group 0..size-1 by the pairs that join them, in the order of their least members."""
+def connected_groups(size: int, pairs: Iterable[tuple[int, int]]) -> list[list[int]]:
+    """Group 0..size-1 into connected components, in the order of their least members."""
     return sorted(map(sorted, connected_components((range(size), pairs))))
 
 
-def samples(symbols: Symbols, values: Sequence[Value]) -> Iterator[list[float]]:
+def sample(symbols: Symbols, values: Sequence[Value]) -> Iterator[list[float]]:
     """Evaluate values at a few random points, in doubles."""
-    return (doubles(symbols.graph, values, point) for point in symbols.points)
+    return (evaluate_doubles(symbols.graph, values, point) for point in symbols.points)
 
 
 def is_well_conditioned(matrix: Any) -> bool:
-    """Return whether a matrix in doubles has full rank beyond doubt."""
-    # far from 1e16, where rounding hides a zero determinant
+    """Return whether a matrix in doubles has full rank, with a condition number below 1e8."""
+    # at condition numbers near 1e16, round-off hides a zero determinant
     return bool(np.isfinite(matrix).all() and np.linalg.cond(matrix) < 1e8)
 
 
 def has_full_rank(symbols: Symbols, rows: Sequence[Sequence[Value]]) -> bool:
-    """Return whether rows are independent: at a sample beyond doubt, or else in a prime field."""
+    """Return whether rows are independent, by a test in doubles or else in a prime field."""
     values, shape = [value for row in rows for value in row], (len(rows), len(rows[0]))
-    beyond_doubt = (is_well_conditioned(np.reshape(x, shape)) for x in samples(symbols, values))
+    beyond_doubt = (is_well_conditioned(np.reshape(x, shape)) for x in sample(symbols, values))
     return any(beyond_doubt) or rank(symbols.graph, rows) == len(rows)
 
 
 def rank(graph: Graph, matrix: Sequence[Sequence[Value]]) -> int:
-    """Return the rank of a matrix wherever it is largest, from random points of a field."""
+    """Return the largest rank of a matrix over all points, from random points of a prime field."""
     values = [value for row in matrix for value in row]
     return max(
         _rank([[at[value] for value in row] for row in matrix], at.arithmetic)
-        for at in Findings(graph, values).points
+        for at in IdentityTest(graph, values).points
     )
 
 
 def _rank(rows: list[list[Element]], field: PrimeField) -> int:
-    """Return the rank of a matrix over the field: Gauss's elimination."""
+    """Return the rank of a matrix over a prime field, by Gaussian elimination."""
     minus, done = field.prime - 1, 0
     for k in range(len(rows[0])):
         pivot = next((i for i in range(done, len(rows)) if rows[i][k]), None)

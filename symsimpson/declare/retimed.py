@@ -1,9 +1,9 @@
-"""Systems in a time of their own: dt = g(q) dtau, with fixed steps in tau.
+"""Time-transformed systems, dt = g(q) dtau, with fixed steps in tau.
 
-K = g (H - E0) has on K = 0 the orbits of H, at the rate t' = g, and is quadratic in the momenta as
-H is: L~ = T(q, q')/g + a.q' - g (V - E0) is a system of the same kind, with the same momenta.
-Derivatives of retimed runs are taken of a system with E0 as a coordinate, of which the time is the
-momentum: its steps are the same (Marsden and West 2001, section 1.2.3).
+K = g (H - E0) has the orbits of H on K = 0, and t' = g there. Like H, it is quadratic in the
+momenta. Its Lagrangian L~ = T(q, q')/g + a.q' - g (V - E0) has the same form and the same momenta.
+To differentiate a run, the package uses a system in which E0 is a coordinate and the time is its
+momentum. Both systems have the same steps (Marsden and West 2001, section 1.2.3).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
-from symsimpson.declare.checks import fail, spell
+from symsimpson.declare.checks import reject_model, spell
 from symsimpson.declare.coordinates import coordinates
 from symsimpson.declare.declared import Declared
 from symsimpson.declare.expression_checks import read_expression
@@ -28,54 +28,54 @@ from symsimpson.declare.plain import Plain, Symbols
 from symsimpson.declare.system import MechanicalSystem
 from symsimpson.errors import reject
 from symsimpson.graph.derive import gradient
-from symsimpson.graph.evaluate import numbers_of
+from symsimpson.graph.evaluate import evaluate_values
 from symsimpson.graph.nodes import Graph, Value
-from symsimpson.graph.read import Reader
+from symsimpson.graph.read import SympyConverter
 
-#: Stands for V in functions of it.
+#: The symbol that replaces V in functions of V.
 level = sp.Symbol("level", real=True)
-#: Where a power of V is looked for, and with how many digits.
+#: Number of points, and digits there, for the search for a power of V.
 POINTS, DIGITS = 4, 40
-#: Powers have denominators up to this.
+#: Largest denominator of such a power.
 LARGEST = 12
 #: E0, the energy of the run, in rates and among the parameters of a retimed system.
 energy = sp.Symbol("E0", real=True)
-#: g at the start of the run: rates are divided by it.
+#: The rate g at the start of the run, by which rates are divided.
 first_rate = sp.Symbol("g_start", positive=True)
-#: Keeps the rate finite at rest.
+#: The factor that keeps the rate finite at rest.
 rest = sp.Symbol("c_rest", positive=True)
-OWN = (energy, first_rate)
+RUN_PARAMETERS = (energy, first_rate)
 #: The energy that keeps the rate finite at rest is c_rest times this part of E0 - V0.
 REST, REST_OF_ATTRACTION = sp.Rational(1, 8), sp.Rational(1, 1024)
 #: Smaller than the square of any difference of energies.
 NOTHING = sp.Rational(1, 2**800)
 #: Functions that are finite for all real numbers.
 FINITE = (sp.sin, sp.cos, sp.sinh, sp.cosh, sp.tanh, sp.exp, sp.atan, sp.asinh, sp.erf, sp.erfc)
-#: What names of the derivatives of E0, of the rate and of p at given velocities begin with.
+#: First words of the names of derivatives of E0, of the rate, and of p at constant velocities.
 E_BY, RATE_BY, MOMENTUM_BY = "E by ", "rate by ", "p by "
-#: So heavy is E0 that it does not move, by less than any rounding.
+#: The mass of E0 as a coordinate: so large that E0 does not move in double precision.
 HEAVY = sp.Integer(2) ** 200
 
 
-def function_of_level(
+def _as_function_of_potential(
     system: Declared, rate: sp.Expr, symbols: Symbols, value: Value
 ) -> sp.Expr | None:
-    """Return a rate, a function of positions, as one of V, with :data:`level` in its place.
+    """Write a rate as a function of V, with :data:`level` in its place, or return None.
 
-    Return None if V is not in the rate as a whole, unless the rate is a constant times a power of
-    -V: that power is returned. The ``value`` is that of the rate in the graph of the symbols.
+    If the rate is a constant times a power of -V, the function is that power without the
+    constant. The ``value`` is the node of the rate in the graph of the symbols.
     """
     V, coordinates = system.potential, system.coordinates
     for sign in (1, -1):
         expression = rate.subs(sign * V, sign * level)
         if not expression.has(*coordinates) and expression.has(level):
             return expression
-    power = _power(symbols, Reader(symbols.graph, symbols.known)(V), value)
+    power = _power_of_potential(symbols, SympyConverter(symbols.graph, symbols.known)(V), value)
     return None if power is None else (-level) ** power
 
 
-def _power(symbols: Symbols, V: Value, rate: Value) -> sp.Rational | None:
-    """Return the power s of a constant times (-V)^s, from slopes at some points; None if none."""
+def _power_of_potential(symbols: Symbols, V: Value, rate: Value) -> sp.Rational | None:
+    """Return s if the rate is a constant times (-V)^s, judged by slopes at random points."""
     graph, q = symbols.graph, symbols.numbers(symbols.q)
     inside = sorted(graph.nodes[V[1]].symbols | graph.nodes[rate[1]].symbols | {*q})
     wanted = [V, rate, *gradient(graph, V, q), *gradient(graph, rate, q)]
@@ -84,7 +84,7 @@ def _power(symbols: Symbols, V: Value, rate: Value) -> sp.Rational | None:
         small = mpmath.mpf(10) ** (DIGITS // -2)
         for _ in range(POINTS):
             point = {n: mpmath.mpf(numbers.uniform(0.3, 1.7)) for n in inside}
-            v, u, *d = numbers_of(graph, wanted, point, mpmath.mp)
+            v, u, *d = evaluate_values(graph, wanted, point, mpmath.mp)
             if not v < 0 or u == 0 or not all(map(mpmath.isfinite, (v, u, *d))):
                 return None
             for dv, du in zip(d[: len(q)], d[len(q) :], strict=True):
@@ -100,36 +100,38 @@ def _power(symbols: Symbols, V: Value, rate: Value) -> sp.Rational | None:
 
 
 @dataclass(frozen=True)
-class Retiming:
-    """The parts of a retimed system."""
+class TimeTransformation:
+    """The parts of a retimed system that its modules use."""
 
-    plain: Plain  #: The system in the user's time.
+    plain: Plain  #: The original system, in t.
     graph: Graph
-    rate: Value  #: dt/dtau in this graph, as the user gave it.
-    #: The same as a function of :data:`level` in place of V, in plain symbols, if it is one.
+    rate: Value  #: dt/dtau in this graph, as the user declared it.
+    #: dt/dtau as a function of :data:`level` in plain symbols; None if it is not one of V.
     of_potential: sp.Expr | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RetimedSystem(MechanicalSystem):
-    """A system whose steps are fixed in tau, dt = g(q) dtau; made by ``system.retimed(g)``.
+    """A system with fixed steps in tau, dt = g(q) dtau; ``system.retimed(g)`` returns it.
 
-    Each run sets two more parameters at its start: the energy E0, and the rate there, by which g
-    is divided. Its states are given over t, with the momenta, velocities and energy of the user's
-    system; ``run.tau`` is the variable tau.
+    Each run sets two additional parameters at its start: the energy E0, and the initial rate, by
+    which g is divided. The states of a run are functions of t. They have the
+    momenta, velocities and energy of the original system. ``run.tau`` has the values of tau.
 
     Attributes
     ----------
     original : MechanicalSystem
+        The system before the time transformation.
     rate : SymPy expression
-        g, as it was given, but for a constant factor.
+        The rate g = dt/dtau as the user declared it, up to a constant factor.
     of_level : SymPy expression or None
-        g as a function of V, with the symbol ``level`` in its place, if it is one.
+        The rate as a function of V, with the symbol ``level`` in place of V. It is None if g is
+        not a function of V.
 
     Notes
     -----
-    K = g (H - E0) is a Hamiltonian with the same orbits and momenta as H [1]_, and its scheme is
-    symplectic. H - E0 = K/g is not small where g is; K does not drift.
+    K = g (H - E0) is a Hamiltonian with the same orbits and momenta as H [1]_. The scheme is
+    symplectic for K, and K does not drift. H - E0 = K/g may be large if g is small.
 
     References
     ----------
@@ -156,57 +158,59 @@ class RetimedSystem(MechanicalSystem):
 
     @property
     def reference_state(self) -> Mapping[str, Any] | None:
-        """The state to start from, if the system is of the catalogue."""
+        """The initial state of a catalogue system, and None for other systems."""
         state: Mapping[str, Any] | None = getattr(self.original, "reference_state", None)
         return state
 
     def linearise(self, *_: Any, **__: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Refuse: equations in tau are those of one energy, and states nearby have another.
+        """Raise an error: equations in tau hold for one energy, and nearby states have others.
 
         Raises
         ------
         InputError
+            Always. Use ``system.original.linearise(...)``.
         """
         reject(
-            f"{self.name} keeps a time of its own, in which its equations hold for one energy.",
-            remedy="Linearise those in t: system.original.linearise(...).",
+            "its equations in tau hold for one energy only, so they have no linear form.",
+            where=self.name,
+            remedy="Linearise the equations in t: system.original.linearise(...).",
         )
 
     @cached_property
-    def retiming(self) -> Retiming:
-        """The parts of this system."""
+    def retiming(self) -> TimeTransformation:
+        """The parts of this system that its modules use."""
         symbols = Symbols(self.coordinates, self.parameters)
         value = _read_rate(self.original.name, self.rate, symbols)
         known = None if self.of_level is None else self.of_level.xreplace(dict(symbols.replace))
-        return Retiming(self.original.plain, symbols.graph, value, known)
+        return TimeTransformation(self.original.plain, symbols.graph, value, known)
 
 
-def retimed(system: MechanicalSystem, rate: Any) -> RetimedSystem:
-    """Return the system in another time; see :meth:`MechanicalSystem.retimed`."""
+def retime(system: MechanicalSystem, rate: Any) -> RetimedSystem:
+    """Return the time-transformed system; see :meth:`MechanicalSystem.retimed`."""
     name = system.name
-    if why := not_retimed(system):
-        raise fail(
+    if why := retiming_obstacle(system):
+        reject_model(
             name,
-            f"it cannot be retimed: {why}.",
-            "Integrate it with a fixed step in t, small enough for what is fastest.",
+            f"it cannot be retimed, because {why}.",
+            "Integrate it with a fixed step in t that resolves the fastest motion.",
         )
     parameters, V = dict(system.parameters), system.potential
     of_level: sp.Expr | None = None
     g = rate
     if isinstance(rate, str):
-        g, of_level, more = _named(system, rate)
+        g, of_level, more = _rate_by_name(system, rate)
         parameters |= more
-    for symbol in OWN:
+    for symbol in RUN_PARAMETERS:
         if str(symbol) in map(str, parameters):
-            raise fail(
+            reject_model(
                 name,
-                f"its parameter {symbol} has the name of one that retiming adds.",
-                "E0 is the energy of a run, symsimpson.energy. Call your parameter otherwise.",
+                f"its parameter {symbol} has the name of a parameter that retiming adds.",
+                "Rename your parameter. E0 is the energy of a run, symsimpson.energy.",
             )
     parameters |= {energy: 0.0, first_rate: 1.0}
     symbols = Symbols(system.coordinates, parameters)
     value, g = _read_rate(name, g, symbols), sp.sympify(g)
-    of_level = of_level or function_of_level(system, g, symbols, value)
+    of_level = of_level or _as_function_of_potential(system, g, symbols, value)
     g = g if of_level is None else of_level.subs(level, V)
     pace = g / first_rate
     velocities = {q.diff(): q.diff() / pace for q in system.coordinates}
@@ -230,111 +234,113 @@ def retimed(system: MechanicalSystem, rate: Any) -> RetimedSystem:
     )
 
 
-MechanicalSystem.retimer = retimed
+MechanicalSystem.retimer = retime
 
 
-def not_retimed(system: MechanicalSystem) -> str:
-    """Return why a system cannot be retimed; nothing if it can."""
+def retiming_obstacle(system: MechanicalSystem) -> str:
+    """Return why a system cannot be retimed, and an empty string if it can."""
     plain = system.plain
     if isinstance(system, RetimedSystem):
-        return "it is retimed already"
+        return "it is already retimed"
     if plain.velocity_constraints:
-        return "velocity constraints make a flow that is not symplectic, in no time"
+        return "with velocity constraints its flow is not symplectic, in t or in tau"
     if plain.constraints:
-        return "constraints hold it, whose steps in another time are not proved to be right"
+        return "it has constraints, for which steps in tau are not proved to be correct"
     if plain.forces:
-        return "forces act on it, so that its energy is not constant"
-    return "" if plain.autonomous else "it depends on the time, so that its energy is not constant"
+        return "forces act on it, so its energy is not constant"
+    return "" if plain.autonomous else "it depends on the time, so its energy is not constant"
 
 
 def _read_rate(name: str, rate: Any, symbols: Symbols) -> Value:
-    """Read g: an expression of positions, parameters and E0."""
+    """Read g, a positive expression of positions, parameters and E0."""
     value = read_expression(
         name, "rate dt/dtau", rate, symbols, symbols.known, (*symbols.q, *symbols.a)
     )
     if not value[0] or symbols.signs(value)[0] < 0:
-        raise fail(
+        reject_model(
             name,
-            f"the rate dt/dtau is {spell(rate)}, which is nowhere positive.",
-            "Time must go on: give a positive g, as r**(3/2) for bodies that attract each other.",
+            f"the rate dt/dtau is {spell(rate)}, which is nowhere positive. Time must increase.",
+            "Pass a positive g, such as r**(3/2) for bodies that attract each other.",
         )
     return value
 
 
-def _named(
+def _rate_by_name(
     system: MechanicalSystem, rate: str
 ) -> tuple[sp.Expr, sp.Expr | None, Mapping[sp.Symbol, float]]:
-    """Return the rate of a name, the same as a function of V, and the parameters that it adds."""
+    """Return the rate, the rate as a function of V or None, and the parameters that it adds."""
     V = system.potential
     if rate == "encounters":
-        near = _encounters(system)
+        near = _attracting_terms(system)
         of_near = (-level) ** sp.Rational(-3, 2)
         return of_near.subs(level, near), of_near if near == V else None, {}
     if rate == "kinetic":
         of_level = 1 / sp.sqrt(rest * _energy_at_rest(system) + energy - level)
         return of_level.subs(level, V), of_level, {rest: 1.0}
-    raise fail(
+    reject_model(
         system.name,
         f"there is no rate named {rate!r}.",
-        'Give an expression of positions, or "encounters" or "kinetic".',
+        'Pass an expression of positions, or "encounters" or "kinetic".',
     )
 
 
 def _energy_at_rest(system: MechanicalSystem) -> sp.Expr:
     """Return the part of E0 - V0 that keeps the rate finite; see :meth:`MechanicalSystem.retimed`.
 
-    If the difference is 0, the change of V to where all coordinates are 1 takes its place.
+    If E0 = V0, the result is the change of V from q = 0 to q = 1 in all coordinates.
     """
-    near, smooth, wrong = _parted(system)
-    V0, V1 = (_where_all_are(number, system.potential, system) for number in (0, 1))
+    near, smooth, wrong = _sort_terms(system)
+    V0, V1 = (_evaluate_at(number, system.potential, system) for number in (0, 1))
     if V0 is None:  # infinite
-        V0, V1 = (_where_all_are(number, sp.Add(*smooth), system) for number in (0, 1))
+        V0, V1 = (_evaluate_at(number, sp.Add(*smooth), system) for number in (0, 1))
     change = sp.S.Zero if V0 is None or V1 is None else V1 - V0
     part = REST
     if near and not wrong:
         part = REST_OF_ATTRACTION
     elif not change:
         change = sp.S.One
-    size = _size(energy - (V0 or 0))
-    return part * size + _size(change) * NOTHING / (size**2 + NOTHING)
+    size = _smooth_abs(energy - (V0 or 0))
+    return part * size + _smooth_abs(change) * NOTHING / (size**2 + NOTHING)
 
 
-def _size(value: sp.Expr) -> sp.Expr:
-    """Return the absolute value as compiled code has it, with a derivative at 0."""
+def _smooth_abs(value: sp.Expr) -> sp.Expr:
+    """Return the absolute value in a form that has a derivative at 0."""
     return abs(value) if value.is_number else value**2 / sp.sqrt(value**2 + NOTHING)
 
 
-def _where_all_are(number: int, V: sp.Expr, system: MechanicalSystem) -> sp.Expr | None:
-    """Return V where all coordinates have this value; None if it is not finite."""
+def _evaluate_at(number: int, V: sp.Expr, system: MechanicalSystem) -> sp.Expr | None:
+    """Return V with this number in place of all coordinates, or None if it is not finite."""
     try:
         value = V.subs(dict.fromkeys(system.coordinates, number))
     except (ArithmeticError, ValueError):
         return None
-    return None if value.has(sp.nan, sp.zoo, sp.oo, -sp.oo) else value.replace(sp.Abs, _size)
+    if value.has(sp.nan, sp.zoo, sp.oo, -sp.oo):
+        return None
+    return value.replace(sp.Abs, _smooth_abs)
 
 
 def attracts(system: MechanicalSystem) -> bool:
     """Return whether V is a sum of negative multiples of inverse distances."""
-    near, _, wrong = _parted(system)
+    near, _, wrong = _sort_terms(system)
     return not wrong and bool(near) and sp.Add(*near) == system.potential
 
 
-def _encounters(system: MechanicalSystem) -> sp.Expr:
-    """Return the terms of V that are -(positive number)/distance; others must have no pole."""
-    near, _, wrong = _parted(system)
+def _attracting_terms(system: MechanicalSystem) -> sp.Expr:
+    """Return the terms -(positive number)/distance of V; reject other terms that have a pole."""
+    near, _, wrong = _sort_terms(system)
     if near and not wrong:
         return sp.Add(*near)
-    why = f"{spell(wrong[0], 300)} is neither" if wrong else "no term of it is the first"
-    raise fail(
+    why = f"{spell(wrong[0], 300)} is neither" if wrong else "it has no term of the first kind"
+    reject_model(
         system.name,
-        "V is not a sum of -(positive number)/distance and of terms without a pole, as "
-        f'retimed("encounters") takes it: {why}.',
-        "Give g as an expression: positive, and small where the motion is fast.",
+        "V is not a sum of terms -(positive number)/distance and terms without a pole, which "
+        f'retimed("encounters") needs: {why}.',
+        "Pass g as an expression that is positive, and small during fast motion.",
     )
 
 
-def _parted(system: MechanicalSystem) -> tuple[list[sp.Expr], list[sp.Expr], list[sp.Expr]]:
-    """Part V into negative multiples of inverse distances, terms without a pole, and others."""
+def _sort_terms(system: MechanicalSystem) -> tuple[list[sp.Expr], list[sp.Expr], list[sp.Expr]]:
+    """Sort terms of V: negative multiples of inverse distances, without a pole, and others."""
     coordinates = set(system.coordinates)
     near: list[sp.Expr] = []
     smooth: list[sp.Expr] = []
@@ -358,7 +364,7 @@ def _parted(system: MechanicalSystem) -> tuple[list[sp.Expr], list[sp.Expr], lis
 
 
 def _without_pole(term: sp.Expr, coordinates: Set[sp.Expr]) -> bool:
-    """Return whether a term is finite wherever the coordinates are, as far as its form tells."""
+    """Return whether the form of a term shows that it is finite for all coordinates."""
     work, seen = [term], {term}
     while work:
         part = work.pop()
@@ -372,14 +378,14 @@ def _without_pole(term: sp.Expr, coordinates: Set[sp.Expr]) -> bool:
     return True
 
 
-def extended(
+def extend_by_energy(
     system: RetimedSystem, varied: Sequence[sp.Symbol]
 ) -> tuple[MechanicalSystem, tuple[str, ...]]:
-    """Return a retimed system with E0 as its last coordinate, and what to differentiate it by.
+    """Return a retimed system with E0 as its last coordinate, and names of its derivatives.
 
-    L = T/g - g (V - e) + M e'^2/2 with so large an M that e stays what it is; then p_e' = g, and
-    each scheme of the family adds up the time as the retimed system does. Its invariants are the
-    derivatives of H and of the rate, and of p at given velocities, by what may change at the start.
+    L = T/g - g (V - e) + M e'^2/2 has so large an M that e is constant. Then p_e' = g, and each
+    scheme sums up the time as in the retimed system. The invariants are derivatives by the
+    initial state and the varied parameters: of H, of the rate, and of p at constant velocities.
     """
     original, parameters = system.original, dict(system.parameters)
     (e,) = coordinates("E0_of_run")

@@ -1,4 +1,4 @@
-"""A structure as a table: what was found, why it holds, what it removes from a step."""
+"""The table of a structure: each property, its reason, and the work that it saves."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ HEAD: Row = ("finding", "here", "because", "removes")
 
 
 def rows(structure: Any) -> list[Row]:
-    """List the findings: name, what holds here, the sentence that justifies it, what it removes."""
+    """Return a row for each property: name, value, reason, and what it removes from a step."""
     names = [user.func.__name__ for user in structure.system.coordinates]
     words = {"constant": structure.constant_mass, "diagonal": structure.diagonal_mass}
     mass = ", ".join(word for word, holds in words.items() if holds)
-    rows_of = _some(structure.constant_rows)
+    rows_of = _list_names(structure.constant_rows)
     some_rows = bool(rows_of) and not structure.constant_mass
     table: list[Row] = []
 
     def add(name: str, here: str, because: str = "", removes: str = "") -> None:
         table.append((name, here, because, removes))
 
-    add("coordinates", _some(names))
+    add("coordinates", _list_names(names))
     if structure.constant_mass:
         add(
             "mass matrix",
@@ -43,18 +43,18 @@ def rows(structure: Any) -> list[Row]:
     if structure.gyroscopic:
         add("linear in v", "yes", "L has terms a(q).v")
     if structure.forced:
-        add("forces", _some(structure.forced), "they are declared beside L")
+        add("forces", _list_names(structure.forced), "they are declared beside L")
     if structure.system.constraints:
         add(
             "constraints",
-            _some(list(structure.system.constraints)),
+            _list_names(list(structure.system.constraints)),
             f"phi(q) = 0; degrees of freedom: {structure.system.degrees_of_freedom}",
         )
     if structure.system.velocity_constraints:
         free = structure.system.velocity_degrees_of_freedom
         add(
             "velocity constraints",
-            _some(list(structure.system.velocity_constraints)),
+            _list_names(list(structure.system.velocity_constraints)),
             f"A v = b; velocities that are free: {free}",
         )
     if structure.damping is not None:
@@ -74,7 +74,7 @@ def rows(structure: Any) -> list[Row]:
             energies,
             f"{why}, nor forces with v" if structure.forced else why,
             ""
-            if structure.system.plain.held  # which hold it, too
+            if structure.system.plain.constraint_names  # they need the end of the path
             else "the end of the path from Newton's unknowns",
         )
     if structure.linear:
@@ -88,14 +88,14 @@ def rows(structure: Any) -> list[Row]:
     if affine:
         add(
             "affine",
-            _some(affine),
+            _list_names(affine),
             "equations are linear in q and v, with constant coefficients",
             "Newton's method: a step is solved with factors of the run",
         )
     if structure.cyclic:
         add(
             "cyclic",
-            _some(structure.cyclic),
+            _list_names(structure.cyclic),
             "neither L nor a force contains them, or acts on them"
             if structure.forced
             else "L does not contain them",
@@ -105,12 +105,16 @@ def rows(structure: Any) -> list[Row]:
         groups = (", ".join(names[i] for i in s.coordinates) for s in structure.subsystems)
         add(
             "subsystems",
-            _some([f"({g})" for g in groups]),
+            _list_names([f"({g})" for g in groups]),
             "no term of L joins them" + (", and no force" if structure.forced else ""),
             "their coupling: one small solve each",
         )
     if structure.periodic:
-        add("angles", _some(structure.periodic), "only in sines and cosines of whole multiples")
+        add(
+            "angles",
+            _list_names(structure.periodic),
+            "only in sines and cosines of whole multiples",
+        )
     zeros = ", ".join(f"{name} {zero} of {all_}" for name, (zero, all_) in structure.zeros.items())
     add(
         "zeros",
@@ -127,7 +131,7 @@ def rows(structure: Any) -> list[Row]:
 
 
 def as_text(structure: Any) -> str:
-    """Write the tables for a terminal."""
+    """Write the table for a terminal."""
     table = rows(structure)
     width = max(len(name) for name, *_ in table) + 2
     lines = []
@@ -145,10 +149,11 @@ def as_text(structure: Any) -> str:
 
 
 def as_html(structure: Any) -> str:
-    """Write the tables for a notebook."""
+    """Write the table for a notebook."""
     return markup.table([HEAD, *rows(structure)])
 
 
-def _some(names: Sequence[str]) -> str:
+def _list_names(names: Sequence[str]) -> str:
+    """List up to six names, and the number of all if there are more."""
     shown = ", ".join(names[:6])
     return shown if len(names) <= 6 else f"{shown}, ... ({len(names)})"

@@ -13,35 +13,40 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from symsimpson.declare.checks import read_coordinates, read_name, read_parameters
-from symsimpson.declare.constraints import names_of
-from symsimpson.declare.declaration import energies, read_energies, read_units
-from symsimpson.declare.declared import Positions, fingerprint
+from symsimpson.declare.constraints import name_constraints
+from symsimpson.declare.declaration import read_energies, read_units, split_lagrangian
+from symsimpson.declare.declared import Positions, compute_digest
 from symsimpson.declare.described import Described
 from symsimpson.declare.expression_checks import read_expression
 from symsimpson.declare.forces import read_inputs
 from symsimpson.declare.methods import read_method
-from symsimpson.declare.plain import Symbols, unfrozen
-from symsimpson.declare.quadratic import polynomial
+from symsimpson.declare.plain import Symbols, reduce_frozen
+from symsimpson.declare.quadratic import split_by_velocities
 from symsimpson.declare.structure import Structure, analyse
 from symsimpson.errors import ModelError
-from symsimpson.support.calling import explaining
-from symsimpson.support.derivation import collecting, timed
-from symsimpson.support.interpreter import rarely_collected
-from symsimpson.support.progress import waiting
+from symsimpson.support.calling import explain_methods
+from symsimpson.support.derivation import collect_times, time_stage
+from symsimpson.support.interpreter import collect_rarely
+from symsimpson.support.progress import announce
 
-#: No parameters, or no units.
+#: The default of parameters and units: an empty mapping.
 NONE: Mapping[Any, Any] = MappingProxyType({})
 Constraints = Mapping[str, sp.Expr] | Sequence[sp.Expr]
 
 
 @contextmanager
 def _stage(stage: str, name: str) -> Iterator[dict[str, float]]:
-    """Say that a stage of a system's derivation takes a while, and collect its seconds."""
-    with waiting(f"{stage}: {name}"), rarely_collected(), collecting() as seconds, timed(stage):
+    """Show the progress of a stage of a system's derivation, and collect its seconds."""
+    with (
+        announce(f"{stage}: {name}"),
+        collect_rarely(),
+        collect_times() as seconds,
+        time_stage(stage),
+    ):
         yield seconds
 
 
-@explaining(ModelError, also=("__init__",))
+@explain_methods(ModelError, also=("__init__",))
 @dataclass(frozen=True, eq=False, repr=False)
 class MechanicalSystem(Described):
     """A mechanical system, declared by its kinetic and its potential energy.
@@ -49,41 +54,45 @@ class MechanicalSystem(Described):
     Parameters
     ----------
     name : str
-        Up to 64 ASCII letters, digits and underscores; names files and messages.
+        The name of the system in files and messages: up to 64 ASCII letters, digits and
+        underscores.
     coordinates : sequence of functions of time
-        As made by :func:`symsimpson.coordinates`; velocities are their ``.diff()``.
+        The n coordinates, from :func:`symsimpson.coordinates`. Their velocities are ``.diff()``.
     kinetic : sympy expression
-        Quadratic in the velocities, T = v.M(q).v/2 with any M(q).
+        The kinetic energy T = v.M(q).v/2, quadratic in the velocities, with any M(q).
     potential : sympy expression
-        V(q), without velocities.
+        The potential energy V(q), without velocities.
     parameters : mapping from symbol to number, optional
-        Every other symbol of T and V, with its default value. Values can be changed at run time
-        without recompiling.
+        Default values of all other symbols of T and V. A run may change the values without
+        compiling again.
     positions : mapping from str to sequence of expressions, optional
-        Points to draw, by name: one to three Cartesian components. For the outline of a body, a
-        list of points, which are the corners of a closed polygon.
+        Points to draw, by name, with one to three Cartesian components. The outline of a body
+        is a list of points, the corners of a closed polygon.
     invariants : mapping from str to expression, optional
-        Quantities to watch, in coordinates, velocities and momenta (:func:`symsimpson.momenta`).
+        Quantities that runs record, as expressions of coordinates, velocities and momenta
+        (:func:`symsimpson.momenta`).
     gyroscopic : sympy expression, optional
-        Terms linear in the velocities, a(q).v, as a magnetic field or a rotating frame gives.
+        Terms a(q).v of L that are linear in the velocities, for example of a magnetic field or
+        a rotating frame. The default is 0.
     forces : mapping, optional
-        Generalised forces f(t, q, v, u) by coordinate, ``{q: -c*q.diff()}``; or with names of their
-        own, ``{"motor": {q1: ...}, "drag": {q1: ..., q2: ...}}``. A force has the power f.v.
+        Generalised forces f(t, q, v, u) by coordinate, ``{q: -c*q.diff()}``. Or forces with
+        names: ``{"motor": {q1: ...}, "drag": {q1: ..., q2: ...}}``. The power of a force is f.v.
     dissipation : sympy expression, optional
         Rayleigh's dissipation function R(t, q, v), which adds the forces -dR/dv.
     inputs : sequence of symbols, optional
-        Symbols in forces whose values are given to each run, step by step:
+        Symbols in forces whose values each run receives step by step:
         ``integrate(..., inputs={"u": values})``.
     constraints : mapping from str to expression, or sequence of expressions, optional
-        Holonomic constraints phi(q) = 0 in coordinates and parameters, fewer than coordinates:
-        ``{"rod": x**2 + y**2 - l**2}``. M must be positive definite only for velocities with
-        dphi/dq.v = 0.
+        Holonomic constraints phi(q) = 0, fewer than coordinates:
+        ``{"rod": x**2 + y**2 - l**2}``. They contain coordinates and parameters. M must be
+        positive definite only for velocities with dphi/dq.v = 0.
     velocity_constraints : mapping from str to expression, or sequence of expressions, optional
-        Expressions linear in the velocities that vanish, A(q, t) v - b(q, t), as of wheels that
-        roll and of blades, ``{"blade": cos(a)*y.diff() - sin(a)*x.diff()}``. They pull by -A^T nu.
+        Constraints A(q, t) v - b(q, t) = 0 of rolling wheels or blades:
+        ``{"blade": cos(a)*y.diff() - sin(a)*x.diff()}``. They exert the force -A^T nu.
     units : mapping from str or symbol to str, optional
-        Units by quantity, ``{"x": "m", "theta": "rad", "t": "s"}``: labels of figures and data, by
-        which figures draw angles and lengths on axes of their own. Nothing is converted.
+        Units by quantity, ``{"x": "m", "theta": "rad", "t": "s"}``. They label figures and
+        data, and figures draw quantities of different units on separate axes. No value is
+        converted.
 
     Raises
     ------
@@ -92,9 +101,9 @@ class MechanicalSystem(Described):
 
     Notes
     -----
-    The Lagrangian is L = T + a.v - V [1]_. The time :data:`symsimpson.time` may appear in every
-    term. If T contains a prescribed motion, its terms of degree 0 and 1 in the velocities are
-    sorted into V and a.v automatically.
+    The Lagrangian is L = T + a.v - V [1]_. All terms may contain the time
+    :data:`symsimpson.time`. If T contains a prescribed motion, its terms of degree 0 and 1 in
+    the velocities move to V and a.v automatically.
 
     References
     ----------
@@ -112,7 +121,7 @@ class MechanicalSystem(Described):
     (1, Matrix([[m]]))
     """
 
-    #: Makes a system in another time: a function of the module that extends this one.
+    #: Returns a time-transformed system. The module of RetimedSystem sets it.
     retimer: ClassVar[Callable[..., MechanicalSystem]]
 
     def __post_init__(self) -> None:
@@ -121,8 +130,8 @@ class MechanicalSystem(Described):
         parameters = read_parameters(name, self.parameters, coordinates)
         inputs = read_inputs(name, self.inputs, coordinates, parameters)
         object.__setattr__(self, "inputs", inputs)
-        constraints = names_of(name, self.constraints)
-        rolling = names_of(name, self.velocity_constraints, tuple(constraints))
+        constraints = name_constraints(name, self.constraints)
+        rolling = name_constraints(name, self.velocity_constraints, tuple(constraints))
         object.__setattr__(self, "constraints", MappingProxyType(constraints))
         object.__setattr__(self, "velocity_constraints", MappingProxyType(rolling))
         with _stage("reading", name) as seconds:
@@ -165,16 +174,20 @@ class MechanicalSystem(Described):
         Parameters
         ----------
         name, coordinates, parameters, positions, invariants, forces, dissipation, inputs, units
-            As for :class:`MechanicalSystem`.
+            See :class:`MechanicalSystem`.
         lagrangian : sympy expression
-            Quadratic in the velocities; linear terms are allowed.
+            The Lagrangian, quadratic in the velocities. It may contain linear terms.
         constraints, velocity_constraints
-            As for :class:`MechanicalSystem`.
+            See :class:`MechanicalSystem`.
+
+        Returns
+        -------
+        MechanicalSystem
 
         Raises
         ------
         ModelError
-            If L is not a polynomial of degree two in the velocities, or as above.
+            If L is not a polynomial of degree two in the velocities, or the declaration is invalid.
 
         Examples
         --------
@@ -186,14 +199,19 @@ class MechanicalSystem(Described):
         """
         name = read_name(name)
         functions = read_coordinates(name, coordinates)
-        values, held = read_parameters(name, parameters, functions), names_of(name, constraints)
+        values, phi = (
+            read_parameters(name, parameters, functions),
+            name_constraints(name, constraints),
+        )
         given = read_inputs(name, inputs, functions, values)
         symbols = Symbols(functions, values, given)
         allowed = (*symbols.q, *symbols.v, *symbols.a, symbols.t)
-        with waiting(f"reading {name}"):
+        with announce(f"reading {name}"):
             value = read_expression(name, "Lagrangian", lagrangian, symbols, symbols.known, allowed)
-            parts = polynomial(name, "Lagrangian", value, symbols)
-            kinetic, gyroscopic, potential = energies(sp.sympify(lagrangian), parts, symbols)
+            parts = split_by_velocities(name, "Lagrangian", value, symbols)
+            kinetic, gyroscopic, potential = split_lagrangian(
+                sp.sympify(lagrangian), parts, symbols
+            )
         return cls(
             name,
             coordinates=functions,
@@ -206,8 +224,8 @@ class MechanicalSystem(Described):
             forces=forces,
             dissipation=dissipation,
             inputs=tuple(given),
-            constraints=held,
-            velocity_constraints=names_of(name, velocity_constraints, tuple(held)),
+            constraints=phi,
+            velocity_constraints=name_constraints(name, velocity_constraints, tuple(phi)),
             units=units,
         )
 
@@ -232,19 +250,27 @@ class MechanicalSystem(Described):
         Parameters
         ----------
         name, parameters, positions, invariants, forces, dissipation, inputs, units
-            As for :class:`MechanicalSystem`.
+            See :class:`MechanicalSystem`.
         constraints, velocity_constraints
-            As for :class:`MechanicalSystem`; they stand beside those of ``lm``.
+            Constraints in addition to those of ``lm``; see :class:`MechanicalSystem`.
         lm : sympy.physics.mechanics.LagrangesMethod
-            Each pair of its ``forcelist`` is a point with a force, or a frame with a torque. The
-            part of them that has a potential, as gravity and springs have, belongs to V, which is
-            found by integration and holds as an identity; the rest is the generalised force named
-            "forcelist". Its constraints get the names "1", "2", ..., in its order.
+            The Lagrangian, coordinates, loads and constraints. Constraints are named "1", "2", ...,
+            in the order of ``lm``.
+
+        Returns
+        -------
+        MechanicalSystem
 
         Raises
         ------
         ModelError
-            If ``lm`` is none, or as above.
+            If ``lm`` is not a LagrangesMethod, or the declaration is invalid.
+
+        Notes
+        -----
+        An entry of ``lm.forcelist`` is a point with a force, or a frame with a torque. Loads with a
+        potential, such as gravity and springs, become a part of V. V is found by integration, and
+        -dV/dq is verified as an identity. The other loads form the force named "forcelist".
 
         Examples
         --------
@@ -255,7 +281,8 @@ class MechanicalSystem(Described):
         >>> ss.MechanicalSystem.from_lagranges_method("quartic", method, {}).potential
         x(t)**4
         """
-        lagrangian, coordinates, loads, held, rolling = read_method(name, lm, inputs)
+        lagrangian, coordinates, loads, phi, rolling = read_method(name, lm, inputs)
+        configuration = name_constraints(name, phi)
         return cls.from_lagrangian(
             name,
             lagrangian,
@@ -266,10 +293,10 @@ class MechanicalSystem(Described):
             forces={**(forces or {}), **loads} if loads else forces,
             dissipation=dissipation,
             inputs=inputs,
-            constraints={**names_of(name, constraints), **names_of(name, held)},
+            constraints={**name_constraints(name, constraints), **configuration},
             velocity_constraints={
-                **names_of(name, velocity_constraints, ()),
-                **names_of(name, rolling, tuple(names_of(name, held))),
+                **name_constraints(name, velocity_constraints, ()),
+                **name_constraints(name, rolling, tuple(configuration)),
             },
             units=units,
         )
@@ -283,20 +310,31 @@ class MechanicalSystem(Described):
         Parameters
         ----------
         name, parameters, others
-            As for :meth:`from_lagranges_method`.
+            See :meth:`from_lagranges_method`.
         kane : sympy.physics.mechanics.KanesMethod
-            Its ``kanes_equations`` were called. T is that of its bodies, and speeds are written in
-            velocities; one in no kinematical equation becomes that of a coordinate of its own,
-            ``u_integral``. The part of loads that has a potential is V; a ``potential_energy`` of
-            bodies that is not theirs is left out. The rest is the force "loads". If bodies roll,
-            and their places are no coordinates, there is a force "rolling" without power, by which
-            equations are Kane's. Velocity constraints that follow from configuration constraints
-            are left out.
+            The method, after a call of ``kanes_equations(bodies, loads)``.
+
+        Returns
+        -------
+        MechanicalSystem
 
         Raises
         ------
         ModelError
-            If it has auxiliary speeds, does not determine its speeds, or as above.
+            If ``kane`` has auxiliary speeds or does not determine its speeds, or the declaration is
+            invalid.
+
+        Notes
+        -----
+        T is the kinetic energy of the bodies, with speeds written in velocities. A speed in no
+        kinematical equation becomes the velocity of a new coordinate ``u_integral``.
+
+        Loads with a potential become V. The other loads form the force "loads". A
+        ``potential_energy`` of bodies that differs from V is ignored, with a warning.
+
+        If the position of a rolling body is not among the coordinates, the system gets a force
+        "rolling", which does no work. With it, the equations equal Kane's. Velocity constraints
+        that follow from configuration constraints are removed.
 
         Examples
         --------
@@ -313,24 +351,19 @@ class MechanicalSystem(Described):
 
     @property
     def retiming(self) -> Any:
-        """Data of the time transformation of a retimed system; None for all others."""
+        """The parts of a time-transformed system that its modules use; None for other systems."""
         return None
 
     def retimed(self, rate: Any) -> MechanicalSystem:
         """Return the time-transformed system, dt = g(q) dtau; see :class:`RetimedSystem`.
 
-        Steps of constant size in tau are small in t where g is small, and remain symplectic.
+        Steps of constant size in tau are small in t if g is small. The scheme remains symplectic.
 
         Parameters
         ----------
         rate : SymPy expression, "encounters" or "kinetic"
-            g > 0, of coordinates, parameters and the energy of the run, :data:`symsimpson.energy`.
-            It is scaled so that dt = dtau at the start. "encounters" is U**(-3/2), for V = -U with
-            U a sum of inverse distances. "kinetic" is (c_rest S + T)**(-1/2). The new parameter
-            c_rest has no unit. S is a part of E0 - V0: 1/1024 if all poles of V attract, else 1/8.
-            V0 is V where all coordinates are 0, without terms that have a pole if V is infinite
-            there. A constant added to V changes nothing. If E0 = V0, S is the change of V from
-            there to where all coordinates are 1, or 1 if V does not change.
+            The rate g > 0, an expression of coordinates, parameters and the energy of the run,
+            :data:`symsimpson.energy`. It is scaled so that dt = dtau at the start.
 
         Returns
         -------
@@ -340,12 +373,22 @@ class MechanicalSystem(Described):
         ------
         ModelError
             If g is nowhere positive, or the system has constraints or an energy that changes.
+
+        Notes
+        -----
+        "encounters" is g = U**(-3/2), for V = -U where U is a sum of inverse distances.
+
+        "kinetic" is g = (c_rest S + T)**(-1/2) with a new parameter c_rest, which has no unit. S is
+        a part of E0 - V0: 1/1024 if all poles of V attract, and 1/8 otherwise. V0 is V at q = 0. If
+        V is infinite there, V0 omits the terms with a pole. If E0 = V0, S is the change of V from
+        q = 0 to q = 1 in all coordinates, or 1 if V does not change. A constant that is added to V
+        does not change S.
         """
         return self.retimer(rate)
 
     @cached_property
     def structure(self) -> Structure:
-        """Structure found in L and the forces, which the generator exploits."""
+        """The structure of L and the forces that the generator exploits."""
         with _stage("structure", self.name) as seconds:
             structure = analyse(self)
         self.seconds.update(seconds)
@@ -353,8 +396,8 @@ class MechanicalSystem(Described):
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 over names and equations, not over the parameters' values."""
-        return fingerprint(self)
+        """The SHA-256 of the names and equations, without parameter values."""
+        return compute_digest(self)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, MechanicalSystem):
@@ -365,4 +408,4 @@ class MechanicalSystem(Described):
         return hash(self.digest)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return unfrozen(self)
+        return reduce_frozen(self)

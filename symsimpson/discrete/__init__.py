@@ -1,1 +1,1 @@
-"""Discrete mechanics: the jet of L at a node, and the equations of a step made of jets."""
+"""Discrete mechanics: the jet of L at a node, and the equations of a step from jets."""

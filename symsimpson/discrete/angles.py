@@ -1,4 +1,4 @@
-"""Sines and cosines written by those of other angles."""
+"""Identities for sines and cosines: half angles, and sums of angles."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
-from symsimpson.graph.nodes import ONE, Graph, Value, magnitude, scaled
+from symsimpson.graph.nodes import ONE, Graph, Value, magnitude, scale
 
 
-def halved(graph: Graph, symbols: Iterable[int]) -> dict[int, Value]:
-    """Write sine and cosine of symbols by those of half of them.
+def halve_angles(graph: Graph, symbols: Iterable[int]) -> dict[int, Value]:
+    """Map the sine and cosine of symbols to expressions in the half angles.
 
-    1 - cos x is 2 sin(x/2)^2 without a subtraction.
+    For example, 1 - cos x becomes 2 sin(x/2)^2, without a subtraction.
     """
     replacements: dict[int, Value] = {}
     for x in symbols:
@@ -25,24 +25,25 @@ def halved(graph: Graph, symbols: Iterable[int]) -> dict[int, Value]:
     return replacements
 
 
-def summed(graph: Graph, roots: Sequence[int]) -> dict[int, Value]:
-    """Write sine and cosine of a sum by those of a term and of the rest, where both are there.
+def split_sums(graph: Graph, roots: Sequence[int]) -> dict[int, Value]:
+    """Map the sine and cosine of a sum to expressions in two partial sums, by addition theorems.
 
-    Four products in place of some thirty operations. The error is that of numbers of size one, as
-    if the angle had been rounded; a sine that something is divided by needs its own digits.
+    This needs four products in place of about 30 operations, if the sines and cosines of both
+    partial sums exist already. The absolute error is the round-off of a number of size one. Sines
+    and cosines in divisors or under roots need all digits, and are not replaced.
     """
-    nodes = graph.reached(roots)
+    nodes = graph.descendants(roots)
     angles: dict[Value, list[int]] = {}
     for n in nodes:
         kind, parts, _ = graph.nodes[n]
         if kind == "function" and parts[0] in ("sin", "cos"):
             angles.setdefault(parts[1], []).append(n)
-    delicate = _delicate(graph, nodes)
+    sensitive = _find_sensitive(graph, nodes)
     replaced: dict[int, Value] = {}
     for (c, m), users in angles.items():
-        if not delicate.isdisjoint(users):
+        if not sensitive.isdisjoint(users):
             continue
-        terms = _two_terms(graph, (c, m), angles)
+        terms = _split_angle(graph, (c, m), angles)
         if terms is None:
             continue
         (s_a, c_a), (s_b, c_b) = (
@@ -58,15 +59,15 @@ def summed(graph: Graph, roots: Sequence[int]) -> dict[int, Value]:
     return replaced
 
 
-def _two_terms(
+def _split_angle(
     graph: Graph, angle: Value, angles: Mapping[Value, Any]
 ) -> tuple[Value, Value] | None:
-    """Write an angle as a sum of two others whose sine and cosine are there, too."""
+    """Split an angle into a sum of two other ``angles``; None if this is not possible."""
     c, m = angle
     kind, parts, _ = graph.nodes[m]
     if kind != "sum" or len(parts) < 2:
         return None
-    terms = [scaled(c, part) for part in parts]
+    terms = [scale(c, part) for part in parts]
     for k, term in enumerate(terms):
         rest = graph.add(terms[:k] + terms[k + 1 :])
         if all((magnitude(d), n) in angles for d, n in (term, rest)):
@@ -74,8 +75,8 @@ def _two_terms(
     return None
 
 
-def _delicate(graph: Graph, nodes: Iterable[int]) -> set[int]:
-    """Return the sines and cosines that something is divided by, or a root is taken of."""
+def _find_sensitive(graph: Graph, nodes: Iterable[int]) -> set[int]:
+    """Return the sines and cosines in divisors and under roots, which need all digits."""
     bases = {
         m
         for n in nodes
@@ -85,6 +86,6 @@ def _delicate(graph: Graph, nodes: Iterable[int]) -> set[int]:
     }
     return {
         n
-        for n in graph.reached(bases)
+        for n in graph.descendants(bases)
         if graph.nodes[n].kind == "function" and graph.nodes[n].parts[0] in ("sin", "cos")
     }

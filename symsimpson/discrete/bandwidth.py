@@ -1,4 +1,4 @@
-"""Orders of coordinates in which those that meet in a term stand close."""
+"""Orders of coordinates with a small bandwidth. Neighbours are coordinates in a common term."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 from symsimpson.discrete.families import Family
 
 
-def neighbours(term_families: Iterable[Family], n: int) -> list[set[int]]:
-    """List the coordinates that meet each one in some term."""
+def list_neighbours(term_families: Iterable[Family], n: int) -> list[set[int]]:
+    """List the neighbours of each of the n coordinates."""
     near: list[set[int]] = [set() for _ in range(n)]
     for family in term_families:
         for member in family.coordinates:
@@ -17,11 +17,11 @@ def neighbours(term_families: Iterable[Family], n: int) -> list[set[int]]:
     return [others - {i} for i, others in enumerate(near)]
 
 
-def ordering(near: list[set[int]]) -> tuple[tuple[int, ...], int]:
-    """Order coordinates so that those that meet stand close (reverse Cuthill-McKee).
+def order_coordinates(near: list[set[int]]) -> tuple[tuple[int, ...], int]:
+    """Return an order with a small bandwidth (reverse Cuthill-McKee) and the bandwidth [1]_.
 
-    They stay as they are where that is as good. The largest distance of two that meet comes with
-    their new order.
+    The given order is returned if its bandwidth is as small. ``near`` has the neighbours of each
+    coordinate.
 
     References
     ----------
@@ -44,13 +44,13 @@ def ordering(near: list[set[int]]) -> tuple[tuple[int, ...], int]:
             queue += following
         order += queue
     order.reverse()
-    kept, moved = range(len(near)), tuple(order)
-    best = min((tuple(kept), moved), key=lambda order: band_of(order, near))
+    given, reordered = tuple(range(len(near))), tuple(order)
+    best = min((given, reordered), key=lambda order: band_of(order, near))
     return best, band_of(best, near)
 
 
 def band_of(order: Sequence[int], near: list[set[int]]) -> int:
-    """Measure the largest distance, in an order, of two coordinates that meet."""
+    """Return the bandwidth of an order: the largest distance of two neighbours."""
     place = {i: s for s, i in enumerate(order)}
     return max(
         (abs(place[i] - place[j]) for i, others in enumerate(near) for j in others), default=0
@@ -58,7 +58,7 @@ def band_of(order: Sequence[int], near: list[set[int]]) -> int:
 
 
 def _periphery(start: int, near: list[set[int]]) -> int:
-    """Walk to a coordinate far from all others of its group."""
+    """Return a pseudo-peripheral coordinate, far from the others in its connected component."""
     reach = -1
     while True:
         level, seen, count = {start}, {start}, 0

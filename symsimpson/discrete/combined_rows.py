@@ -1,4 +1,4 @@
-"""Rows of the equations of a step, combined: what follows from the scheme alone."""
+"""Combinations of the rows of the step's equations that depend only on the scheme."""
 
 from __future__ import annotations
 
@@ -13,37 +13,36 @@ Table = tuple[tuple[sp.Expr, ...], ...]
 
 
 def elimination_order(degree: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Order the block rows and columns so that elimination meets no singular pivot.
+    """Return an order of block rows and columns in which elimination avoids singular pivots.
 
-    Every inner row names an inner control point, and eliminating X_m through its own row is
-    natural for small steps but breaks down at a finite one (x^2 = 8 for Simpson, x = h omega).
-    Pairing row k with column k + 1 shifts the pivots to the couplings between neighbours; for
-    Simpson the remaining pivot is (M + h^2 K/24) (2/h), never singular for K >= 0. The row
-    p0 + D_0 L_d comes last.
+    The elimination of X_m by its own row works for small steps. It fails at a finite step, for
+    example at x^2 = 8 with x = h omega for Simpson. Instead, row k eliminates column k + 1, and the
+    pivots are the couplings of neighbouring control points. For Simpson the last pivot is
+    (M + h^2 K/24) (2/h), which is never singular for K >= 0. The row p0 + D_0 L_d comes last.
     """
     inner = tuple(range(1, degree))
     return (*inner, 0), (*(k + 1 for k in inner), 1)
 
 
 def force_factor(test: Sequence[sp.Expr], scheme: Scheme, i: int) -> sp.Expr:
-    """Return b_i sum_k test_k A_ik: how often the force at node i enters a combined row."""
+    """Return b_i sum_k test_k A_ik: the factor of the force at node i in a combined row."""
     combined = sp.Add(*(c * x for c, x in zip(test, scheme.A[i], strict=True)))
     return sp.radsimp(scheme.quadrature.weights[i] * combined)
 
 
 def inertia_factor(test: Sequence[sp.Expr], scheme: Scheme, m: int) -> sp.Expr:
-    """Return sum_k test_k S_km: how much of M X_m is in a combined row."""
+    """Return sum_k test_k S_km: the factor of M X_m in a combined row."""
     terms = (c * scheme.stiffness[k][m] for k, c in enumerate(test))
     return sp.radsimp(sp.expand(sp.Add(*terms)))
 
 
-def simplified(number: sp.Expr | int) -> sp.Expr:
-    """Return a number of a scheme without roots in its denominator."""
+def rationalise(number: sp.Expr | int) -> sp.Expr:
+    """Return a number of a scheme with a rational denominator."""
     return sp.radsimp(sp.sympify(number))
 
 
-def annihilating(scheme: Scheme) -> Table:
-    """Return a basis of the combinations of nodal values that vanish for degree d - 1."""
+def find_annihilators(scheme: Scheme) -> Table:
+    """Return a basis of the nodal functionals that vanish for polynomials of degree d - 1."""
     nodes, d = scheme.quadrature.nodes, scheme.degree
     basis = []
     for first in range(len(nodes) - d):  # divided differences of d + 1 neighbours
@@ -58,13 +57,14 @@ def annihilating(scheme: Scheme) -> Table:
 
 @cache
 def shear_factors(scheme: Scheme) -> tuple[tuple[bool, tuple[sp.Expr, sp.Expr]], ...] | None:
-    """Write the step of a linear oscillator as shears without a pole at any z = (h omega)^2 > 0.
+    """Factorise the step of a linear oscillator into shears without poles at z = (h omega)^2 > 0.
 
-    With q1 = A(z) q + B(z) p (M = h = 1) two symmetric products are tried: kick, drift, kick, and
-    two such in a row whose outer kicks are -z/4. None if neither has a drift b / (1 + e z),
-    e >= 0, and kicks that are polynomials in z of degree two.
+    The step is q1 = A(z) q + B(z) p with M = h = 1. The function tries two symmetric products:
+    kick, drift, kick; and two of these with outer kicks -z/4. A drift must be b / (1 + e z) with
+    e >= 0, and a kick must be a polynomial in z of degree two. The result is None if neither
+    product has this form.
     """
-    # the denominators have this degree, and the products below are symmetric
+    # the denominators have the degree of the scheme, and the products below are symmetric
     if scheme.degree > 2 or not scheme.symmetric:
         return None
     z = sp.Symbol("z", positive=True)
@@ -102,7 +102,7 @@ def shear_factors(scheme: Scheme) -> tuple[tuple[bool, tuple[sp.Expr, sp.Expr]],
 
 
 def _oscillator(scheme: Scheme, z: sp.Symbol) -> tuple[sp.Expr, sp.Expr]:
-    """Solve one step of q'' = -z q with h = 1: q1 = A q + B p."""
+    """Return A(z) and B(z) of one step q1 = A q + B p of q'' = -z q with h = 1."""
     d, b, T = scheme.degree, scheme.quadrature.weights, scheme.A
     X = (sp.S.One, *sp.symbols(f"X1:{d + 1}"))
     q, p = sp.symbols("q p")

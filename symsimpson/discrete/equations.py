@@ -1,4 +1,4 @@
-"""Unknowns of a step: blocks, one after the other."""
+"""The equations of a step: jets at the nodes, blocks of unknowns, and parts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from symsimpson.declare.retimed import RetimedSystem
 from symsimpson.declare.structure import decay_rates
 from symsimpson.declare.system import MechanicalSystem
 from symsimpson.discrete.combined_rows import elimination_order
-from symsimpson.discrete.jet import Cost, Jet, Key, derive_jet, written_as_jet
+from symsimpson.discrete.jet import Jet, Key, RunningCost, derive_jet, to_jet
 from symsimpson.discrete.reductions import (
     Affine,
     Composed,
@@ -29,19 +29,19 @@ from symsimpson.discrete.reductions import (
 )
 from symsimpson.errors import SchemeError, reject
 from symsimpson.graph.nodes import ZERO, Value
-from symsimpson.graph.read import Reader
-from symsimpson.graph.rebuild import rebuilt
+from symsimpson.graph.read import SympyConverter
+from symsimpson.graph.rebuild import rebuild
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.scheme import Scheme
 
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Blocks of unknowns and their sizes.
+    """The blocks of unknowns of a step, and their sizes.
 
-    The increments X_1..X_d of the control points come first, a block of ``coordinates`` for each.
-    Their sizes are measured with the diagonal of M(q0); what stands behind them, ``others``, is
-    not part of the path and not measured: multipliers, for one.
+    The increments X_1..X_d of the control points come first, each a block with the size
+    ``coordinates``. Newton's method measures them with the diagonal of M(q0). ``others`` has the
+    sizes of further blocks such as multipliers, which are not part of the path and not measured.
 
     Examples
     --------
@@ -65,53 +65,50 @@ class Unknowns:
         return self.measured + sum(self.others)
 
     @property
-    def behind(self) -> int:
-        """Number of unknowns behind the increments."""
+    def others_size(self) -> int:
+        """Number of unknowns after the increments."""
         return sum(self.others)
 
     def place(self, k: int, a: int) -> int:
-        """Return the place of X_k of coordinate a, k from 1 on; behind X_d, of the others."""
+        """Return the place of coordinate a in block k, from 1 on: X_1..X_d, then ``others``."""
         if k > self.control_points:
             return self.measured + sum(self.others[: k - self.control_points - 1]) + a
         return (k - 1) * self.coordinates + a
 
 
-#: Gives an entry of the jet at a node: ``entry(i, "F_q", a, b)``.
+#: A function that returns an entry of the jet at a node: ``entry(i, "F_q", a, b)``.
 Entry = Callable[..., Any]
 
-#: Up to here symmetric compositions for kicks without friction keep their order with it.
+#: Highest order that friction does not reduce in symmetric compositions.
 LOW_ORDER = 4
 
 
 @dataclass(frozen=True)
 class DiscreteEquations:
-    """A system, a scheme, and how jets at the nodes make up the equations of a step.
-
-    Rows and columns are blocks of n. ``rows`` lists the control points whose D_k L_d are the
-    equations, ``columns`` those whose increments are the unknowns, both in the order in which
-    elimination takes them; an explicit scheme has none. ``parts`` are what is solved in a step.
-    Derivatives of a step are taken by q, p and what is ``varied``, plain symbols of parameters and
-    inputs; there are none of them if that is None. A running ``cost`` may be integrated, too,
-    and rows of a step be differentiated a ``second`` time.
-    """
+    """The discrete Euler-Lagrange equations of a system and a scheme, and their parts."""
 
     system: MechanicalSystem
     scheme: Scheme
-    exploit: frozenset[str]
+    exploit: frozenset[str]  #: The properties of the system that the reduction uses.
     plain: Plain
     h: sp.Symbol
+    #: Control points k of the equations D_k L_d, in the order of elimination. Each is a block
+    #: of n rows. An explicit scheme has none.
     rows: tuple[int, ...]
+    #: Control points whose increments are the unknowns, in the order of elimination.
     columns: tuple[int, ...]
-    parts: tuple[Part, ...]
+    parts: tuple[Part, ...]  #: Groups of coordinates that are solved separately.
+    #: Plain symbols of parameters and inputs for derivatives of a step, in addition to q and p.
+    #: None if the module has no derivatives.
     varied: tuple[sp.Symbol, ...] | None = None
-    cost: Cost | None = None
-    second: bool = False
+    cost: RunningCost | None = None  #: A running cost to integrate.
+    second: bool = False  #: Whether the module also has second derivatives of a step.
 
     @cached_property
     def jet(self) -> Jet:
-        """Forces, momenta and their derivatives, with the factors that parts need beside them.
+        """Forces, momenta and their derivatives, with the factors of M that parts need.
 
-        Loops over terms do without.
+        Modules with loops over families of terms do not use it.
         """
         more: dict[Key, Value] = {}
         halves: dict[int, None] = {}
@@ -123,31 +120,31 @@ class DiscreteEquations:
         return derive_jet(self.plain, more, tuple(halves))
 
     def cyclic_jet(self, part: Routh) -> Jet:
-        """Factors of M of cyclic coordinates, and what else their momenta depend on, alone."""
+        """Return a jet of only M and a of cyclic coordinates, and the factors of their M."""
         plain, (entries, angles) = self.plain, self._factors(part)
         for y in part.cyclic:
             entries["a", y] = plain.a[y]
             entries |= {("M", y, x): plain.entry(y, x) for x in part.coordinates}
-        return written_as_jet(plain, plain.graph, entries, angles)
+        return to_jet(plain, plain.graph, entries, angles)
 
     def _factors(self, part: Routh) -> tuple[dict[Key, Value], list[int]]:
-        """Return the factors, and the angles of which halves are better."""
+        """Return the factors of M of cyclic coordinates, and the places of half angles."""
         graph, symbols = self.plain.graph, (*self.plain.q, *self.plain.parameters)
-        reader = Reader(graph, {symbol: graph.symbol(symbol.name) for symbol in symbols})
+        reader = SympyConverter(graph, {symbol: graph.symbol(symbol.name) for symbol in symbols})
         entries: dict[Key, Value] = {
             key: reader(value) for key, value in part.factor_entries().items()
         }
         return entries, [self.plain.q.index(x) for x in part.factors.half_angles]
 
     @property
-    def looked_at(self) -> bool:
-        """Whether something is asked of the path of a step that was taken."""
+    def needs_path(self) -> bool:
+        """True if results need the path of a step: work, derivatives, or transformed time."""
         works = bool(self.rows and self.plain.powers)
         return works or self.varied is not None or self.system.retiming is not None
 
     @property
     def tables(self) -> Mapping[str, Any]:
-        """The scheme's tables; rows for the points at which A v = b is asked for stand behind."""
+        """The tables of the scheme; rows of the Gauss points for A v = b come after the nodes."""
         tables = dict(self.scheme.tables)
         if tables and self.plain.velocity_constraints:
             places, values, slopes = self.scheme.at_gauss_points
@@ -158,23 +155,29 @@ class DiscreteEquations:
 
     @property
     def unknowns(self) -> Unknowns:
-        """The unknowns of the equations, where nothing is reduced."""
-        held = len(self.plain.held)
-        others = (held,) * self.scheme.degree if held else ()
+        """The unknowns of the equations without reductions."""
+        constraints = len(self.plain.constraint_names)
+        others = (constraints,) * self.scheme.degree if constraints else ()
         return Unknowns(self.scheme.degree, len(self.plain.q), others)
 
-    def joined(self, *, dense: bool) -> Composed | Constrained | Coupled | Routh | Separable:
-        """Return all coordinates as one part, as loops take them; matrices may be ``dense``."""
-        alone = self.exploit & {"constant_mass", "cyclic"}
-        (part,) = reduce(self.system.structure, self.scheme, alone)
+    def as_single_part(
+        self, *, dense: bool
+    ) -> Composed | Constrained | Coupled | Routh | Separable:
+        """Return all coordinates as one part, for modules with loops.
+
+        A Routh reduction needs ``dense`` matrices.
+        """
+        (part,) = reduce(
+            self.system.structure, self.scheme, self.exploit & {"constant_mass", "cyclic"}
+        )
         assert isinstance(part, (Composed, Constrained, Coupled, Routh, Separable))
-        wanted = dense and self.scheme.exact
-        if isinstance(part, Routh) and not (wanted and part.pays(self.scheme.stages)):
+        reducible = dense and self.scheme.exact
+        if isinstance(part, Routh) and not (reducible and part.pays(self.scheme.stages)):
             return Coupled(tuple(range(self.system.n)), part.rows, part.columns)
         return part
 
     def at_start(self, i: int) -> bool:
-        """Return whether node i lies at q0, so that its position is known before the step."""
+        """Return whether node i is at q0, so that its position is known before the step."""
         return all(a == 0 for a in self.scheme.A[i][1:])
 
 
@@ -183,17 +186,17 @@ def discretise(
     scheme: Scheme,
     exploit: str | Iterable[str] = "all",
     varied: tuple[sp.Symbol, ...] | None = None,
-    cost: Cost | None = None,
+    cost: RunningCost | None = None,
     *,
     second: bool = False,
 ) -> DiscreteEquations:
-    """Derive the equations of one step.
+    """Derive the equations of one step, and their reduction to parts.
 
-    They are d n equations for d n unknowns, with their exact Jacobian and the momenta; and the
-    parts that these come down to. Of findings about the system those named in ``exploit`` may
-    shorten them. A step is differentiated by plain symbols that are ``varied``, beside q and p,
-    twice for ``second``; a cost is integrated along the path, and steps carry its derivatives back,
-    too. Raises SchemeError if the scheme is explicit, but no step of the system is.
+    The general equations are d n equations for d n unknowns, with the exact Jacobian and the
+    momenta. ``exploit`` names properties of the system that may shorten them. With ``varied``,
+    plain symbols, a step is also differentiated with respect to q, p and these symbols, and twice
+    if ``second``. A running ``cost`` is integrated along the path, with its derivatives. Raises
+    SchemeError if the scheme is explicit, but the system has no explicit steps.
     """
     wanted = read_exploit(exploit)
     if isinstance(scheme, Composition) and isinstance(system, RetimedSystem):
@@ -205,9 +208,9 @@ def discretise(
         check_differentiable(scheme)
     if second and plain.velocity_constraints:
         reject(
-            f"{system.name} has velocity constraints, of whose steps there are no second "
-            "derivatives yet.",
-            remedy="Take differences of the first ones, as of stepper.gradient.",
+            f"{system.name} has velocity constraints.",
+            why="Second derivatives of their steps are not implemented.",
+            remedy="Use differences of first derivatives, for example of stepper.gradient.",
             error=SchemeError,
         )
     parts = reduce(structure, scheme, wanted)
@@ -215,13 +218,14 @@ def discretise(
     if explicit and plain.dragged:
         rates = decay_rates(plain)
         assert rates is not None
-        at_rest = rebuilt(plain.graph, plain.f, dict.fromkeys(plain.numbers(plain.v), ZERO))
+        at_rest = rebuild(plain.graph, plain.f, dict.fromkeys(plain.numbers(plain.v), ZERO))
         plain = replace(plain, rates=rates, acting=tuple(at_rest))
-    free = not (explicit or plain.held)
-    # weights are not differentiated: where what is varied stands in them, damping is a force
-    still = _free_of(plain, structure.damping, varied or ()) and plain.step[0] not in (varied or ())
-    if "conformal" in wanted and structure.damping is not None and free and still:
-        # nodes have weights of their own, so that M is not the same at all of them
+    free = not (explicit or plain.constraint_names)
+    # the weights of conformal damping have no derivatives, so a varied rate needs damping forces
+    fixed_rate = _is_free_of(plain, structure.damping, varied or ())
+    fixed_rate = fixed_rate and plain.step[0] not in (varied or ())
+    if "conformal" in wanted and structure.damping is not None and free and fixed_rate:
+        # each node has its own weight, so M differs among the nodes
         plain = replace(plain, rate=structure.damping, acting=(ZERO,) * system.n)
         parts = tuple(
             part
@@ -242,10 +246,11 @@ def _composed_in_time(
     exploit: frozenset[str],
     varied: tuple[sp.Symbol, ...] | None,
 ) -> DiscreteEquations:
-    """Return kicks of f(c - V) and drifts of f(T + c - E0), f' = g: both are solved exactly.
+    """Return the kicks and drifts of a composition for a time transformation g that depends on V.
 
-    Raises SchemeError if g is no function of V, M is not constant, or the order rests on a
-    quadratic T.
+    Kicks follow f(c - V) and drifts follow f(T + c - E0) with f' = g, both exactly. Raises
+    SchemeError if g is no function of V, if M is not constant, or if the order of the scheme needs
+    a quadratic T.
     """
     original, every = system.original, tuple(range(system.n))
     if varied is not None:
@@ -253,18 +258,19 @@ def _composed_in_time(
     _check_explicit(original, scheme)
     if system.retiming.of_potential is None:
         reject(
-            f"{system.name}: kicks and drifts in another time take a rate that is a function of V, "
-            f"and {spell(system.rate)} is none.",
-            remedy="Give one, as (-V)**(-3/2), which is "
-            "'encounters', or choose a scheme of the family, as 'gauss8'.",
+            f"the rate {spell(system.rate)} is not a function of V, as kicks and drifts need.",
+            where=system.name,
+            remedy="Choose such a rate, for example (-V)**(-3/2), which is 'encounters'. Or choose "
+            "a scheme of the family, such as 'gauss8'.",
             error=SchemeError,
         )
     if not scheme.of_verlet:
         reject(
-            f"the order {scheme.order} of {scheme.name} rests on a kinetic energy that is quadratic"
-            ", which f(T) is not.",
-            remedy="Choose a composition of steps of Verlet, as 'kahan_li8', or a "
-            "scheme of the family, as 'gauss8'.",
+            f"{scheme.name} has order {scheme.order} only for a quadratic kinetic energy.",
+            where=system.name,
+            why="The time transformation makes the kinetic energy f(T), which is not quadratic.",
+            remedy="Choose a composition of Verlet steps, such as 'kahan_li8', or a scheme of the "
+            "family, such as 'gauss8'.",
             error=SchemeError,
         )
     plain = replace(original.plain, parameters=system.plain.parameters)
@@ -273,45 +279,52 @@ def _composed_in_time(
     return DiscreteEquations(system, scheme, exploit, plain, h, (), (), (part,))
 
 
-def _free_of(plain: Plain, value: Value | None, symbols: Iterable[sp.Symbol]) -> bool:
-    """Return whether none of the symbols stand in a value."""
+def _is_free_of(plain: Plain, value: Value | None, symbols: Iterable[sp.Symbol]) -> bool:
+    """Return whether a value contains none of the symbols."""
     if value is None:
         return True
     return plain.graph.nodes[value[1]].symbols.isdisjoint(plain.numbers(symbols))
 
 
 def check_differentiable(scheme: Scheme) -> None:
-    """Refuse derivatives of steps that are none of the equations of a scheme of the family."""
+    """Raise SchemeError for a composition, whose steps have no derivatives."""
     if isinstance(scheme, Composition):
         reject(
-            f"steps of {scheme.name} are kicks and drifts, of which no derivatives are taken yet.",
-            remedy="Choose a scheme of the family, as 'simpson' or 'gauss8'.",
+            f"{scheme.name} has no derivatives of steps.",
+            why="They are not implemented for kicks and drifts.",
+            remedy="Choose a scheme of the family, such as 'simpson' or 'gauss8'.",
             error=SchemeError,
         )
 
 
 def _check_explicit(system: MechanicalSystem, scheme: Scheme) -> None:
-    """Refuse kicks and drifts where M is not constant or forces depend on velocities."""
+    """Raise SchemeError if a composition cannot integrate the system by kicks and drifts."""
     if not isinstance(scheme, Composition):
         return
     names, plain = [q.func.__name__ for q in system.coordinates], system.plain
     if plain.velocity_constraints:
         reject(
-            f"{scheme.name} has drifts that leave the velocity constraints "
+            f"drifts of {scheme.name} violate the velocity constraints "
             f"{', '.join(map(repr, plain.velocity_constraints))}.",
-            remedy="Choose a scheme of the family, as 'simpson' or 'gauss8'.",
+            where=system.name,
+            remedy="Choose a scheme of the family, such as 'simpson' or 'gauss8'.",
             error=SchemeError,
         )
-    if plain.constraints and (plain.dragged or not scheme.of_verlet):
-        why = (
-            "friction in its kicks is not held by them"
-            if plain.dragged
-            else (f"the order {scheme.order} of {scheme.name} rests on drifts along straight lines")
-        )
+    if plain.constraints and plain.dragged:
         reject(
-            f"a drift of a system with constraints follows them, and {why}.\nChoose "
-            + ("a" if plain.dragged else "a composition of steps of RATTLE, as 'kahan_li8', or a")
-            + " scheme of the family, as 'simpson' or 'gauss8'.",
+            f"{scheme.name} cannot combine constraints with friction.",
+            where=system.name,
+            why="Its drifts follow the constraints, but friction in its kicks violates them.",
+            remedy="Choose a scheme of the family, such as 'simpson' or 'gauss8'.",
+            error=SchemeError,
+        )
+    if plain.constraints and not scheme.of_verlet:
+        reject(
+            f"{scheme.name} has order {scheme.order} only for drifts along straight lines.",
+            where=system.name,
+            why="With constraints, drifts follow the constraints.",
+            remedy="Choose a composition of RATTLE steps, such as 'kahan_li8', or a scheme of the "
+            "family, such as 'simpson' or 'gauss8'.",
             error=SchemeError,
         )
     structure = system.structure
@@ -319,10 +332,11 @@ def _check_explicit(system: MechanicalSystem, scheme: Scheme) -> None:
     if linear and decay_rates(structure.plain):
         if scheme.order > LOW_ORDER and not scheme.of_verlet:
             reject(
-                f"{scheme.name} has order {scheme.order} for forces of positions alone; with "
-                f"friction it would fall to order {LOW_ORDER}.",
-                remedy="Choose a composition of steps of "
-                "Verlet, as 'kahan_li6', or a scheme of the family, as 'gauss8'.",
+                f"{scheme.name} has order {scheme.order} only for forces that depend on positions.",
+                where=system.name,
+                why=f"With friction the order would be {LOW_ORDER}.",
+                remedy="Choose a composition of Verlet steps, such as 'kahan_li6', or a scheme of "
+                "the family, such as 'gauss8'.",
                 error=SchemeError,
             )
         return
@@ -333,9 +347,10 @@ def _check_explicit(system: MechanicalSystem, scheme: Scheme) -> None:
             on = "the time" if moving == {plain.t} else "positions"
             what = f"mass matrix depends on {on}" if moving else "force depends on velocities"
             reject(
-                f"{scheme.name} is explicit: it takes a constant mass matrix and forces that "
-                f"depend on positions alone, beside friction in proportion to each momentum by a "
-                f"positive rate, but the {what} in {subsystem_names}.",
-                remedy="Choose a scheme of the family, as 'simpson' or 'gauss8'.",
+                f"{scheme.name} is explicit, but the {what} in {subsystem_names}.",
+                where=system.name,
+                why="Explicit schemes need a constant mass matrix, and forces that depend only on "
+                "positions. Friction may be proportional to each momentum, with a positive rate.",
+                remedy="Choose a scheme of the family, such as 'simpson' or 'gauss8'.",
                 error=SchemeError,
             )

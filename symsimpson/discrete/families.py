@@ -1,7 +1,7 @@
-"""Terms that are equal up to coordinates and coefficients: links, springs, dampers, lattice sites.
+"""Families of terms that differ only in coordinates and coefficients, such as springs and links.
 
-A family is differentiated once and evaluated in a loop over its members. Its terms are those of L,
-or of one component of a force, which is written as the work of a virtual displacement, f_i d_i.
+A family is differentiated once and evaluated in a loop over its members. The terms belong to L, or
+to one component of a force. A force component is represented by its virtual work f_i d_i.
 """
 
 from __future__ import annotations
@@ -16,34 +16,33 @@ import sympy as sp
 from symsimpson.declare.plain import Plain
 from symsimpson.declare.quadratic import quadratic_form
 from symsimpson.graph.derive import Derivatives
-from symsimpson.graph.nodes import ONE, ZERO, Exact, Graph, Value, exact, scaled
+from symsimpson.graph.nodes import ONE, ZERO, Exact, Graph, Value, exact, scale
 from symsimpson.graph.read import tree_size
-from symsimpson.graph.rebuild import rebuilt
+from symsimpson.graph.rebuild import rebuild
 
-#: Terms of more nodes than this, written as trees, are written with what they share.
+#: Terms with more nodes than this as a tree retain their shared subexpressions.
 LARGE_TREE = 10_000
-#: Sums of sums are split into so many terms at least.
+#: Up to this number of terms, nested sums are always split.
 MANY_TERMS = 10_000
 
 
 @dataclass(frozen=True)
 class Family:
-    """One term in slots, and the coordinates and coefficients that fill them for each member."""
+    """A template term with slots, and the coordinates and coefficients of each member."""
 
-    #: The term as the Lagrangian, or a force, of a system with one coordinate for each slot; its
-    #: parameters are the slots of coefficients, and then those parameters that are the same for all
-    #: members.
+    #: The template as the Lagrangian or the force of a system with one coordinate for each slot.
+    #: Its parameters are the slots of coefficients, and then the parameters of the system.
     plain: Plain
     slots: int  #: Number of coefficients that differ among members.
     coordinates: tuple[tuple[int, ...], ...]  #: Coordinates of each member.
-    #: Coefficients of each member in the system's graph, made of parameters.
+    #: Coefficients of each member in the system's graph, as functions of parameters.
     coefficients: tuple[tuple[Value, ...], ...]
-    constraints: tuple[int, ...] = ()  #: The constraint that each member is, where the term is one.
+    constraints: tuple[int, ...] = ()  #: The constraint of each member, for a template phi.
 
 
 @dataclass
 class _Draft:
-    """The members of a family as they are found, and the term in slots that the first one gives."""
+    """A family during the search: the template of its first member, and all members so far."""
 
     term: Value
     coordinates: list[tuple[int, ...]] = field(default_factory=list)
@@ -51,41 +50,40 @@ class _Draft:
     constraints: list[int] = field(default_factory=list)
 
 
-def families(plain: Plain) -> tuple[Family, ...]:
-    """Sort the terms of L = v.M.v/2 + a.v - V, and of forces, into families.
+def find_families(plain: Plain) -> tuple[Family, ...]:
+    """Sort the terms of L = v.M.v/2 + a.v - V, and of the forces, into families.
 
-    What contains no coordinate, nor t or an input, is one family of its own: a coefficient alone.
+    The terms without coordinates, velocities, t and inputs form one family of a coefficient.
     """
-    reader = _Reader(plain)
-    still: list[Value] = []
+    matcher = _TermMatcher(plain)
+    constants: list[Value] = []
     for term in _terms(plain):
-        if reader.moves(term[1]):
-            reader.draft(term)
+        if matcher.is_variable(term[1]):
+            matcher.match(term)
         else:
-            still.append(term)
-    constant, drafts = plain.graph.add(still), [*reader.drafts.values()]
+            constants.append(term)
+    constant, drafts = plain.graph.add(constants), [*matcher.drafts.values()]
     if constant[0]:
-        drafts.insert(0, _Draft(reader.graph.symbol("c_0"), [()], [(constant,)]))
-    return tuple(_family(plain, reader.graph, draft) for draft in drafts)
+        drafts.insert(0, _Draft(matcher.graph.symbol("c_0"), [()], [(constant,)]))
+    return tuple(_family(plain, matcher.graph, draft) for draft in drafts)
 
 
-def constraint_families(plain: Plain) -> tuple[Family, ...]:
-    """Sort the constraints into families; each stands in the system of its family as its own."""
-    reader = _Reader(plain)
+def find_constraint_families(plain: Plain) -> tuple[Family, ...]:
+    """Sort the constraints into families. The template of a family is its constraint "phi"."""
+    matcher = _TermMatcher(plain)
     for c, phi in enumerate(plain.constraints.values()):
-        reader.draft(phi).constraints.append(c)
+        matcher.match(phi).constraints.append(c)
     phi_families = []
-    for draft in reader.drafts.values():
-        family = _family(plain, reader.graph, draft)
-        alone = family.plain
-        phi = scaled(-1, alone.V)  # the term as it was read, which has no velocities
-        constrained = replace(alone, V=ZERO, constraints={"phi": phi})
+    for draft in matcher.drafts.values():
+        family = _family(plain, matcher.graph, draft)
+        phi = scale(-1, family.plain.V)  # a term without velocities became -V
+        constrained = replace(family.plain, V=ZERO, constraints={"phi": phi})
         phi_families.append(replace(family, plain=constrained))
     return tuple(phi_families)
 
 
 def _terms(plain: Plain) -> Iterator[Value]:
-    """Return the terms of L and of forces; those of the same coordinates in an entry together."""
+    """Yield the terms of L and of the forces; adds terms of an entry with equal coordinates."""
     graph, v = plain.graph, plain.numbers(plain.v)
     moving = frozenset((*plain.numbers(plain.q), *v))
     for (i, j), entry in sorted(plain.M.items()):
@@ -96,7 +94,7 @@ def _terms(plain: Plain) -> Iterator[Value]:
         for term in _collected(graph, a, moving):
             yield graph.multiply([term, (1, x)])
     for term in _collected(graph, plain.V, moving):
-        yield scaled(-1, term)
+        yield scale(-1, term)
     for i, force in enumerate(plain.f):
         displaced = graph.symbol(f"d_{i}")
         for term in _collected(graph, force, moving):
@@ -104,7 +102,7 @@ def _terms(plain: Plain) -> Iterator[Value]:
 
 
 def _collected(graph: Graph, value: Value, moving: frozenset[int]) -> list[Value]:
-    """Split a sum by the coordinates that its terms stand for."""
+    """Split a sum into one term for each set of coordinates and velocities."""
     groups: dict[frozenset[int], list[Value]] = {}
     for term in _split(graph, value, moving):
         groups.setdefault(graph.nodes[term[1]].symbols & moving, []).append(term)
@@ -112,7 +110,7 @@ def _collected(graph: Graph, value: Value, moving: frozenset[int]) -> list[Value
 
 
 def _split(graph: Graph, value: Value, moving: frozenset[int]) -> Iterator[Value]:
-    """Return the terms of a sum, and of sums that only constants are multiplied with."""
+    """Yield the terms of a sum. Expand products of a sum with constants."""
     work = [value]
     if _too_many(graph, value[1]):
         if value[0]:
@@ -138,17 +136,17 @@ def _split(graph: Graph, value: Value, moving: frozenset[int]) -> Iterator[Value
 
 
 def _too_many(graph: Graph, n: int) -> bool:
-    """Return whether sums of sums have far more terms than nodes, as what is shared is repeated."""
+    """Return whether nested sums have far more terms than nodes, because they share nodes."""
     terms: dict[int, int] = {}
-    for m in graph.reached([n]):
+    for m in graph.descendants([n]):
         kind = graph.nodes[m].kind
         below = [terms[k] for k in graph.arguments(m)] if kind in ("sum", "product") else [1]
         terms[m] = sum(below) if kind == "sum" else max(below)
     return terms[n] > max(MANY_TERMS, 4 * len(terms))
 
 
-class _Reader:
-    """Writes terms in slots, in an order that does not depend on names."""
+class _TermMatcher:
+    """Converts terms to templates with slots, in an order that does not depend on names."""
 
     def __init__(self, plain: Plain) -> None:
         self.graph = Graph()
@@ -167,34 +165,39 @@ class _Reader:
         self.drafts: dict[Value, _Draft] = {}
         self._written: dict[tuple[int, bool], Value] | None = None
 
-    def moves(self, n: int) -> bool:
-        """Return whether a node contains a coordinate or a velocity, the time or an input."""
+    def is_variable(self, n: int) -> bool:
+        """Return whether a node contains a coordinate, a velocity, the time or an input."""
         return not self._source.nodes[n].symbols.isdisjoint(self._moving)
 
-    def draft(self, term: Value) -> _Draft:
-        """Put a term beside those that are the same in slots; return the draft of all of them."""
-        read = self._read(term)
-        draft = self.drafts.setdefault(read, _Draft(read))
+    def match(self, term: Value) -> _Draft:
+        """Add a term to the draft with the same template, and return this draft."""
+        template = self._to_template(term)
+        draft = self.drafts.setdefault(template, _Draft(template))
         draft.coordinates.append(tuple(self._coordinates))
         draft.coefficients.append(tuple(self._coefficients))
         return draft
 
-    def _read(self, term: Value) -> Value:
-        """Write a term in slots q_s, v_s, c_s."""
+    def _to_template(self, term: Value) -> Value:
+        """Convert a term to a template in the slots q_s, v_s, d_s and c_s."""
         self._coordinates, self._coefficients = [], []
         c, n = term
         large = tree_size(self._source, term) > LARGE_TREE
         self._written = {} if large else None
-        kind, parts, _ = self._source.nodes[n]
-        still = [(1, m, e) for m, e in parts if not self.moves(m)] if kind == "product" else []
         sign, body = self._node(n, without_constants=True)
-        # the number in front is always a coefficient
-        front = self._coefficient(self._source.multiply([(exact(c * sign), 0), *still]))
+        # the numerical factor of a term is always a coefficient
+        c = exact(c * sign)
+        front = self._coefficient(self._source.multiply([(c, 0), *self._constant_factors(n)]))
         return self.graph.multiply([front, (1, body)])
 
+    def _constant_factors(self, n: int) -> list[tuple[int, int, Exact]]:
+        """List the constant factors of a product as (1, node, exponent); [] for other nodes."""
+        kind, parts, _ = self._source.nodes[n]
+        factors = parts if kind == "product" else ()
+        return [(1, m, e) for m, e in factors if not self.is_variable(m)]
+
     def _shape(self, n: int) -> tuple[int, tuple[int, ...]]:
-        """Return a number for what is left of a node without its names, and its coordinates."""
-        for m in self._source.reached([n]) if n not in self._shapes else ():
+        """Return a number for the structure of a node without names, and its coordinates."""
+        for m in self._source.descendants([n]) if n not in self._shapes else ():
             if m not in self._shapes:
                 self._shapes[m] = self._new_shape(m)
         return self._shapes[n]
@@ -207,7 +210,7 @@ class _Reader:
             key = self._kind[n]
         elif n in self._common:
             key = ("common", self._common[n])
-        elif not self.moves(n):
+        elif not self.is_variable(n):
             key = "c"
         elif kind == "sum":
             key = (kind, *sorted((_number(c), self._shapes[m][0]) for c, m in parts))
@@ -218,7 +221,7 @@ class _Reader:
         return self._numbers.setdefault(key, len(self._numbers)), places
 
     def _node(self, n: int, *, without_constants: bool = False) -> Value:
-        """Write a node in slots; of large terms once, with the same coefficients everywhere."""
+        """Convert a node to slots. Nodes of large terms are converted once and shared."""
         if self._written is None:
             return self._new_node(n, without_constants)
         key = n, without_constants
@@ -232,30 +235,28 @@ class _Reader:
             return self._slot(n)
         if n in self._common:
             return self.graph.symbol(self._common[n])
-        if not self.moves(n):
+        if not self.is_variable(n):
             return ONE if n == 0 else self._coefficient((1, n))
         if kind == "sum":
             order = sorted(parts, key=lambda term: (self._shape(term[1]), _number(term[0])))
             return self.graph.add([self._value(c, m) for c, m in order])
         if kind == "product":
-            moving = [(m, e) for m, e in parts if self.moves(m)]
+            moving = [(m, e) for m, e in parts if self.is_variable(m)]
             moving.sort(key=lambda factor: (self._shape(factor[0]), str(factor[1])))
-            still = [(1, m, e) for m, e in parts if not self.moves(m)]
+            constants = self._constant_factors(n)
             factors = [self.graph.power(self._node(m), e) for m, e in moving]
-            if still and not without_constants:
-                factors.append(self._coefficient(self._source.multiply(still)))
+            if constants and not without_constants:
+                factors.append(self._coefficient(self._source.multiply(constants)))
             return self.graph.multiply(factors)
         name, *arguments = parts
         return self.graph.function(name, *(self._value(c, m) for c, m in arguments))
 
     def _value(self, c: Exact, m: int) -> Value:
-        """Write a multiple of a node: its sign as it is, other numbers as coefficients."""
-        if not self.moves(m):
+        """Convert a multiple of a node. Factors other than 1 and -1 become coefficients."""
+        if not self.is_variable(m):
             return (c, m) if m == 0 and _number(c) != "c" else self._coefficient((c, m))
         if _number(c) == "c":
-            kind, parts, _ = self._source.nodes[m]
-            still = [(1, k, e) for k, e in parts if not self.moves(k)] if kind == "product" else []
-            front = self._coefficient(self._source.multiply([(c, 0), *still]))
+            front = self._coefficient(self._source.multiply([(c, 0), *self._constant_factors(m)]))
             return self.graph.multiply([front, self._node(m, without_constants=True)])
         d, n = self._node(m)
         return exact(c * d), n
@@ -272,14 +273,14 @@ class _Reader:
 
 
 def _number(c: Exact) -> str:
-    """Return one and minus one as they stand, any other number as a coefficient."""
+    """Return the text of 1 and -1, and "c" for any other number, which is a coefficient."""
     return str(c) if abs(c) == 1 else "c"
 
 
 def _family(system: Plain, read: Graph, draft: _Draft) -> Family:
-    """Make a family; a coefficient that all members share stands in the term itself.
+    """Convert a draft to a family. Coefficients that all members share enter the template.
 
-    A member without coordinates keeps its coefficient: tables have a column at least.
+    A family without coordinates retains its coefficient, because tables need at least one column.
     """
     count, size = len(draft.coefficients[0]), len(draft.coordinates[0])
     columns = [[row[k] for row in draft.coefficients] for k in range(count)]
@@ -289,11 +290,11 @@ def _family(system: Plain, read: Graph, draft: _Draft) -> Family:
     graph = Graph()
     numbers = {name: graph.symbol(name) for name in (*q, *v, *displaced, *slots)}
     shared = {
-        read.symbol(f"c_{k}")[1]: rebuilt(system.graph, [columns[k][0]], {}, graph)[0]
+        read.symbol(f"c_{k}")[1]: rebuild(system.graph, [columns[k][0]], {}, graph)[0]
         for k in range(count)
         if k not in varying
     }
-    (term,) = rebuilt(read, [draft.term], shared, graph)
+    (term,) = rebuild(read, [draft.term], shared, graph)
     places = [numbers[name][1] for name in v]
     rest = dict.fromkeys(places, ZERO)
     derivatives = Derivatives(graph)
@@ -307,7 +308,7 @@ def _family(system: Plain, read: Graph, draft: _Draft) -> Family:
         for b, x in enumerate(places[: a + 1])
         if (entry := derivatives(slope, x))[0]
     }
-    *linear, potential = rebuilt(graph, [*slopes, term], rest) if rest else [term]
+    *linear, potential = rebuild(graph, [*slopes, term], rest) if rest else [term]
     plain = Plain(
         graph=graph,
         q=_symbols(q),
@@ -317,7 +318,7 @@ def _family(system: Plain, read: Graph, draft: _Draft) -> Family:
         M=M,
         parameters=(*_symbols(slots), *system.parameters),
         a=tuple(linear),
-        V=scaled(-1, potential),
+        V=scale(-1, potential),
         invariants={},
         t=system.t,
         u=system.u,

@@ -1,4 +1,7 @@
-"""The jet of a system at a point: forces, momenta, constraints, with their derivatives."""
+"""The jet of a system at a point: forces, momenta and constraints with their derivatives.
+
+All functions write a derivative by its variable after an underscore: F_q is dF/dq.
+"""
 
 from __future__ import annotations
 
@@ -13,59 +16,57 @@ import sympy as sp
 from symsimpson.declare.constraints import accelerations
 from symsimpson.declare.plain import Plain
 from symsimpson.declare.quadratic import quadratic_form
-from symsimpson.declare.retimed import Retiming
-from symsimpson.discrete.angles import halved, summed
+from symsimpson.declare.retimed import TimeTransformation
+from symsimpson.discrete.angles import halve_angles, split_sums
 from symsimpson.graph.derive import Derivatives, gradient
-from symsimpson.graph.findings import merged
-from symsimpson.graph.lines import Program
-from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
-from symsimpson.graph.rebuild import rebuilt
+from symsimpson.graph.findings import merge_equal_nodes
+from symsimpson.graph.lines import StraightLineCode
+from symsimpson.graph.nodes import ZERO, Graph, Value, scale
+from symsimpson.graph.rebuild import rebuild
 from symsimpson.graph.share import share
-from symsimpson.support.derivation import timed
+from symsimpson.support.derivation import time_stage
 
-#: Where the first ways give more operations than this, no others are tried.
+#: Above this number of operations, only the strategies FIRST are tried.
 FEW_OPERATIONS = 300
-#: v.M.v/2 with so many times the nodes of T as it is written is not tried: chains of links, whose M
-#: has many times the terms.
+#: v.M.v/2 is not tried if it has this many times the nodes of the declared T, as for long chains of
+#: links.
 LONGER = 1.5
 Key = tuple[str, *tuple[Hashable, ...]]
 
 
-class Way(NamedTuple):
-    """How a jet is derived.
+class DerivativeStrategy(NamedTuple):
+    """A strategy to derive a jet."""
 
-    ``by_mass``: from L = v.M.v/2 + a.v - V in place of L as it is written; ``reverse``: first
-    derivatives in one pass from L down; ``second_reverse``: second ones likewise; ``factored``:
-    what all terms of a sum have in common stands before it.
-    """
-
-    by_mass: bool
-    reverse: bool
-    second_reverse: bool
-    factored: bool
+    by_mass: bool  #: Use L = v.M.v/2 + a.v - V in place of the declared L.
+    reverse: bool  #: Compute first derivatives in reverse mode.
+    second_reverse: bool  #: Compute second derivatives in reverse mode.
+    factored: bool  #: Extract common factors from sums.
 
 
-#: Ways that are always tried: for deep chains, for flat sums, for a few links.
+#: Strategies that are always tried: for deep chains, for flat sums, for a few links.
 FIRST = (
-    Way(by_mass=False, reverse=True, second_reverse=False, factored=False),
-    Way(by_mass=False, reverse=True, second_reverse=True, factored=False),
-    Way(by_mass=False, reverse=False, second_reverse=False, factored=True),
-    Way(by_mass=True, reverse=False, second_reverse=False, factored=True),
+    DerivativeStrategy(by_mass=False, reverse=True, second_reverse=False, factored=False),
+    DerivativeStrategy(by_mass=False, reverse=True, second_reverse=True, factored=False),
+    DerivativeStrategy(by_mass=False, reverse=False, second_reverse=False, factored=True),
+    DerivativeStrategy(by_mass=True, reverse=False, second_reverse=False, factored=True),
 )
 
 
-OTHERS = tuple(way for way in map(Way._make, product((False, True), repeat=4)) if way not in FIRST)
+_EVERY = map(DerivativeStrategy._make, product((False, True), repeat=4))
+OTHERS = tuple(strategy for strategy in _EVERY if strategy not in FIRST)
 
 
 @dataclass(frozen=True)
 class Jet:
-    """Quantities at a point, as a program."""
+    """Quantities at a point as straight-line code."""
 
-    #: Outputs ``("F", i)``, ``("P", i)``, ``("F_q", i, j)``, ``("F_v", i, j)``, ``("P_q", i, j)``,
-    #: ``("M", i, j)``, ``("a", i)``, ``("V",)`` and ``("invariant", name)``; where forces depend on
-    #: v, ``("f_v", i, j)``, and of what changes the energy ``("power", name)``.
-    program: Program
-    #: Additions, products, quotients, powers and functions, without those on parameters alone.
+    #: The outputs are ``("F", i)``, ``("P", i)``, ``("F_q", i, j)``, ``("F_v", i, j)``,
+    #: ``("P_q", i, j)``, ``("M", i, j)``, ``("a", i)``, ``("V",)`` and ``("invariant", name)``.
+    #: Systems whose forces depend on v also have ``("f_v", i, j)``, and systems whose energy
+    #: changes ``("power", name)``.
+    program: StraightLineCode
+    #: Number of additions, products, quotients, powers and functions that depend on more than
+    #: parameters.
     operations: int
 
     def __getitem__(self, key: Key) -> Value:
@@ -73,56 +74,57 @@ class Jet:
 
     @property
     def force_operations(self) -> int:
-        """Operations of the forces alone."""
+        """Number of operations of the forces F."""
         forces = [value for key, value in self.program.outputs.items() if key[0] == "F"]  # type: ignore[index]
         return self.program.operations(forces)
 
     @property
     def forced(self) -> tuple[int, ...]:
-        """The coordinates on which a force acts."""
+        """The coordinates whose F is not zero."""
         forces = (key for key in self.program.outputs if key[0] == "F")  # type: ignore[index]
         return tuple(key[1] for key in forces if self[key][0])  # type: ignore[index]
 
 
+@time_stage("jet")
 def derive_jet(
     plain: Plain, more: Mapping[Key, Value] = MappingProxyType({}), half_angles: Sequence[int] = ()
 ) -> Jet:
-    """Derive all that a step may ask for, and ``more`` that will be, by the shortest way.
+    """Derive the jet of a system by the strategy with the fewest operations.
 
-    The sine and the cosine of ``half_angles`` are written by those of the half, to keep digits.
+    ``more`` has further outputs. The sine and cosine of the coordinates ``half_angles`` are
+    expressed by half angles, which avoids cancellation.
     """
-    with timed("jet"):
-        return _shortest(plain, more, half_angles)
-
-
-def _shortest(plain: Plain, more: Mapping[Key, Value], half_angles: Sequence[int]) -> Jet:
     jets: list[Jet] = []
     by_mass = quadratic_form(plain.graph, plain.M, plain.numbers(plain.v))
-    of_mass, of_written = (len(plain.graph.reached([n])) for _, n in (by_mass, plain.T))
+    of_mass, of_written = (len(plain.graph.descendants([n])) for _, n in (by_mass, plain.T))
     both = by_mass != plain.T and of_mass <= LONGER * of_written
-    for ways in (FIRST, OTHERS):
-        for way in ways:
-            T = by_mass if way.by_mass else plain.T
-            if both or not way.by_mass:
-                jets.append(_derived(plain, T, way, more, half_angles))
+    for strategies in (FIRST, OTHERS):
+        for strategy in strategies:
+            T = by_mass if strategy.by_mass else plain.T
+            if both or not strategy.by_mass:
+                jets.append(_derive_by(plain, T, strategy, more, half_angles))
         best = min(jets, key=lambda jet: jet.operations)
         if best.operations > FEW_OPERATIONS:
             break
     return best
 
 
-def watched(plain: Plain) -> Jet:
-    """Write the invariants and what changes the energy, alone."""
+def derive_invariants(plain: Plain) -> Jet:
+    """Return a jet of only the invariants and the powers that change the energy."""
     graph = plain.graph
     outputs: dict[Key, Value] = {("invariant", key): x for key, x in plain.invariants.items()}
     outputs |= {("power", name): value for name, value in plain.powers.items()}
-    return written_as_jet(plain, graph, outputs)
+    return to_jet(plain, graph, outputs)
 
 
-def _derived(
-    plain: Plain, T: Value, way: Way, more: Mapping[Key, Value], half_angles: Sequence[int]
+def _derive_by(
+    plain: Plain,
+    T: Value,
+    strategy: DerivativeStrategy,
+    more: Mapping[Key, Value],
+    half_angles: Sequence[int],
 ) -> Jet:
-    graph, n = Graph(factored=way.factored), len(plain.q)
+    graph, n = Graph(factored=strategy.factored), len(plain.q)
     places = graph.numbers(symbol.name for symbol in plain.symbols)
     q, v = places[:n], places[n : 2 * n]
     given: dict[Key, Value] = {**more, ("V",): plain.V}
@@ -130,10 +132,10 @@ def _derived(
     given |= {("invariant", name): value for name, value in plain.invariants.items()}
     given |= {("power", name): value for name, value in plain.powers.items()}
     given |= {("f", i): f for i, f in enumerate(plain.f) if f[0]}
-    T, *values = rebuilt(plain.graph, [T, *given.values()], {}, graph)
+    T, *values = rebuild(plain.graph, [T, *given.values()], {}, graph)
     outputs: dict[Key, Value] = dict(zip(given, values, strict=True))
     linear = graph.products([outputs["a", i] for i in range(n)], v)
-    L = graph.add([T, *linear, scaled(-1, outputs["V",])])
+    L = graph.add([T, *linear, scale(-1, outputs["V",])])
     derivatives = Derivatives(graph)
     f = {i: outputs.pop(("f", i)) for i, (c, _) in enumerate(plain.f) if c}
     drag: dict[Key, Value] = {
@@ -148,59 +150,60 @@ def _derived(
             return gradient(graph, value, [*q, *v])
         return [derivatives(value, x) for x in (*q, *v)]
 
-    first = slopes(L, reverse=way.reverse)
+    first, second = slopes(L, reverse=strategy.reverse), strategy.second_reverse
     for i in range(n):
         if i in f:
             first[i] = graph.add([first[i], f[i]])
-        of_force, of_momentum = (slopes(first[k], reverse=way.second_reverse) for k in (i, n + i))
+        of_force, of_momentum = (slopes(first[k], reverse=second) for k in (i, n + i))
         outputs["F", i], outputs["P", i] = first[i], first[n + i]
         for j in range(n):
             outputs["F_q", i, j], outputs["F_v", i, j] = of_force[j], of_force[n + j]
             outputs["P_q", i, j], outputs["M", i, j] = of_momentum[j], of_momentum[n + j]
-    return written_as_jet(plain, graph, outputs, half_angles)
+    return to_jet(plain, graph, outputs, half_angles)
 
 
-def written_as_jet(
+def to_jet(
     plain: Plain, graph: Graph, outputs: Mapping[Key, Value], half_angles: Sequence[int] = ()
 ) -> Jet:
-    """Merge what is equal, and name what is shared."""
+    """Convert values of a graph to a jet: merge equal nodes, and share subexpressions."""
     level = plain.level(graph)
     values = list(outputs.values())
-    halves = halved(graph, graph.numbers(plain.q[i].name for i in half_angles))
+    halves = halve_angles(graph, graph.numbers(plain.q[i].name for i in half_angles))
     if halves:
-        values = rebuilt(graph, values, halves)
-    while sums := summed(graph, [n for _, n in values]):
-        values = rebuilt(graph, values, sums)
-    values = merged(graph, values, level)
-    program = share(Program.of(graph, dict(zip(outputs, values, strict=True)), level))
+        values = rebuild(graph, values, halves)
+    while sums := split_sums(graph, [n for _, n in values]):
+        values = rebuild(graph, values, sums)
+    values = merge_equal_nodes(graph, values, level)
+    program = share(StraightLineCode.of(graph, dict(zip(outputs, values, strict=True)), level))
     return Jet(program, program.operations())
 
 
 @dataclass(frozen=True)
-class Cost:
-    """A running cost g(t, q, v, u), in a graph whose symbols have the names of the plain ones."""
+class RunningCost:
+    """A running cost g(t, q, v, u), as a value of a graph with the plain symbols by name."""
 
     graph: Graph
     value: Value
 
     def depends(self, symbol: sp.Symbol) -> bool:
-        """Return whether a plain symbol stands in it."""
+        """Return whether the cost contains a plain symbol."""
         numbers = self.graph.numbers([symbol.name])
         return not self.graph.nodes[self.value[1]].symbols.isdisjoint(numbers)
 
 
 def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
-    """Derive F = L_q + f and P = L_v by parameters and inputs: plain symbols, by their names.
+    """Differentiate F = L_q + f and P = L_v with respect to parameters and inputs.
 
-    Outputs are ``("F_a", i, name)`` and ``("P_a", i, name)``; of constraints ``("phi_a", c, name)``
-    and ``("pull_a", i, name)``, those of phi and of Phi^T lambda + A^T nu; of velocity constraints
-    ``("b_a", c, name)`` and ``("rate_a", c, name)``, those of b and A v - b.
+    ``varied`` maps names to plain symbols. The outputs are ``("F_a", i, name)`` and
+    ``("P_a", i, name)``. Systems with constraints also have the derivatives ``("phi_a", c, name)``
+    of phi, and ``("pull_a", i, name)`` of Phi^T lambda + A^T nu. Systems with velocity constraints
+    A v = b have ``("b_a", c, name)`` of b, and ``("rate_a", c, name)`` of A v - b.
     """
     graph, n = Graph(), len(plain.q)
     places = graph.numbers(symbol.name for symbol in plain.symbols)
     moving = places[: 2 * n]
-    L, *f = rebuilt(plain.graph, [plain.L, *plain.f], {}, graph)
-    held = plain.held_rows(graph)
+    L, *f = rebuild(plain.graph, [plain.L, *plain.f], {}, graph)
+    held = plain.write_constraints(graph)
     m, multipliers = len(held.phi), graph.numbers(symbol.name for symbol in plain.multipliers)
     phi = [*held.phi, *(ZERO for _ in held.rows)]
     pulls = held.pulls(graph, moving[:n], multipliers) if phi else []
@@ -219,7 +222,7 @@ def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
             outputs |= {(f"{what}_a", c, name): by_size(x) for (what, c), x in moved.items()}
             for i, pull in enumerate(pulls):
                 later = by_size.later(pull) if held.rows else ZERO
-                outputs["pull_a", i, name] = graph.add([by_size.over(scaled(-1, pull)), later])
+                outputs["pull_a", i, name] = graph.add([by_size.over(scale(-1, pull)), later])
             continue
         slopes = gradient(graph, derivatives(L, x), moving)
         for i in range(n):
@@ -228,14 +231,14 @@ def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
         outputs |= {("phi_a", c, name): derivatives(value, x) for c, value in enumerate(phi)}
         outputs |= {(f"{what}_a", c, name): derivatives(y, x) for (what, c), y in moved.items()}
         outputs |= {("pull_a", i, name): derivatives(y, x) for i, y in enumerate(pulls)}
-    return written_as_jet(plain, graph, outputs)
+    return to_jet(plain, graph, outputs)
 
 
 class _BySize:
-    """Derivatives of what stands at a node by the size of the step, its path being held.
+    """Derivatives of values at a node with respect to the step size h, for a fixed path.
 
-    There v goes with 1/h and t moves by its place; what is integrated has a factor h before it,
-    and is divided by that.
+    The velocity v is proportional to 1/h, and the time of the node is t0 + c h. An integrand has
+    a factor h in the equations. The derivative of h times the integrand is divided by h.
     """
 
     def __init__(self, graph: Graph, plain: Plain, derivatives: Derivatives) -> None:
@@ -245,7 +248,7 @@ class _BySize:
         (self._t,) = graph.numbers([plain.t.name])
 
     def __call__(self, value: Value, *, integrated: bool = False) -> Value:
-        """Return the derivative of a value."""
+        """Return the total derivative of a value with respect to h."""
         graph = self._graph
         along = [
             graph.multiply([self._derivatives(value, v), (-1, v)])
@@ -258,22 +261,22 @@ class _BySize:
         return graph.add(terms)
 
     def later(self, value: Value) -> Value:
-        """Return the derivative of a value through the time, which moves by its place."""
+        """Return the derivative of a value through the time t0 + c h of the node."""
         return self._graph.multiply([self._derivatives(value, self._t), (1, self._place)])
 
     def over(self, value: Value) -> Value:
-        """Return a value divided by h, where v goes with 1/h."""
+        """Return value/h where the velocity is proportional to 1/h (the symbol is 1), else 0."""
         inverse = self._graph.power((1, self._h), -1)
         return self._graph.multiply([value, inverse, (1, self._moving)])
 
 
-def derive_cost(plain: Plain, varied: Mapping[str, sp.Symbol], cost: Cost) -> Jet:
-    """Derive a running cost g(t, q, v, u) by q, by v, and by parameters and inputs.
+def derive_cost(plain: Plain, varied: Mapping[str, sp.Symbol], cost: RunningCost) -> Jet:
+    """Differentiate a running cost g(t, q, v, u) with respect to q, v, parameters and inputs.
 
-    Outputs are ``("g",)``, ``("g_q", i)``, ``("g_v", i)`` and ``("g_a", name)``.
+    The outputs are ``("g",)``, ``("g_q", i)``, ``("g_v", i)`` and ``("g_a", name)``.
     """
     graph, n = Graph(), len(plain.q)
-    (value,) = rebuilt(cost.graph, [cost.value], {}, graph)
+    (value,) = rebuild(cost.graph, [cost.value], {}, graph)
     moving = graph.numbers(s.name for s in (*plain.q, *plain.v, *varied.values()))
     slopes = gradient(graph, value, moving)
     outputs: dict[Key, Value] = {("g",): value}
@@ -286,52 +289,55 @@ def derive_cost(plain: Plain, varied: Mapping[str, sp.Symbol], cost: Cost) -> Je
         for name, symbol in varied.items()
         if symbol == plain.step[0]
     }
-    return written_as_jet(plain, graph, outputs)
+    return to_jet(plain, graph, outputs)
 
 
-def derive_original_terms(retiming: Retiming) -> Jet:
-    """Derive M, a, V and P = dL/dv of the original system, with v = dq/dt.
+def derive_original_terms(retiming: TimeTransformation) -> Jet:
+    """Derive M, a, V and P = dL/dv of the system before the time transformation, with v = dq/dt.
 
-    Outputs are ``("M", i, j)``, ``("a", i)``, ``("V",)`` and ``("P", i)``.
+    The outputs are ``("M", i, j)``, ``("a", i)``, ``("V",)`` and ``("P", i)``.
     """
     plain, graph = retiming.plain, Graph()
     n = len(plain.q)
     every = [(i, j) for i in range(n) for j in range(n)]
     given = [plain.L, plain.V, *plain.a, *(plain.entry(i, j) for i, j in every)]
-    L, V, *values = rebuilt(plain.graph, given, {}, graph)
+    L, V, *values = rebuild(plain.graph, given, {}, graph)
     momenta = gradient(graph, L, graph.numbers(s.name for s in plain.v))
     outputs: dict[Key, Value] = {("V",): V}
     outputs |= {("a", i): values[i] for i in range(n)}
     outputs |= {("M", i, j): value for (i, j), value in zip(every, values[n:], strict=True)}
     outputs |= {("P", i): momentum for i, momentum in enumerate(momenta)}
-    return written_as_jet(plain, graph, outputs)
+    return to_jet(plain, graph, outputs)
 
 
-def derive_rate(plain: Plain, retiming: Retiming) -> Jet:
-    """Return g = dt/dtau before its division by the value at the start; ``plain`` is in tau.
+def derive_rate(plain: Plain, retiming: TimeTransformation) -> Jet:
+    """Return the rate g = dt/dtau of a time transformation, not normalised at the initial state.
 
-    The output is ``("rate",)``.
+    ``plain`` is the system in tau. The output is ``("rate",)``.
     """
     graph = Graph()
-    (rate,) = rebuilt(retiming.graph, [retiming.rate], {}, graph)
-    return written_as_jet(plain, graph, {("rate",): rate})
+    (rate,) = rebuild(retiming.graph, [retiming.rate], {}, graph)
+    return to_jet(plain, graph, {("rate",): rate})
 
 
 def derive_constraints(plain: Plain) -> Jet:
-    """Derive all that a step and its results ask of constraints, and of L beside them.
+    """Derive the quantities of constraints phi = 0 and of velocity constraints A v = b.
 
-    Outputs are ``("phi", c)``, ``("Phi", c, a)``, Phi and behind it A, ``("pull", a, b)``, the
-    derivatives of Phi^T lambda + A^T nu by q; of velocity constraints ``("b", c)``, ``("rate",
-    c)``, A v - b, with ``("b_q", c, a)`` and ``("rate_q", c, a)``; and of a state ``("curve", c)``,
-    v.phi_qq.v or the like of A v - b, and ``("push", a)``, L_q + f - (d L_v/dq) v - d L_v/dt, which
-    is M v' + Phi^T lambda + A^T nu. Symbols l_c stand for the multipliers.
+    The symbols of the multipliers are l_c. The outputs are:
+
+    - ``("phi", c)`` and ``("Phi", c, a)``: the constraints, and the rows of Phi and then of A;
+    - ``("pull", a, b)``: the derivatives of Phi^T lambda + A^T nu with respect to q;
+    - ``("b", c)``, ``("rate", c)``: b and A v - b, with derivatives ``("b_q", c, a)`` and
+      ``("rate_q", c, a)``;
+    - ``("curve", c)``: v.phi_qq.v, or the corresponding terms of d(A v - b)/dt, at a state;
+    - ``("push", a)``: L_q + f - (d L_v/dq) v - d L_v/dt = M v' + Phi^T lambda + A^T nu at a state.
     """
     graph, n = Graph(), len(plain.q)
     places = graph.numbers(symbol.name for symbol in plain.symbols)
     q, v = places[:n], places[n : 2 * n]
     multipliers = graph.numbers(symbol.name for symbol in plain.multipliers)
-    held = plain.held_rows(graph)
-    L, *f = rebuilt(plain.graph, [plain.L, *plain.f], {}, graph)
+    held = plain.write_constraints(graph)
+    L, *f = rebuild(plain.graph, [plain.L, *plain.f], {}, graph)
     derivatives, time = Derivatives(graph), graph.symbol(plain.t.name)[1]
     rows, push, curve, rates = accelerations(graph, L, held, f, (q, v, time))
     m = len(held.phi)
@@ -345,30 +351,31 @@ def derive_constraints(plain: Plain) -> Jet:
         outputs |= {("b_q", c, a): derivatives(b, x) for a, x in enumerate(q)}
     for a, pull in enumerate(held.pulls(graph, q, multipliers)):
         outputs |= {("pull", a, b): derivatives(pull, x) for b, x in enumerate(q)}
-    return written_as_jet(plain, graph, outputs)
+    return to_jet(plain, graph, outputs)
 
 
-def derive_curvatures(plain: Plain, varied: Sequence[sp.Symbol], cost: Cost | None) -> Jet:
+def derive_curvatures(plain: Plain, varied: Sequence[sp.Symbol], cost: RunningCost | None) -> Jet:
     """Derive second derivatives of h alpha.F + beta.P + h gamma g, and of nu.phi - alpha.Phi^T mu.
 
-    They are by q and w = h v at a node, which do not depend on h: the time t does, which ends up c
-    h behind the one that is given. The symbols of v and t stand for w and for the start of the
-    step, the weights of ``plain`` for alpha, beta and gamma at a node, for alpha and nu at a
-    control point; g is the running cost. Outputs are ``("node", i, j)``, j <= i, by (q, w, varied),
-    and ``("point", i, j)`` by (q, mu, varied); those that vanish are left out.
+    The first function belongs to a node, with the running cost g. Its variables are q, w = h v and
+    ``varied``. q and w do not depend on h, but the time t0 + c h of the node does. The symbols of v
+    and t mean w and t0 here. The second function belongs to a control point, with the variables q,
+    mu and ``varied``. The weights of ``plain`` are alpha, beta and gamma at a node, and alpha and
+    nu at a control point. The outputs are ``("node", i, j)`` and ``("point", i, j)`` with j <= i,
+    except those that vanish.
     """
     graph, n = Graph(), len(plain.q)
     places = graph.numbers(symbol.name for symbol in plain.symbols)
     moving = places[: 2 * n]
     h, place, _ = graph.numbers(symbol.name for symbol in plain.step)
-    phi = rebuilt(plain.graph, list(plain.constraints.values()), {}, graph)
-    L, *f = rebuilt(plain.graph, [plain.L, *plain.f], {}, graph)
+    phi = rebuild(plain.graph, list(plain.constraints.values()), {}, graph)
+    L, *f = rebuild(plain.graph, [plain.L, *plain.f], {}, graph)
     weights = graph.numbers(symbol.name for symbol in plain.weights)
     of = graph.numbers(symbol.name for symbol in varied)
     slopes = gradient(graph, L, moving)
     forces = [graph.add([slopes[i], f[i]]) for i in range(n)]
     if cost is not None:
-        (g,) = rebuilt(cost.graph, [cost.value], {}, graph)
+        (g,) = rebuild(cost.graph, [cost.value], {}, graph)
         forces.append(g)
     integrated = graph.add(graph.products(forces, [*weights[:n], *weights[2 * n :]][: len(forces)]))
     momenta = graph.products(slopes[n:], weights[n : 2 * n])
@@ -378,19 +385,19 @@ def derive_curvatures(plain: Plain, varied: Sequence[sp.Symbol], cost: Cost | No
     moved = {v: graph.multiply([(1, v), inverse]) for v in moving[n:]}
     if plain.step[0] in varied:
         moved[t] = graph.add([(1, t), graph.multiply([(1, place), (1, h)])])
-    (value,) = rebuilt(graph, [value], moved)
+    (value,) = rebuild(graph, [value], moved)
     outputs = _second(graph, "node", value, [*moving, *of])
     if phi:
         multipliers = graph.numbers(symbol.name for symbol in plain.multipliers)
         pulls = gradient(graph, graph.add(graph.products(phi, multipliers)), moving[:n])
-        pulled = [scaled(-1, pull) for pull in pulls]
+        pulled = [scale(-1, pull) for pull in pulls]
         value = graph.add(graph.products([*pulled, *phi], weights[: n + len(phi)]))
         outputs |= _second(graph, "point", value, [*moving[:n], *multipliers, *of])
-    return written_as_jet(plain, graph, outputs)
+    return to_jet(plain, graph, outputs)
 
 
 def _second(graph: Graph, what: str, value: Value, symbols: Sequence[int]) -> dict[Key, Value]:
-    """Differentiate a value twice; of two equal entries one is kept."""
+    """Return the lower triangle of the Hessian of a value, without zero entries."""
     entries: dict[Key, Value] = {}
     for i, slope in enumerate(gradient(graph, value, symbols)):
         row = gradient(graph, slope, symbols[: i + 1])

@@ -1,8 +1,8 @@
-"""Mass matrices of cyclic coordinates as L D L^T in symbols, where subtraction costs no digits.
+"""Parts of a system, each with its reduced equations, and symbolic L D L^T of cyclic coordinates.
 
-At a pole of spherical angles the block of M that belongs to cyclic coordinates is singular. In
-numbers the last pivot of its factorisation is then a small difference of large terms; in symbols
-these cancel before any number is rounded.
+The symbolic factorisation loses no digits. At a pole of spherical angles the block of M for the
+cyclic coordinates is singular. A numerical factorisation would compute its last pivot as a small
+difference of large terms, but symbolic terms cancel exactly.
 """
 
 from __future__ import annotations
@@ -17,30 +17,36 @@ import sympy as sp
 
 from symsimpson.declare.plain import Plain
 from symsimpson.declare.structure import MOST_AFFINE, Structure, Subsystem
-from symsimpson.discrete.combined_rows import Table, annihilating, elimination_order, shear_factors
+from symsimpson.discrete.combined_rows import (
+    Table,
+    elimination_order,
+    find_annihilators,
+    shear_factors,
+)
 from symsimpson.errors import GenerationError, reject
 from symsimpson.graph.read import tree_size
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.names import did_you_mean
 
-#: Up to so many coordinates every order of elimination is tried.
+#: Up to this number of coordinates, every order of elimination is tried.
 FEW = 3
-#: Longer expressions are left as they are, and sines and cosines in those that expand to more:
-#: SymPy takes seconds for them, and finds little.
+#: Longer expressions are not simplified, and expressions that expand to more than the second limit
+#: do not go through trigsimp. SymPy needs seconds for them, and finds little.
 LONG, LONG_EXPANDED = 60, 40
-#: Factors longer than this are worth less than they cost.
+#: Longer factors cost more than they save.
 TOO_LONG = 5000
 
 
 @dataclass(frozen=True)
 class Factors:
-    """M = L D L^T for the coordinates in ``order``.
+    """The factors of M = L D L^T for the coordinates in ``order``.
 
-    L = 1 + fixed + moving, both strictly lower triangular; ``fixed`` does not depend on q, and
-    ``moving`` vanishes where a pivot of D does, as far as that is known. ``half_angles`` lists the
-    coordinates x of such places x = 0: sin x and cos x are best made of those of x/2, because
-    1 - cos x = 2 sin(x/2)^2 has no subtraction. ``changing`` tells which pivots depend on q.
+    L is 1 + fixed + moving, where ``fixed`` and ``moving`` are strictly lower triangular. ``fixed``
+    does not depend on q. ``moving`` vanishes where a pivot of D vanishes, as far as this is known.
+    If this place is x = 0, the coordinate x is one of the ``half_angles``. There sin x and cos x
+    should be expressed by x/2, because 1 - cos x = 2 sin(x/2)^2 has no subtraction. ``changing``
+    tells which pivots depend on q.
     """
 
     order: tuple[int, ...]
@@ -53,9 +59,9 @@ class Factors:
 
 @cache
 def factorise(mass: sp.ImmutableDenseMatrix | None, q: tuple[sp.Symbol, ...]) -> Factors | None:
-    """Factorise in the order that gives the shortest factors, the given one if several do.
+    """Factorise M in the order with the shortest factors; the first of several such orders.
 
-    None if they are too long to be of use.
+    The result is None if ``mass`` is None or if the factors are too long.
     """
     if mass is None:
         return None
@@ -79,8 +85,8 @@ def factorise(mass: sp.ImmutableDenseMatrix | None, q: tuple[sp.Symbol, ...]) ->
             entry = lower[i, j]
             if versed:
                 entry = sp.expand(entry.xreplace(versed))
-            still, rest = entry.as_independent(*q, as_Add=True)
-            fixed[i][j], moving[i][j] = (still, rest) if versed else (sp.S.Zero, entry)
+            constant, rest = entry.as_independent(*q, as_Add=True)
+            fixed[i][j], moving[i][j] = (constant, rest) if versed else (sp.S.Zero, entry)
     return Factors(
         order,
         tuple(map(tuple, fixed)),
@@ -111,7 +117,7 @@ def _eliminate(
 
 
 def _tidy(expression: sp.Expr) -> sp.Expr:
-    """Return the shortest of a few ways to write an expression."""
+    """Return the shortest of a few equivalent expressions."""
     if sp.count_ops(expression) > LONG:
         return expression
     expanded = sp.expand(expression)
@@ -121,27 +127,27 @@ def _tidy(expression: sp.Expr) -> sp.Expr:
     return min(candidates, key=sp.count_ops)
 
 
-#: Mass matrices with entries of more nodes than this are not factorised in symbols.
+#: Largest number of nodes of an entry of M for a symbolic factorisation.
 LONGEST_ENTRY = 500
-#: What ``exploit`` can name: "all", which leaves the trajectory what it is, and what changes it.
+#: Names for ``exploit``. "all" stands for ALL, which changes a trajectory only by round-off.
 ALL = ("decoupled", "cyclic", "constant_mass", "linear", "sparse")
 EXPLOITABLE = (*ALL, "conformal")
 
 
 class BasePart:
-    """Coordinates that are solved together."""
+    """A group of coordinates that a step solves together."""
 
     coordinates: tuple[int, ...]
 
     @property
     def mass_order(self) -> tuple[int, ...]:
-        """The coordinates of the part's block of M, in the order of its L D L^T."""
+        """The coordinates in the order of the L D L^T of the part's block of M."""
         return self.coordinates
 
 
 @dataclass(frozen=True)
 class Coupled(BasePart):
-    """Coordinates whose increments X_m, m in ``columns``, solve D_k L_d = 0, k in ``rows``."""
+    """Coordinates with general equations D_k L_d = 0, k in ``rows``, for X_m, m in ``columns``."""
 
     coordinates: tuple[int, ...]
     rows: tuple[int, ...]
@@ -150,9 +156,10 @@ class Coupled(BasePart):
 
 @dataclass(frozen=True)
 class Separable(BasePart):
-    """Coordinates with constant M, whose equations are combinations ``tests`` of the D_k L_d.
+    """Coordinates with a constant M. The equations are the combinations ``tests`` of the D_k L_d.
 
-    Where X_d is no unknown, it solves D_k L_d = 0 (p0 + D_0 L_d = 0 for k = 0) for k = ``last``.
+    If X_d is not an unknown, it follows from D_k L_d = 0 with k = ``last`` (p0 + D_0 L_d = 0 for
+    k = 0).
     """
 
     coordinates: tuple[int, ...]
@@ -161,17 +168,18 @@ class Separable(BasePart):
     last: int | None
 
     def last_test(self, degree: int) -> tuple[sp.Expr, ...]:
-        """Return the unit vector that selects the row from which X_d follows."""
+        """Return the unit vector of the row from which X_d follows."""
         return tuple(sp.Integer(k == self.last) for k in range(degree + 1))
 
 
 @dataclass(frozen=True)
 class Routh(BasePart):
-    """Coordinates that stay after others, the cyclic ones, are eliminated by their momenta.
+    """Coordinates that remain after the elimination of cyclic coordinates (Routh reduction).
 
-    The latter stand in the order of ``factors``, those of their mass matrix. ``annihilator`` is
-    C. The multipliers are written in the basis in which the mass matrix of the cyclic coordinates
-    is diagonal at node ``reference``.
+    ``cyclic`` has the cyclic coordinates in the order of ``factors``, the factors of their mass
+    matrix. ``annihilator`` is the matrix C of the functionals that vanish for velocities of the
+    path. The basis of the multipliers diagonalises the mass matrix of the cyclic coordinates at the
+    node ``reference``.
     """
 
     coordinates: tuple[int, ...]
@@ -184,9 +192,9 @@ class Routh(BasePart):
 
     @property
     def mass_order(self) -> tuple[int, ...]:
-        """The coordinates of the part's block of M, cyclic ones first: the order of its L D L^T.
+        """The coordinates in the order of the L D L^T of the part's block of M, cyclic ones first.
 
-        In L D L^T what comes last is found first, and nothing else is computed.
+        Back substitution yields the last coordinates first, so it can stop before the cyclic ones.
         """
         return (*self.cyclic, *self.coordinates)
 
@@ -196,7 +204,7 @@ class Routh(BasePart):
         return len(self.annihilator) * len(self.cyclic)
 
     def pays(self, stages: int) -> bool:
-        """Return whether an iteration of loops takes fewer operations than for all coordinates."""
+        """Return whether the reduction saves operations in an iteration of a module with loops."""
         x, y, m = len(self.coordinates), len(self.cyclic), self.multipliers
         d, n = len(self.columns), x + y
         more = stages * (5 * y * x**2 + 12 * n) + m * (2 * d * x + 4 * stages * (d + 1)) * x
@@ -204,7 +212,7 @@ class Routh(BasePart):
         return more < 2 * d**3 * (n**3 - x**3) / 3 + 3 * stages * d**2 * (n**2 - x**2)
 
     def factor_entries(self) -> dict[tuple[str, *tuple[int, ...]], sp.Expr]:
-        """Map ("D", i), ("L", i, j), ("L0", i, j) to factors of the mass matrix of ``cyclic``."""
+        """Map ("D", i), ("L", i, j), ("L0", i, j) to the pivots, ``moving`` and ``fixed``."""
         entries: dict[tuple[str, *tuple[int, ...]], sp.Expr] = {}
         for r, row in enumerate(self.cyclic):
             entries["D", row] = self.factors.pivots[r]
@@ -216,10 +224,10 @@ class Routh(BasePart):
 
 @dataclass(frozen=True)
 class Linear(BasePart):
-    """Coordinates moved by shears, each a pair (kick?, coefficients).
+    """Coordinates of a linear oscillator, whose step is a product of shears.
 
-    With z = h^2 M^-1 K, a kick (c1, c2) is p += (M/h) (c1 z + c2 z^2) q and a drift (b, e) is
-    q += b (M/h + e h K)^-1 p.
+    A shear is a pair of a flag, whether it is a kick, and two coefficients. With z = h^2 M^-1 K, a
+    kick (c1, c2) is p += (M/h) (c1 z + c2 z^2) q. A drift (b, e) is q += b (M/h + e h K)^-1 p.
     """
 
     columns: ClassVar[tuple[int, ...]] = ()
@@ -229,7 +237,7 @@ class Linear(BasePart):
 
 @dataclass(frozen=True)
 class Affine(BasePart):
-    """Coordinates whose D_k L_d = 0, k in ``rows``, are linear in X_m, m in ``solved``."""
+    """Coordinates with D_k L_d = 0, k in ``rows``, linear in X_m, m in ``solved``."""
 
     columns: ClassVar[tuple[int, ...]] = ()
     coordinates: tuple[int, ...]
@@ -239,10 +247,10 @@ class Affine(BasePart):
 
 @dataclass(frozen=True)
 class Constrained(BasePart):
-    """Coordinates whose increments X_m, m in ``columns``, are held by constraints.
+    """Coordinates with constraints. The unknowns are X_m, m in ``columns``, and multipliers.
 
-    D_k L_d = Phi(q_0 + X_k)^T mu_k, k in ``rows``, and phi(q_0 + X_m) = 0: at the control points,
-    which are Lobatto's, so that the order is that without constraints.
+    The equations are D_k L_d = Phi(q_0 + X_k)^T mu_k, k in ``rows``, and phi(q_0 + X_m) = 0. The
+    control points are Lobatto points, so constraints do not reduce the order.
     """
 
     coordinates: tuple[int, ...]
@@ -252,7 +260,7 @@ class Constrained(BasePart):
 
 @dataclass(frozen=True)
 class Composed(BasePart):
-    """Coordinates moved by kicks p += h b_k L_q(q), and drifts q += h a_k M^-1 p between them."""
+    """Coordinates of a composition: kicks p += h b_k L_q(q), and drifts q += h a_k M^-1 p."""
 
     columns: ClassVar[tuple[int, ...]] = ()
     coordinates: tuple[int, ...]
@@ -264,9 +272,9 @@ Part = Coupled | Separable | Routh | Linear | Affine | Constrained | Composed
 
 
 def read_exploit(exploit: str | Iterable[str]) -> frozenset[str]:
-    """Read what is to be exploited: some of :data:`EXPLOITABLE`; "all" stands for those of ALL.
+    """Read the argument ``exploit``: names of :data:`EXPLOITABLE`; "all" means ALL.
 
-    Raises GenerationError if something else is named.
+    Raises GenerationError for any other name.
     """
     if isinstance(exploit, str):
         exploit = (exploit,)
@@ -275,20 +283,19 @@ def read_exploit(exploit: str | Iterable[str]) -> frozenset[str]:
         if not isinstance(name, str) or name not in ("all", *EXPLOITABLE):
             choices = ", ".join(repr(choice) for choice in EXPLOITABLE)
             reject(
-                f"exploit names {name!r}, which is nothing that can be exploited."
-                f"{did_you_mean(name, EXPLOITABLE)}",
-                remedy=f"Choose 'all', () for the general path, or some of {choices}.",
+                f"exploit contains {name!r}, which is unknown.{did_you_mean(name, EXPLOITABLE)}",
+                remedy=f"Choose 'all', () for the general equations, or some of {choices}.",
                 error=GenerationError,
             )
     return frozenset(wanted) - {"all"} | frozenset(ALL if "all" in wanted else ())
 
 
 def reduce(structure: Structure, scheme: Scheme, exploit: frozenset[str]) -> tuple[Part, ...]:
-    """Sort the coordinates into parts, each with the smallest solve that its structure allows.
+    """Split the coordinates into parts, each with the smallest equations that its structure allows.
 
-    Of the findings those named in ``exploit`` may be made use of.
+    ``exploit`` has the names of the properties that the reduction may use.
     """
-    if structure.plain.held:
+    if structure.plain.constraint_names:
         every = tuple(range(structure.n))
         if isinstance(scheme, Composition):
             return (Composed(every, scheme.kicks, scheme.drifts),)
@@ -331,14 +338,14 @@ def _part(subsystem: Subsystem, plain: Plain, scheme: Scheme, exploit: frozenset
         if factors is not None:
             cyclic = tuple(subsystem.cyclic[i] for i in factors.order)
             middle = scheme.stages // 2
-            return Routh(others, rows, columns, cyclic, annihilating(scheme), middle, factors)
+            return Routh(others, rows, columns, cyclic, find_annihilators(scheme), middle, factors)
     return Coupled(coordinates, rows, columns)
 
 
 def _routh_applies(plain: Plain, cyclic: Sequence[int]) -> bool:
-    """Return whether no force depends on cyclic velocities, and no cyclic row of M on t.
+    """Return whether no force depends on cyclic velocities, and no cyclic row of M depends on t.
 
-    Then their velocities enter the other equations as they enter L.
+    Otherwise the elimination of the cyclic velocities is not valid.
     """
     nodes = plain.graph.nodes
     v = set(plain.numbers(plain.v[i] for i in cyclic))
@@ -349,11 +356,11 @@ def _routh_applies(plain: Plain, cyclic: Sequence[int]) -> bool:
 
 
 def _cyclic_mass(plain: Plain, cyclic: Sequence[int]) -> sp.ImmutableDenseMatrix | None:
-    """Return the block of M of cyclic coordinates; None if it is too long for symbols."""
+    """Return the block of M of cyclic coordinates; None if its entries are too long."""
     entries = [plain.entry(i, j) for i in cyclic for j in cyclic]
     if any(tree_size(plain.graph, value) > LONGEST_ENTRY for value in entries):
         return None
-    return sp.ImmutableDenseMatrix(len(cyclic), len(cyclic), list(map(plain.written, entries)))
+    return sp.ImmutableDenseMatrix(len(cyclic), len(cyclic), list(map(plain.to_sympy, entries)))
 
 
 def _separable(coordinates: tuple[int, ...], scheme: Scheme) -> Separable:
@@ -366,7 +373,7 @@ def _separable(coordinates: tuple[int, ...], scheme: Scheme) -> Separable:
     A, b, S = scheme.A, scheme.quadrature.weights, scheme.stiffness
     if any(b[i] * A[i][k] * A[i][d] != 0 for i in stages for k in range(d)):
         return Separable(coordinates, tuple(tuple(unit(k)) for k in rows), columns, None)
-    last = d - 1  # its row is paired with the column of X_d
+    last = d - 1  # elimination_order pairs this row with the column of X_d
     tests = []
     for k in rows:
         if k != last:

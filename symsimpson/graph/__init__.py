@@ -1,1 +1,1 @@
-"""Expressions as a graph in which everything is written once."""
+"""Expressions as a directed acyclic graph without duplicate nodes."""

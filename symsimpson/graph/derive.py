@@ -1,28 +1,28 @@
-"""Exact derivatives on the graph: forward by one symbol, in reverse by many."""
+"""Exact derivatives on the graph: forward mode for one symbol, reverse mode for many."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 
-from symsimpson.graph.nodes import ONE, ZERO, Graph, Value, scaled
+from symsimpson.graph.nodes import ONE, ZERO, Graph, Value, scale
 
 
 class Derivatives:
-    """Derivatives of nodes by symbols, each taken once."""
+    """Forward-mode derivatives of nodes with respect to symbols, with a cache."""
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
         self._known: dict[tuple[int, int], Value] = {}
 
     def __call__(self, value: Value, x: int) -> Value:
-        """Differentiate a value by the symbol x."""
+        """Differentiate a value with respect to the symbol x."""
         graph, known = self._graph, self._known
         coefficient, root = value
         if not coefficient or x not in graph.nodes[root].symbols:
             return ZERO
         work = [root]
-        while work:  # without recursion: chains of sums may be long
+        while work:  # a stack in place of recursion, because chains of sums may be long
             n = work[-1]
             if (n, x) in known:
                 work.pop()
@@ -34,7 +34,7 @@ class Derivatives:
                 continue
             known[n, x] = self._node(n, x)
             work.pop()
-        return scaled(coefficient, known[root, x])
+        return scale(coefficient, known[root, x])
 
     def _node(self, n: int, x: int) -> Value:
         graph, known = self._graph, self._known
@@ -48,12 +48,12 @@ class Derivatives:
 
 
 def gradient(graph: Graph, value: Value, symbols: Sequence[int]) -> list[Value]:
-    """Differentiate a value by many symbols in one pass from the value down."""
+    """Differentiate a value with respect to many symbols, in reverse mode."""
     coefficient, root = value
     wanted = set(symbols)
     collected: dict[int, list[Value]] = {root: [(coefficient, 0)]}
     adjoints: dict[int, Value] = {}
-    for n in reversed(graph.reached([root])):
+    for n in reversed(graph.descendants([root])):
         if n not in collected or graph.nodes[n].symbols.isdisjoint(wanted):
             continue
         adjoint = graph.add(collected.pop(n))
@@ -67,7 +67,7 @@ def gradient(graph: Graph, value: Value, symbols: Sequence[int]) -> list[Value]:
 
 
 def slopes(graph: Graph, n: int) -> Iterable[tuple[int, Value]]:
-    """Return the derivatives of a node by the nodes that it is made of."""
+    """Return pairs of an argument and the partial derivative of a node with respect to it."""
     kind, parts, _ = graph.nodes[n]
     if kind == "sum":
         return [(m, (c, 0)) for c, m in parts]
@@ -86,7 +86,7 @@ def slopes(graph: Graph, n: int) -> Iterable[tuple[int, Value]]:
 
 
 def _outer(graph: Graph, n: int, name: str, arguments: Sequence[Value]) -> list[Value]:
-    """Return the derivatives of a function by its arguments."""
+    """Return the partial derivatives of a function with respect to its arguments."""
     x = arguments[0]
     square = graph.power(x, 2)
     value = (1, n)
@@ -96,18 +96,18 @@ def _outer(graph: Graph, n: int, name: str, arguments: Sequence[Value]) -> list[
         return graph.add([(sign, 0), graph.multiply([(of_square, 0), square])])
 
     def logistic() -> Value:
-        """Return exp(x)/(1 + exp(x))."""
-        return graph.function("exp", scaled(-1, graph.function("softplus", scaled(-1, x))))
+        """Return exp(x)/(1 + exp(x)) as exp(-softplus(-x)), which does not overflow."""
+        return graph.function("exp", scale(-1, graph.function("softplus", scale(-1, x))))
 
     slopes_of: dict[str, Callable[[], Value]] = {
         "sin": lambda: graph.function("cos", x),
-        "cos": lambda: scaled(-1, graph.function("sin", x)),
+        "cos": lambda: scale(-1, graph.function("sin", x)),
         "asin": lambda: graph.power(with_one(1, -1), -half),
-        "acos": lambda: scaled(-1, graph.power(with_one(1, -1), -half)),
+        "acos": lambda: scale(-1, graph.power(with_one(1, -1), -half)),
         "atan": lambda: graph.power(with_one(1, 1), -1),
         "sinh": lambda: graph.function("cosh", x),
         "cosh": lambda: graph.function("sinh", x),
-        "tanh": lambda: graph.add([ONE, scaled(-1, graph.power(value, 2))]),
+        "tanh": lambda: graph.add([ONE, scale(-1, graph.power(value, 2))]),
         "asinh": lambda: graph.power(with_one(1, 1), -half),
         "acosh": lambda: graph.power(with_one(-1, 1), -half),
         "atanh": lambda: graph.power(with_one(1, -1), -1),
@@ -120,7 +120,7 @@ def _outer(graph: Graph, n: int, name: str, arguments: Sequence[Value]) -> list[
         return [slopes_of[name]()]
     match name:
         case "erf" | "erfc":
-            bell = graph.function("exp", scaled(-1, square))
+            bell = graph.function("exp", scale(-1, square))
             factor = graph.power(graph.constant("pi"), -half)
             return [graph.multiply([(2 if name == "erf" else -2, 0), factor, bell])]
         case "pow":
@@ -129,5 +129,5 @@ def _outer(graph: Graph, n: int, name: str, arguments: Sequence[Value]) -> list[
         case "atan2":
             y, x = arguments
             over = graph.power(graph.add([graph.power(x, 2), graph.power(y, 2)]), -1)
-            return [graph.multiply([x, over]), scaled(-1, graph.multiply([y, over]))]
+            return [graph.multiply([x, over]), scale(-1, graph.multiply([y, over]))]
     raise AssertionError(name)

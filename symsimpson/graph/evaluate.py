@@ -1,4 +1,4 @@
-"""Nodes in ordinary numbers: doubles, or many digits of mpmath."""
+"""Numerical values of nodes, in double precision or with many digits of mpmath."""
 
 from __future__ import annotations
 
@@ -11,24 +11,26 @@ import mpmath
 from symsimpson.graph.nodes import TINY, Exact, Graph, Value
 
 
-def evaluated(
+def evaluate_nodes(
     graph: Graph, roots: Iterable[int], symbols: Mapping[int, Any], context: Any
 ) -> dict[int, Any]:
-    """Evaluate nodes and all that they are made of; NaN where there is no real value.
+    """Evaluate nodes and all their descendants. Values that are not real become NaN.
 
-    ``symbols`` has numbers for symbols, and for other nodes that are known. The context is
-    ``mpmath.mp`` for the digits that it is set to, ``mpmath.fp`` for doubles.
+    ``symbols`` has numbers for symbols, and may have numbers for other nodes. ``context`` is
+    ``mpmath.mp`` with its present precision, or ``mpmath.fp`` for double precision.
     """
     values = dict(symbols)
-    for n in graph.reached(roots, values):
+    for n in graph.descendants(roots, values):
         kind, parts, _ = graph.nodes[n]
-        values[n] = line_value(kind, parts, values, context)
+        values[n] = evaluate_line(kind, parts, values, context)
     return values
 
 
-def doubles(graph: Graph, values: Sequence[Value], symbols: Mapping[int, Any]) -> list[float]:
-    """Evaluate values in doubles; NaN where one is not real."""
-    numbers = evaluated(graph, [n for c, n in values if c], symbols, mpmath.fp)
+def evaluate_doubles(
+    graph: Graph, values: Sequence[Value], symbols: Mapping[int, Any]
+) -> list[float]:
+    """Evaluate values in double precision. Values that are not real become NaN."""
+    numbers = evaluate_nodes(graph, [n for c, n in values if c], symbols, mpmath.fp)
     return [_double(c) * float(numbers[n]) if c else 0.0 for c, n in values]
 
 
@@ -39,26 +41,26 @@ def _double(number: Exact) -> float:
         return math.inf
 
 
-def numbers_of(
+def evaluate_values(
     graph: Graph, values: Sequence[Value], symbols: Mapping[int, Any], context: Any
 ) -> list[Any]:
-    """Evaluate values in the numbers of a context; NaN where one is not real."""
-    numbers = evaluated(graph, [n for c, n in values if c], symbols, context)
+    """Evaluate values with the numbers of a context. Values that are not real become NaN."""
+    numbers = evaluate_nodes(graph, [n for c, n in values if c], symbols, context)
     return [_number(context, c) * numbers[n] if c else context.mpf(0) for c, n in values]
 
 
 def moduli(graph: Graph, roots: Iterable[int], values: Mapping[int, float]) -> dict[int, float]:
-    """Return what nodes are at most as large as, however their terms cancel: sums of moduli.
+    """Return upper bounds of nodes: sums of the moduli of their terms, without cancellation.
 
-    Rounding moves a node by about 2^-53 of that. The ``values`` are those of the roots and all that
-    they are made of, as of :func:`evaluated`.
+    The round-off error of a node is about 2^-53 times its bound. ``values`` has the values of the
+    roots and of all their descendants, from :func:`evaluate_nodes`.
     """
     sizes: dict[int, float] = {}
-    for n in graph.reached(roots):
+    for n in graph.descendants(roots):
         kind, parts, _ = graph.nodes[n]
         if kind == "sum":
             sizes[n] = sum(abs(float(c)) * sizes[m] for c, m in parts)
-        elif kind == "product":  # a quotient is as exact as what it is divided by
+        elif kind == "product":  # factors have their bounds, divisors their values
             try:
                 sizes[n] = math.prod(
                     sizes[m] ** float(e) if e > 0 else abs(values[m]) ** float(e) for m, e in parts
@@ -70,8 +72,8 @@ def moduli(graph: Graph, roots: Iterable[int], values: Mapping[int, float]) -> d
     return sizes
 
 
-def line_value(kind: str, parts: Sequence[Any], values: Mapping[int, Any], context: Any) -> Any:
-    """Evaluate one node, or one line of a program, from those that it is made of."""
+def evaluate_line(kind: str, parts: Sequence[Any], values: Mapping[int, Any], context: Any) -> Any:
+    """Evaluate a node, or a line of straight-line code, from the values of its arguments."""
     try:
         match kind:
             case "sum":
@@ -111,7 +113,10 @@ def _function(context: Any, name: str) -> Callable[..., Any]:
 
 
 def without_overflow(exp: Any, log: Any, atanh: Any) -> dict[str, Callable[[Any], Any]]:
-    """Return log(1 + exp(x)) and log(cosh(x)) by the functions of an arithmetic."""
+    """Return functions for log(1 + exp(x)) and log(cosh(x)) that do not overflow.
+
+    ``exp``, ``log`` and ``atanh`` are the functions of an arithmetic.
+    """
 
     def softplus(x: Any) -> Any:
         small = exp(-abs(x))

@@ -1,11 +1,11 @@
-"""Values of nodes at random points of a finite field: what is zero there is zero identically.
+"""Polynomial identity tests: values of nodes at random points of a finite field.
 
-A point draws numbers modulo a prime for symbols, points of the unit circle for the nodes that
-angles are made of, units for exponentials, and numbers that are equal for equal arguments for all
-other functions. An expression that is rational in symbols, sines, cosines, exponentials and
-independent square roots is certainly not identically zero if a value is nonzero; if it is zero at
-two points, the probability that it is not identically zero is below (degree/2^61)^2 [1]_, [2]_.
-Other functions are never taken for zero by mistake: their values are drawn at random.
+A random point assigns numbers modulo a prime to symbols, points of the unit circle to the terms of
+angles, and units to exponentials. Every other function gets a random number, the same for equal
+arguments. Take an expression that is rational in symbols, sines, cosines, exponentials and
+independent square roots. If one of its values is nonzero, it is certainly not identically zero. If
+two values are zero, the probability of a nonzero expression is below (degree/2^61)^2 [1]_, [2]_.
+Other functions are never mistaken for zero, because their values are random.
 
 References
 ----------
@@ -25,11 +25,11 @@ from typing import Any
 
 from symsimpson.graph.nodes import Exact, Graph, Value
 
-#: A Mersenne prime, 3 modulo 4, so that -1 has no root and the field can be extended by i.
+#: A Mersenne prime. It is 3 modulo 4, so -1 has no square root, and i extends the field.
 PRIME = 2**61 - 1
-#: Another one, for coefficients that the first one divides.
+#: A second Mersenne prime, for coefficients that PRIME divides.
 LARGER = 2**89 - 1
-#: A number, or a pair (a, b) for a + b i.
+#: An int, or a pair (a, b) for a + b i.
 Element = Any
 
 
@@ -40,7 +40,7 @@ class PrimeField:
         self._seed, self.prime = seed, prime
 
     def draw(self, *key: object) -> Element:
-        """Return a random number that is the same for the same key."""
+        """Return a random number. Equal keys give equal numbers."""
         text = repr((self._seed, *key)).encode()
         return int.from_bytes(hashlib.blake2b(text, digest_size=16).digest(), "big") % self.prime
 
@@ -55,7 +55,7 @@ class PrimeField:
         return a * norm % self.prime, -b * norm % self.prime
 
     def root(self, x: Element) -> Element:
-        """Return a square root: r or r i of a number, a random draw for a pair a + b i."""
+        """Return a square root: r or r i for a number, a random number for a pair a + b i."""
         if not isinstance(x, int):
             return self.draw("root", x)
         prime = self.prime
@@ -88,10 +88,10 @@ def _pair(x: Element) -> tuple[int, int]:
 
 
 class Angles:
-    """Arguments of sin, cos, exp and the like, as combinations of nodes that are no sums.
+    """Arguments of sin, cos, exp, sinh, cosh and tanh as rational combinations of nodes.
 
-    In some angle a node is divided by its number in ``divisors``: points are drawn for the
-    quotient.
+    The nodes are no sums. ``divisors`` has the common denominator of the coefficients of each node.
+    Random points belong to the node divided by its divisor, so all angles are integer combinations.
     """
 
     def __init__(self, graph: Graph, nodes: Iterable[int]) -> None:
@@ -105,7 +105,7 @@ class Angles:
                     self.divisors[m] = lcm(self.divisors.get(m, 1), c.denominator)
 
     def __call__(self, value: Value) -> dict[int, Exact]:
-        """Write an angle as a rational combination of nodes that are no sums."""
+        """Return an angle as a map from nodes, which are no sums, to rational coefficients."""
         coefficient, n = value
         if n not in self._known:
             kind, parts, _ = self._graph.nodes[n]
@@ -121,11 +121,11 @@ class Angles:
 
 
 class Evaluation:
-    """The values of nodes, and all that they are made of, at one random point.
+    """The values of nodes and of all their descendants at one random point.
 
-    Square roots of ``opaque`` nodes are drawn as those of other functions are. The ``angles`` may
-    include those of nodes that are not evaluated here. Raises ZeroDivisionError if something is
-    divided by zero at this point: take another one.
+    Square roots of ``opaque`` nodes get random numbers, like unknown functions. ``angles`` may
+    include angles of further nodes. The constructor raises ZeroDivisionError if a division by zero
+    occurs at this point. The caller then chooses another point.
     """
 
     def __init__(
@@ -138,44 +138,42 @@ class Evaluation:
     ) -> None:
         self._graph, self.arithmetic, self._opaque = graph, arithmetic, opaque
         roots = list(roots)
-        nodes = graph.reached(roots)
+        nodes = graph.descendants(roots)
         self._angles = Angles(graph, nodes) if angles is None else angles
         self.values: dict[int, Element] = {}
         self._symbols: dict[int, Element] = {}
         self._evaluate(nodes, self.values)
-        self._having: dict[int, list[int]] = {}
-        self._moved: dict[int, set[int]] = {}
+        self._containing: dict[int, list[int]] = {}  # nodes by the symbols in them
+        self._dependent: dict[int, set[int]] = {}
 
     def __getitem__(self, value: Value) -> Element:
-        """Return the number that a pair of a coefficient and a node evaluates to."""
+        """Return the number of a value, a pair of a coefficient and a node."""
         coefficient, n = value
         return self.arithmetic.times(self._number(coefficient), self.values[n])
 
     def depending_on(self, x: int) -> set[int]:
-        """Return the nodes whose values change when a symbol is drawn anew."""
-        if x not in self._moved:
-            self._moved[x] = self._depending_on(x)
-        return self._moved[x]
-
-    def _depending_on(self, x: int) -> set[int]:
-        if not self._having:
+        """Return the nodes whose values change when the symbol x gets another random number."""
+        if x in self._dependent:
+            return self._dependent[x]
+        if not self._containing:
             for n in self.values:
                 for s in self._graph.nodes[n].symbols:
-                    self._having.setdefault(s, []).append(n)
-        nodes = self._having.get(x, [])
+                    self._containing.setdefault(s, []).append(n)
+        nodes = self._containing.get(x, [])
         before = {n: self.values[n] for n in nodes}
         self._symbols[x] = self.arithmetic.draw("moved", self._graph.nodes[x].parts[0])
         try:
             self._evaluate(nodes, self.values)
-            return {n for n in nodes if self.values[n] != before[n]}
+            self._dependent[x] = {n for n in nodes if self.values[n] != before[n]}
         finally:
             del self._symbols[x]
             self.values |= before
+        return self._dependent[x]
 
     def at(self, symbols: dict[int, Element]) -> Evaluation:
-        """Return an evaluation with these symbols fixed, and all else drawn as here."""
+        """Return an evaluation at the same point, but with given numbers for some symbols."""
         other = object.__new__(Evaluation)
-        fresh = {"_symbols": symbols, "values": {}, "_having": {}, "_moved": {}}
+        fresh = {"_symbols": symbols, "values": {}, "_containing": {}, "_dependent": {}}
         other.__dict__.update(self.__dict__ | fresh)
         other._evaluate(sorted(self.values), other.values)
         return other
@@ -224,7 +222,7 @@ class Evaluation:
     def _whole_power(self, x: Element, e: int) -> Element:
         if e < 0:
             x, e = self.arithmetic.inverse(x), -e
-        return raised(self.arithmetic.times, 1, x, e)
+        return raise_to_power(self.arithmetic.times, 1, x, e)
 
     def _function(self, parts: tuple[Any, ...], values: dict[int, Element]) -> Element:
         name, *arguments = parts
@@ -233,12 +231,12 @@ class Evaluation:
         if name in ("sin", "cos"):
             turn: tuple[Element, Element] = (1, 0)
             for m, factor in self._angles(arguments[0]).items():
-                turn = self._joined(turn, self._turned(m, values[m], factor))
+                turn = self._add_angles(turn, self._multiple_angle(m, values[m], factor))
             return turn[name == "sin"]
         if name in ("exp", "sinh", "cosh", "tanh"):
             unit: Element = 1
             for m, factor in self._angles(arguments[0]).items():
-                exponential = a.draw("exp", self._share(m, values[m]))
+                exponential = a.draw("exp", self._quotient(m, values[m]))
                 unit = times(
                     unit, self._whole_power(exponential, int(factor * self._angles.divisors[m]))
                 )
@@ -253,35 +251,35 @@ class Evaluation:
             return sinh if name == "sinh" else cosh
         return a.draw(name, *(times(self._number(c), values[m]) for c, m in arguments))
 
-    def _share(self, n: int, value: Element) -> Element:
-        """Return the value of a node over its divisor: arguments are whole multiples of it."""
+    def _quotient(self, n: int, value: Element) -> Element:
+        """Return the value of a node over its divisor; angles are integer multiples of it."""
         return self.arithmetic.times(self._number(Fraction(1, self._angles.divisors[n])), value)
 
-    def _turned(self, n: int, value: Element, factor: Exact) -> tuple[Element, Element]:
-        """Return cosine and sine of a multiple of a node."""
+    def _multiple_angle(self, n: int, value: Element, factor: Exact) -> tuple[Element, Element]:
+        """Return the cosine and the sine of a multiple of a node."""
         a = self.arithmetic
         times, plus = a.times, a.plus
-        t = a.draw("circle", self._share(n, value))
+        t = a.draw("circle", self._quotient(n, value))
         square = times(t, t)
         over = a.inverse(plus(1, square))
         c, s = times(plus(1, times(a.prime - 1, square)), over), times(times(2, t), over)
         whole = int(factor * self._angles.divisors[n])
         if whole < 0:
             s, whole = times(a.prime - 1, s), -whole
-        return raised(self._joined, (1, 0), (c, s), whole)
+        return raise_to_power(self._add_angles, (1, 0), (c, s), whole)
 
-    def _joined(
+    def _add_angles(
         self, first: tuple[Element, Element], second: tuple[Element, Element]
     ) -> tuple[Element, Element]:
-        """Return cosine and sine of the sum of two angles."""
+        """Return the cosine and the sine of the sum of two angles."""
         times, plus = self.arithmetic.times, self.arithmetic.plus
         (c, s), (d, r) = first, second
         minus = times(self.arithmetic.prime - 1, times(s, r))
         return plus(times(c, d), minus), plus(times(s, d), times(c, r))
 
 
-def raised(times: Callable[[Any, Any], Any], unit: Any, x: Any, count: int) -> Any:
-    """Return unit times x to a whole power, by repeated squaring with any product."""
+def raise_to_power(times: Callable[[Any, Any], Any], unit: Any, x: Any, count: int) -> Any:
+    """Return unit times x to the power count, by repeated squaring. ``times`` is the product."""
     while count:
         if count & 1:
             unit = times(unit, x)

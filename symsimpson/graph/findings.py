@@ -1,7 +1,8 @@
-"""Identities of values, found at random points of a finite field.
+"""Identities and dependences of values, tested at random points of a finite field.
 
-A value depends on a symbol if it changes with that symbol: this is a proof. Independence is tested
-at two points, with an error below 2^-100. Functions that the field does not know count as changing.
+If a value changes with a symbol, it certainly depends on this symbol. If it does not change at two
+points, it is independent with an error probability below 2^-100. Functions that the field does not
+know count as dependent.
 """
 
 from __future__ import annotations
@@ -9,25 +10,25 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 
 from symsimpson.graph.field import LARGER, PRIME, Element, Evaluation, PrimeField
-from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
-from symsimpson.graph.rebuild import again, fixed
+from symsimpson.graph.nodes import ZERO, Graph, Value, scale
+from symsimpson.graph.rebuild import fix_symbols, rebuild_node
 from symsimpson.graph.roots import dependent_radicands, radicands
 
 POINTS = 2
-#: Points at which nodes are merged: that two of 10^4 agree by chance has odds below 2^-100.
+#: Points to merge nodes. With 10^4 nodes, the probability of a chance agreement is below 2^-100.
 MERGING_POINTS = 3
-#: Other points are tried this often where something is divided by zero.
+#: Number of further points after divisions by zero.
 TRIES = 20
-#: Functions that a field knows as well as algebra does.
+#: Functions with the same identities in the field as in the real numbers.
 KNOWN = frozenset(["sin", "cos", "exp", "sinh", "cosh", "tanh"])
 
 
-def evaluations(
+def evaluate_at_points(
     graph: Graph, roots: Sequence[int], count: int, opaque: frozenset[int]
 ) -> list[Evaluation]:
-    """Evaluate nodes at several points of the field.
+    """Evaluate nodes at ``count`` random points of the field.
 
-    Raises ZeroDivisionError if something is divided by zero wherever one looks.
+    Raises ZeroDivisionError if a division by zero occurs at too many points.
     """
     points: list[Evaluation] = []
     for seed in range(count + TRIES):
@@ -41,33 +42,33 @@ def evaluations(
     raise ZeroDivisionError
 
 
-class Findings:
-    """Answers about values, and what they are made of.
+class IdentityTest:
+    """Identity tests for ``values`` and their descendants.
 
-    ``values`` are all that will be asked about. What is known of roots is taken over from findings
-    ``before``, of values of the same graph, if no root is new.
+    ``before`` is an earlier instance for the same graph. If no square root is new, its dependences
+    of square roots are used again.
     """
 
     def __init__(
-        self, graph: Graph, values: Sequence[Value], before: Findings | None = None
+        self, graph: Graph, values: Sequence[Value], before: IdentityTest | None = None
     ) -> None:
         self._graph = graph
         roots = [n for _, n in values]
-        self.radicands = frozenset(radicands(graph, graph.reached(roots)))
+        self.radicands = frozenset(radicands(graph, graph.descendants(roots)))
         self.dependent: frozenset[int] = (
             dependent_radicands(graph, roots)
             if before is None or not self.radicands <= before.radicands
             else before.dependent
         )
-        self.points = evaluations(graph, roots, POINTS, self.dependent)
+        self.points = evaluate_at_points(graph, roots, POINTS, self.dependent)
         self._known_opaque: dict[int, bool] = {}
 
     def vanishes(self, value: Value) -> bool:
-        """Return whether a value is zero."""
+        """Return whether a value is identically zero."""
         return not value[0] or all(not at.values[value[1]] for at in self.points)
 
     def equal(self, first: Value, second: Value) -> bool:
-        """Return whether two values are the same."""
+        """Return whether two values are identically equal."""
         return all(at[first] == at[second] for at in self.points)
 
     def depends(self, value: Value, x: int) -> bool:
@@ -76,17 +77,17 @@ class Findings:
             return False
         return any(value[1] in at.depending_on(x) for at in self.points)
 
-    def freed(self, value: Value, symbols: Iterable[int]) -> Value:
-        """Write a value without the symbols that it does not depend on, where that can be."""
+    def drop_symbols(self, value: Value, symbols: Iterable[int]) -> Value:
+        """Return an equal value without symbols on which it does not depend, where possible."""
         if self.vanishes(value):
             return ZERO
         present = self._graph.nodes[value[1]].symbols
         for x in [x for x in symbols if x in present and not self.depends(value, x)]:
-            value = fixed(self._graph, value, [x]) or value
+            value = fix_symbols(self._graph, value, [x]) or value
         return value
 
     def affine(self, values: Sequence[Value], symbols: Sequence[int]) -> list[bool]:
-        """Tell of each value whether its second differences in some symbols vanish."""
+        """Return for each value whether it is affine in the symbols: second differences vanish."""
         answer = [True] * len(values)
         for number, point in enumerate(self.points):
             corners = [[at[value] for value in values] for at in _corners(point, symbols, number)]
@@ -97,9 +98,9 @@ class Findings:
         return answer
 
     def opaque(self, value: Value) -> bool:
-        """Return whether a value holds functions of which the field knows nothing."""
+        """Return whether a value contains functions without identities in the field."""
         if value[1] not in self._known_opaque:
-            nodes = self._graph.reached([value[1]])
+            nodes = self._graph.descendants([value[1]])
             self._known_opaque[value[1]] = any(map(self._is_opaque, nodes))
         return self._known_opaque[value[1]]
 
@@ -113,7 +114,7 @@ class Findings:
 
 
 def _corners(at: Evaluation, symbols: Sequence[int], number: int) -> Iterable[Evaluation]:
-    """Return a parallelogram of points: z, z + u, z + w, z + u + w."""
+    """Yield evaluations at the corners of a parallelogram: z, z + u, z + w, z + u + w."""
     draw = PrimeField(number + 1000, at.arithmetic.prime)
     for u, w in ((0, 0), (1, 0), (0, 1), (1, 1)):
         moved: dict[int, Element] = {
@@ -126,41 +127,43 @@ def _corners(at: Evaluation, symbols: Sequence[int], number: int) -> Iterable[Ev
         yield at.at(moved)
 
 
-def merged(graph: Graph, values: Sequence[Value], level: Callable[[int], int]) -> list[Value]:
-    """Write values so that no two nodes in them are equal as functions.
+def merge_equal_nodes(
+    graph: Graph, values: Sequence[Value], level: Callable[[int], int]
+) -> list[Value]:
+    """Rewrite values so that no two nodes in them are equal as functions.
 
-    Of equal nodes one of the lowest ``level`` stays; a product rather than a sum, in which digits
-    may cancel.
+    Among equal nodes, a node of the lowest ``level`` remains. A product is preferred to a sum,
+    because the terms of a sum may cancel digits.
     """
     roots = [n for _, n in values]
     try:
-        points = evaluations(graph, roots, MERGING_POINTS, dependent_radicands(graph, roots))
+        points = evaluate_at_points(graph, roots, MERGING_POINTS, dependent_radicands(graph, roots))
     except ZeroDivisionError:
         return list(values)
     classes: dict[tuple[object, ...], list[int]] = {}
     marks: dict[int, int] = {}
     key_of: dict[int, tuple[object, ...]] = {}
-    for n in graph.reached([0, *roots]):
+    for n in graph.descendants([0, *roots]):
         key = tuple(at.values[n] if n else 1 for at in points)
-        marks[n], key_of[n] = _unsigned(key, points) if any(key) else (0, key)
+        marks[n], key_of[n] = _split_sign(key, points) if any(key) else (0, key)
         classes.setdefault(key_of[n], []).append(n)
 
-    def stays(order: Callable[[int], tuple[int, ...]]) -> dict[int, int]:
+    def choose(order: Callable[[int], tuple[int, ...]]) -> dict[int, int]:
         chosen = {key: min(members, key=order) for key, members in classes.items()}
         return {n: chosen[key] for n, key in key_of.items()}
 
-    sums_last = stays(lambda n: (level(n), graph.nodes[n].kind == "sum", n))
-    done = _rewritten(graph, roots, marks, sums_last)
-    if done is None:  # a product that is made of the sum
-        done = _rewritten(graph, roots, marks, stays(lambda n: (level(n), n)))
+    sums_last = choose(lambda n: (level(n), graph.nodes[n].kind == "sum", n))
+    done = _rewrite(graph, roots, marks, sums_last)
+    if done is None:  # a product contains the sum that it replaces
+        done = _rewrite(graph, roots, marks, choose(lambda n: (level(n), n)))
     assert done is not None
-    return [scaled(c, done[n]) for c, n in values]
+    return [scale(c, done[n]) for c, n in values]
 
 
-def _rewritten(
-    graph: Graph, roots: Sequence[int], marks: dict[int, int], stays: dict[int, int]
+def _rewrite(
+    graph: Graph, roots: Sequence[int], marks: dict[int, int], representatives: dict[int, int]
 ) -> dict[int, Value] | None:
-    """Write nodes anew with those that stay; None if these are made of each other."""
+    """Rebuild nodes from the representatives; None if these depend on each other in a cycle."""
     done: dict[int, Value] = {n: ZERO for n, mark in marks.items() if not mark}
     open_: set[int] = set()
     work = [n for n in roots if n not in done]
@@ -169,7 +172,7 @@ def _rewritten(
         if n in done:
             work.pop()
             continue
-        other = stays[n]
+        other = representatives[n]
         if other == n:
             missing = [m for m in graph.arguments(n) if m not in done]
         else:
@@ -181,18 +184,18 @@ def _rewritten(
             work += missing
             continue
         if other == n:
-            done[n] = again(graph, n, done, graph)
+            done[n] = rebuild_node(graph, n, done, graph)
         else:
-            done[n] = scaled(marks[n] * marks[other], done[other])
+            done[n] = scale(marks[n] * marks[other], done[other])
         open_.discard(n)
         work.pop()
     return done
 
 
-def _unsigned(
+def _split_sign(
     key: tuple[object, ...], points: Sequence[Evaluation]
 ) -> tuple[int, tuple[object, ...]]:
-    """Return the same key for a node and its negative, and which of them it is."""
+    """Return a sign, and a key that a node and its negative share."""
     pairs = zip(key, points, strict=True)
     other = tuple(_negative(x, at.arithmetic.prime) for x, at in pairs)
     return (1, key) if repr(key) <= repr(other) else (-1, other)

@@ -1,4 +1,4 @@
-"""Values as lines of a program: what is shared has a line, powers are products, numbers are few."""
+"""Straight-line code: values as a list of lines, with few powers and few coefficients."""
 
 from __future__ import annotations
 
@@ -7,15 +7,18 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
 
-from symsimpson.graph.nodes import UNIT, Exact, Graph, Value, arguments, exact, magnitude, scaled
+from symsimpson.graph.nodes import UNIT, Exact, Graph, Value, arguments, exact, magnitude, scale
 
-#: A factor and its exponent, or a coefficient and a term.
+#: A pair (factor, exponent) of a product, or (coefficient, term) of a sum.
 Item = tuple[Any, Any]
 
 
 @dataclass
 class Line:
-    """A line: kind and parts are those of a node, and ``level`` tells when it is known."""
+    """A line of straight-line code. ``kind`` and ``parts`` are as in a node of a graph.
+
+    ``level`` tells when the line is known; level 0 depends on parameters only.
+    """
 
     kind: str
     parts: list[Any]
@@ -23,18 +26,20 @@ class Line:
 
 
 @dataclass
-class Program:
-    """Lines by number, and the values that are asked for."""
+class StraightLineCode:
+    """Straight-line code: lines by number, and outputs, which are values of lines."""
 
-    lines: dict[int, Line]  #: Lines that outputs need, and possibly others.
+    lines: dict[int, Line]  #: All lines that outputs need, and possibly other lines.
     outputs: dict[Hashable, Value]
     known: dict[tuple[str, tuple[Any, ...]], int] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, graph: Graph, outputs: Mapping[Any, Value], level: Callable[[int], int]) -> Program:
-        """Write down what outputs are made of."""
+    def of(
+        cls, graph: Graph, outputs: Mapping[Any, Value], level: Callable[[int], int]
+    ) -> StraightLineCode:
+        """Return the code for values of a graph. ``level`` gives the level of a node."""
         lines = {}
-        for n in graph.reached(value[1] for value in outputs.values()):
+        for n in graph.descendants(value[1] for value in outputs.values()):
             node = graph.nodes[n]
             lines[n] = Line(node.kind, list(node.parts), level(n))
         program = cls(lines, dict(outputs))
@@ -42,7 +47,7 @@ class Program:
         return program
 
     def line(self, kind: str, parts: Sequence[Any], level: int) -> int:
-        """Return the number of a line, a new one if there is none with these parts."""
+        """Return the number of the line with these parts; add the line if necessary."""
         key = (kind, tuple(parts))
         number = self.known.get(key)
         if number is None or (self.lines[number].kind, tuple(self.lines[number].parts)) != key:
@@ -51,15 +56,15 @@ class Program:
         return number
 
     def level(self, numbers: Sequence[int]) -> int:
-        """Return when all lines of some numbers are known."""
+        """Return the largest level of some lines."""
         return max((self.lines[n].level for n in numbers), default=0)
 
     def arguments(self, n: int) -> list[int]:
-        """List the lines that a line is made of."""
+        """List the lines that a line uses."""
         return arguments(self.lines[n].kind, self.lines[n].parts)
 
     def order(self, values: Iterable[Value] | None = None) -> list[int]:
-        """List the lines that outputs need, each behind those that it is made of."""
+        """List the lines for some values (by default all outputs), each after its arguments."""
         placed: dict[int, None] = {}
         for _, root in self.outputs.values() if values is None else values:
             work = [root]
@@ -75,14 +80,14 @@ class Program:
         return list(placed)
 
     def resolve(self) -> None:
-        """Leave out lines that are no more than another one, or a multiple of it."""
+        """Replace lines that equal another line, or a multiple of another line."""
         done: dict[int, Value] = {}
         for n in self.order():
             line = self.lines[n]
             if line.kind == "sum":
-                line.parts = [scaled(c, done[m]) for c, m in line.parts]
+                line.parts = [scale(c, done[m]) for c, m in line.parts]
             elif line.kind == "function":
-                line.parts = [line.parts[0], *(scaled(c, done[m]) for c, m in line.parts[1:])]
+                line.parts = [line.parts[0], *(scale(c, done[m]) for c, m in line.parts[1:])]
             elif line.kind == "product":
                 line.parts = [(done[m][1] if done[m][0] == 1 else m, e) for m, e in line.parts]
             done[n] = (1, n)
@@ -92,10 +97,10 @@ class Program:
                     done[n] = (a, b)
                 elif b == 1:
                     done[n] = (1, a)
-        self.outputs = {key: scaled(c, done[n]) for key, (c, n) in self.outputs.items()}
+        self.outputs = {key: scale(c, done[n]) for key, (c, n) in self.outputs.items()}
 
     def users(self) -> dict[int, int]:
-        """Count how often lines are used in others and asked for."""
+        """Count the uses of each line, in other lines and as an output."""
         count: dict[int, int] = {}
         for n in self.order():
             for m in self.arguments(n):
@@ -105,9 +110,9 @@ class Program:
         return count
 
     def operations(self, values: Sequence[Value] | None = None) -> int:
-        """Count the operations on what is not known before, for all outputs or for some values.
+        """Count the operations above level 0, for some values (by default all outputs).
 
-        Sine and cosine of an angle are one.
+        The sine and the cosine of an angle count as one operation.
         """
         values = list(self.outputs.values()) if values is None else values
         total = 0
@@ -130,7 +135,7 @@ class Program:
         return total + len(angles) + self._multiples(values)
 
     def _multiples(self, values: Sequence[Value]) -> int:
-        """Count products with numbers other than one and minus one."""
+        """Count the coefficients other than 1 and -1."""
         return sum(abs(c) != 1 and self.lines[m].level > 0 for c, m in values)
 
     def _product(self, line: Line) -> int:
@@ -145,20 +150,20 @@ class Program:
 
 
 def add_factor(parts: list[Item], m: int, e: Exact) -> None:
-    """Add a factor to a list; two powers of one line are one."""
-    held = next((f for base, f in parts if base == m), None)
-    if held is not None:
-        parts.remove((m, held))
-        e = exact(e + held)
+    """Add a factor to the parts of a product, and combine two powers of a line."""
+    power = next((f for base, f in parts if base == m), None)
+    if power is not None:
+        parts.remove((m, power))
+        e = exact(e + power)
     parts.append((m, e))
 
 
-#: So many quotients are cheaper than an inverse and products with it.
+#: Up to this number, quotients are cheaper than an inverse with products.
 FEW_QUOTIENTS = 3
 
 
-def write_powers(program: Program) -> None:
-    """Write powers as products of one inverse or root of their base."""
+def write_powers(program: StraightLineCode) -> None:
+    """Replace the powers of each base by products of one inverse or root of the base."""
     wanted: dict[int, dict[Exact, int]] = {}
     order = program.order()
     for n in order:
@@ -176,15 +181,15 @@ def write_powers(program: Program) -> None:
             for m, e in line.parts:
                 for item in written[m](e) if m in written else [(m, e)]:
                     add_factor(parts, *item)
-            if parts != [(n, 1)]:  # the line is that unit or power itself
+            if parts != [(n, 1)]:  # otherwise the line is this inverse, root or power itself
                 line.parts = parts
     program.resolve()
 
 
 class _Powers:
-    """Writes the powers of one base that a program asks for."""
+    """The powers of one base, as products of a unit: the base, an inverse, or a root of it."""
 
-    def __init__(self, program: Program, base: int, uses: dict[Exact, int]) -> None:
+    def __init__(self, program: StraightLineCode, base: int, uses: dict[Exact, int]) -> None:
         self._program, self._base = program, base
         level = program.lines[base].level
         self._level = level
@@ -193,7 +198,7 @@ class _Powers:
         roots = [e for e in uses if e.denominator != 1]
         index = max((e.denominator for e in roots), default=1)
         if any(index % e.denominator for e in roots):
-            self._plain = set(uses)  # roots of different kinds
+            self._plain = set(uses)  # square and cube roots have no common unit
             return
         below = [e for e in uses if e < 0]
         if roots:
@@ -212,7 +217,7 @@ class _Powers:
             self._in_chain(self._chain, k)
 
     def _steps(self, e: Exact) -> int:
-        """Return how often the unit stands in a power; 0 if the base itself serves better."""
+        """Return the exponent of the unit in a power; 0 if the base itself is better."""
         if self._unit < 0 < e or (self._unit > 0 and e.denominator == 1 and self._unit != 1):
             return 0
         return int(e / self._unit)
@@ -237,7 +242,7 @@ class _Powers:
         return self._in_chain(self._chain if self._unit == 1 else self._of_base, k)
 
     def _in_chain(self, chain: dict[int, int], k: int) -> int:
-        """Return a power: one product of two that are there, if there are."""
+        """Return the line of a power, as a product of two known powers where possible."""
         if k not in chain:
             have = sorted(chain, reverse=True)
             pair = next(((j, k - j) for j in have if k - j in chain), None)
@@ -250,35 +255,36 @@ class _Powers:
         return chain[k]
 
 
-class Fold:
-    """Puts numbers where they cost least.
+class CoefficientFolding:
+    """A transformation that removes multiplications by numbers.
 
-    The constant of a product takes the number that all who use the product multiply by; so does
-    a sum, if its terms are there with that number; and a multiple that is used again gets a line.
+    If all uses of a product have the same coefficient, the constant factor of the product absorbs
+    it. A sum absorbs it if its terms exist with that coefficient. Other multiples with several uses
+    get a line.
     """
 
-    def __init__(self, program: Program) -> None:
+    def __init__(self, program: StraightLineCode) -> None:
         self._program = program
         self._uses: dict[int, dict[Exact, int]] = {}
         self._multiples: dict[tuple[Exact, int], int] = {}
 
     def run(self) -> None:
-        """Change the program."""
+        """Transform the program in place."""
         program, order = self._program, self._program.order()
         for n in order:
             line = program.lines[n]
             for c, m in _multiplied(line):
                 self._count(c, m, 1)
             for m, _ in line.parts if line.kind == "product" else ():
-                self._count(0, m, 1)  # as a factor, which takes no number
+                self._count(0, m, 1)  # a factor has no coefficient
         for c, m in program.outputs.values():
             self._count(c, m, 1)
-        for n in reversed(order):  # users first: they change what is asked of the others
-            self._into_sum(n)
+        for n in reversed(order):  # uses before definitions, because a sum changes its terms' uses
+            self._fold_into_sum(n)
         for m in order:
             if program.lines[m].level:
                 for k, count in self._uses.get(m, {}).items():
-                    self._multiple(k, m, count)
+                    self._add_multiple(k, m, count)
         for n in order:
             line = program.lines[n]
             if line.level and line.kind in ("sum", "function"):
@@ -290,8 +296,8 @@ class Fold:
         counts = self._uses.setdefault(m, {})
         counts[magnitude(c)] = counts.get(magnitude(c), 0) + more
 
-    def _into_sum(self, n: int) -> None:
-        """Multiply the terms of a sum, if all who use it multiply it by the same number."""
+    def _fold_into_sum(self, n: int) -> None:
+        """Multiply the terms of a sum by the coefficient that all its uses share."""
         line, counts = self._program.lines[n], self._uses.get(n, {})
         if line.kind != "sum" or not line.level or len(counts) != 1 or len(line.parts) < 2:
             return
@@ -311,18 +317,18 @@ class Fold:
         self._multiples[k, n] = n
         self._uses[n] = {}
 
-    def _multiple(self, k: Exact, m: int, count: int) -> None:
-        """Make a line for a multiple where that is worth it."""
+    def _add_multiple(self, k: Exact, m: int, count: int) -> None:
+        """Add a line for the multiple k of a line, if this saves operations."""
         program, line = self._program, self._program.lines[m]
         if k in (0, 1) or not count:
             return
-        alone = sum(map(bool, self._uses[m].values())) == 1
+        only_multiple = sum(map(bool, self._uses[m].values())) == 1
         constant = (
             next((item for item in line.parts if not program.lines[item[0]].level), None)
             if line.kind == "product"
             else None
         )
-        if constant is not None and alone:
+        if constant is not None and only_multiple:
             number = constant[0] if constant[1] == 1 else program.line("product", [constant], 0)
             scaled = program.line("sum", [(k, number)], 0)
             parts = [(scaled, 1) if item == constant else item for item in line.parts]
@@ -330,7 +336,7 @@ class Fold:
         elif count > 1:
             program.lines.setdefault(UNIT, Line("unit", [], 0))
             number = program.line("sum", [(k, UNIT)], 0)
-            parts = [*line.parts] if alone and line.kind == "product" else [(m, 1)]
+            parts = [*line.parts] if only_multiple and line.kind == "product" else [(m, 1)]
             self._multiples[k, m] = program.line("product", [(number, 1), *parts], line.level)
 
     def _value(self, c: Exact, m: int) -> Any:
@@ -339,5 +345,5 @@ class Fold:
 
 
 def _multiplied(line: Line) -> list[Any]:
-    """List the values of which a line takes multiples."""
+    """List the values in a line that may have a coefficient."""
     return {"sum": line.parts, "function": line.parts[1:]}.get(line.kind, [])

@@ -1,8 +1,8 @@
-"""Values as pairs of an exact coefficient and a node; every node is made once.
+"""The expression graph: values are pairs of an exact coefficient and a node.
 
-Nodes are numbered upward, so that ascending numbers are an order in which they can be computed.
-Sums in sums and products of sums stay as they are written: multiplied out, nothing would be shared
-any more. A float is the dyadic rational that it is, so that nothing is rounded here.
+Equal nodes exist once. Arguments have smaller numbers than the nodes that use them, so nodes can be
+evaluated in ascending order. The graph does not expand products of sums, because an expanded
+expression shares no subexpressions. Floats become dyadic rationals, so no arithmetic rounds.
 """
 
 from __future__ import annotations
@@ -14,35 +14,37 @@ from typing import Any, NamedTuple, TypeAlias
 
 from sympy import integer_nthroot
 
-#: A whole number or a fraction; a fraction is never whole.
+#: An int, or a Fraction that is not a whole number.
 Exact: TypeAlias = int | Fraction
 #: A coefficient and the number of a node.
 Value: TypeAlias = tuple[Exact, int]
 
-#: The node of the number one, the first of every graph.
+#: The node of the number one: the first node of every graph.
 UNIT = 0
 ZERO: Value = (0, UNIT)
 ONE: Value = (1, UNIT)
 
-#: The constant "Tiny" in doubles: it makes the root of 0 smooth, and is lost beside other squares.
+#: The constant "Tiny" in double precision. It makes a square root smooth at 0, and is negligible
+#: in a sum with other squares.
 TINY = 2.0**-600
-#: Common factors of the coefficients of a sum are pulled out if no part of them reaches this.
+#: A common factor of the coefficients of a sum is extracted only below this size.
 LARGE = 2**40
-#: Roots are taken of whole numbers of at most so many binary digits.
+#: Largest number of bits of a whole number whose root is computed.
 LONGEST_ROOT = 10**4
-#: Functions f(-x) = -f(x), and f(-x) = f(x), with their value at zero.
+#: Odd functions, f(-x) = -f(x). EVEN has even functions, and AT_ZERO values at zero.
 ODD = frozenset(["sin", "tan", "asin", "atan", "sinh", "tanh", "asinh", "atanh", "erf"])
-#: Nodes that are pulled out of sums, where all terms have them.
+#: Kinds of nodes that are extracted from a sum if all terms contain them as factors.
 COMMON = frozenset(["symbol", "function", "sum"])
 EVEN = frozenset(["cos", "cosh", "logcosh"])
 AT_ZERO = {**dict.fromkeys(ODD, 0), **dict.fromkeys(EVEN, 1), "exp": 1, "erfc": 1, "logcosh": 0}
 
 
 class Node(NamedTuple):
-    """A node, and the symbols that it contains by their own numbers.
+    """A node of the graph. ``symbols`` has the node numbers of the symbols in it.
 
-    ``parts`` of a symbol or a constant are its name; of a sum, pairs (coefficient, node); of a
-    product, pairs (node, exponent); of a function, its name and the values of its arguments.
+    The ``parts`` depend on the ``kind``: a symbol or a constant has its name, a sum has pairs
+    (coefficient, node), and a product has pairs (node, exponent). A function has its name and the
+    values of its arguments.
     """
 
     kind: str
@@ -51,9 +53,9 @@ class Node(NamedTuple):
 
 
 class Graph:
-    """Nodes, each made once and numbered from the arguments up.
+    """A directed acyclic graph of expressions, without duplicate nodes.
 
-    With ``factored``, what all terms of a sum have in common as a factor stands before the sum.
+    A ``factored`` graph extracts common factors from all terms of a sum.
     """
 
     def __init__(self, *, factored: bool = False) -> None:
@@ -76,21 +78,21 @@ class Graph:
         return next(iter(sets)) if len(sets) == 1 else frozenset().union(*sets)
 
     def symbol(self, name: str) -> Value:
-        """Return the symbol of a name."""
+        """Return the value of a symbol."""
         known = self._numbers.get(("symbol", (name,)))
         number = len(self.nodes) if known is None else known
         return 1, self._make("symbol", (name,), frozenset([number]))
 
     def numbers(self, names: Iterable[str]) -> tuple[int, ...]:
-        """Return the nodes of symbols by their names."""
+        """Return the node numbers of the symbols with these names."""
         return tuple(self.symbol(name)[1] for name in names)
 
     def constant(self, name: str) -> Value:
-        """Return a number that is not rational, by its name."""
+        """Return the value of an irrational constant, such as "pi"."""
         return 1, self._make("constant", (name,), frozenset())
 
     def add(self, values: Iterable[Value]) -> Value:
-        """Add values; equal nodes are collected."""
+        """Add values, and collect the coefficients of equal nodes."""
         terms: dict[int, Exact] = {}
         for coefficient, n in values:
             if coefficient:
@@ -110,7 +112,7 @@ class Graph:
         return content, self._make("sum", parts, self._united(n for n, _ in items))
 
     def multiply(self, values: Iterable[tuple[Exact, int] | tuple[Exact, int, Exact]]) -> Value:
-        """Multiply values; a third entry is the exponent of the node."""
+        """Multiply values. An optional third entry is the exponent of the node."""
         coefficient: Exact = 1
         factors: dict[int, Exact] = {}
         open_: list[tuple[int, Exact]] = []
@@ -135,10 +137,10 @@ class Graph:
                     del factors[n]
                     coefficient *= Fraction(parts[0][0]) ** int(e)
                     open_.append((parts[0][1], e))
-                elif kind == "function" and parts[0] == "cosh":  # tanh does not overflow
+                elif kind == "function" and parts[0] == "cosh":  # sinh/cosh = tanh cannot overflow
                     sinh = self._numbers.get(("function", ("sinh", parts[1])), UNIT)
                     common = min(e, -factors.get(sinh, 0), key=magnitude)
-                    if max(e, common) < 0:  # with sinh below, 1/tanh would be new
+                    if max(e, common) < 0:  # only sinh/cosh: cosh/sinh would need 1/tanh
                         tanh = self.function("tanh", parts[1])[1]
                         open_ += [(n, -common), (sinh, common), (tanh, -common)]
         coefficient = exact(coefficient)
@@ -150,7 +152,7 @@ class Graph:
         return coefficient, self._make("product", parts, self._united(n for n, _ in parts))
 
     def products(self, values: Iterable[Value], nodes: Iterable[int]) -> list[Value]:
-        """Multiply each value with its node."""
+        """Multiply each value by the node at the same place."""
         return [self.multiply([x, (1, n)]) for x, n in zip(values, nodes, strict=True)]
 
     def power(self, value: Value, exponent: Exact) -> Value:
@@ -169,18 +171,20 @@ class Graph:
             return self.multiply([(outside, n, exponent)])
         root = _root(magnitude(coefficient), Fraction(exponent))
         if root is not None:
-            return self.multiply([(root, self.kept((1 if coefficient > 0 else -1, n)), exponent)])
-        return self.multiply([(1, self.kept(value), exponent)])
+            return self.multiply(
+                [(root, self.absorb_coefficient((1 if coefficient > 0 else -1, n)), exponent)]
+            )
+        return self.multiply([(1, self.absorb_coefficient(value), exponent)])
 
-    def kept(self, value: Value) -> int:
-        """Return a node that stands for a value together with its coefficient."""
+    def absorb_coefficient(self, value: Value) -> int:
+        """Return a node that equals a value, including its coefficient."""
         coefficient, n = value
         if coefficient == 1:
             return n
         return self._make("sum", ((coefficient, n),), self.nodes[n].symbols)
 
     def function(self, name: str, *arguments: Value) -> Value:
-        """Apply a function; tan, cot, sec and csc are made of sine and cosine."""
+        """Apply a function. It expresses tan, cot, sec and csc by sine and cosine."""
         coefficient, n = arguments[0]
         quotients = {"tan": (1, -1), "cot": (-1, 1), "sec": (0, -1), "csc": (-1, 0)}
         if name in quotients:
@@ -199,7 +203,7 @@ class Graph:
         return sign, self._make("function", (name, *arguments), symbols)
 
     def _common(self, numbers: list[int]) -> list[tuple[int, Exact]]:
-        """List the symbols, functions and sums, with their powers, that all have as factors."""
+        """List the common factors of all nodes with their powers: symbols, functions and sums."""
         shared: dict[int, Exact] | None = None
         for n in numbers:
             powers = {
@@ -221,14 +225,14 @@ class Graph:
         return node.parts if node.kind == "product" else ((n, 1),)
 
     def arguments(self, n: int) -> list[int]:
-        """List the nodes that a node is made of."""
+        """List the nodes of the arguments of a node."""
         kind, parts, _ = self.nodes[n]
         return arguments(kind, parts)
 
-    def reached(self, roots: Iterable[int], known: Container[int] = ()) -> list[int]:
-        """List all nodes that some are made of, themselves among them, in ascending order.
+    def descendants(self, roots: Iterable[int], known: Container[int] = ()) -> list[int]:
+        """List the roots and all their descendants in ascending order.
 
-        Those that are ``known``, and what is reached by these alone, are left out.
+        The search does not enter ``known`` nodes.
         """
         seen: set[int] = set()
         work = list(roots)
@@ -241,7 +245,7 @@ class Graph:
 
 
 def arguments(kind: str, parts: Sequence[Any]) -> list[int]:
-    """List what a node, or a line of a program, is made of."""
+    """List the arguments of a node, or of a line of straight-line code."""
     match kind:
         case "sum":
             return [m for _, m in parts]
@@ -252,23 +256,26 @@ def arguments(kind: str, parts: Sequence[Any]) -> list[int]:
     return []
 
 
-def scaled(factor: Exact, value: Value) -> Value:
+def scale(factor: Exact, value: Value) -> Value:
     """Multiply a value by a number."""
     return exact(factor * value[0]), value[1]
 
 
 def exact(number: Exact) -> Exact:
-    """Return a fraction that is whole as a whole number."""
+    """Return a fraction with denominator 1 as an int, and any other number unchanged."""
     return number if type(number) is int or number.denominator != 1 else number.numerator
 
 
 def magnitude(number: Exact) -> Exact:
-    """Return a number without its sign."""
+    """Return the modulus of a number."""
     return number if number >= 0 else -number
 
 
 def _content(coefficients: list[Exact]) -> Exact:
-    """Return the common factor of coefficients, with the sign of the first; floats keep theirs."""
+    """Return the common factor of coefficients with the sign of the first coefficient.
+
+    Large numerators and denominators come from floats. The factor is then only the sign.
+    """
     sign = 1 if coefficients[0] > 0 else -1
     top = gcd(*(c.numerator for c in coefficients))
     bottom = lcm(*(c.denominator for c in coefficients))
@@ -278,7 +285,7 @@ def _content(coefficients: list[Exact]) -> Exact:
 
 
 def _root(number: Exact, exponent: Fraction) -> Exact | None:
-    """Return a power of a positive number if it is rational; None if its root would be too long."""
+    """Return a rational power of a positive number; None if it is irrational or too long."""
     parts = []
     for whole in (number.numerator, number.denominator):
         if whole.bit_length() > LONGEST_ROOT:

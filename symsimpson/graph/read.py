@@ -1,4 +1,4 @@
-"""SymPy expressions read into a graph, and small ones written back."""
+"""Conversion of SymPy expressions to graph values, and of small values to SymPy."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import sympy as sp
 
 from symsimpson.errors import GenerationError, reject
 from symsimpson.graph.evaluate import without_overflow
-from symsimpson.graph.nodes import TINY, Exact, Graph, Value, exact, magnitude, scaled
+from symsimpson.graph.nodes import TINY, Exact, Graph, Value, exact, magnitude, scale
 
-#: SymPy's functions by their names in a graph.
+#: Names in the graph of SymPy's functions.
 FUNCTIONS: dict[Any, str] = {
     getattr(sp, name): name
     for name in (
@@ -21,22 +21,22 @@ FUNCTIONS: dict[Any, str] = {
         *("sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "exp", "log", "erf", "erfc"),
     )
 }
-#: Functions that others write.
+#: Functions that are expressed by other functions.
 OTHERS: dict[Any, Callable[[Any], sp.Expr]] = {
     sp.sech: lambda x: 1 / sp.cosh(x),
     sp.csch: lambda x: 1 / sp.sinh(x),
     sp.coth: lambda x: sp.cosh(x) / sp.sinh(x),
 }
 CONSTANTS: dict[Any, str] = {sp.pi: "pi", sp.EulerGamma: "EulerGamma", sp.Catalan: "Catalan"}
-#: A root has at most this index; other powers are functions.
+#: Largest index of a root. Powers with larger denominators become functions.
 HIGHEST_ROOT = 24
-#: Fractions with a larger denominator, a power of two, were floats.
+#: A fraction whose denominator is a power of two above this was a float.
 FLOAT = 2**10
-#: Functions that overflow though their logarithms are small.
+#: Functions that overflow although their logarithms do not.
 GROWING = frozenset(["exp", "cosh", "sinh"])
 
 _BY_NAME = {name: function for function, name in FUNCTIONS.items()}
-#: Those of trees, which people read, and which may be read again.
+#: Functions for readable SymPy trees, which this module can read again.
 _IN_TREES = _BY_NAME | {
     "softplus": lambda x: sp.log(1 + sp.exp(x)),
     "logcosh": lambda x: sp.log(sp.cosh(x)),
@@ -45,12 +45,12 @@ _BY_NAME |= without_overflow(sp.exp, sp.log, sp.atanh)
 _CONSTANT_OF = {name: constant for constant, name in CONSTANTS.items()} | {"Tiny": sp.Float(TINY)}
 
 
-class Reader:
-    """Reads expressions, each node of them once.
+class SympyConverter:
+    """A converter from SymPy expressions to values of a graph.
 
-    ``known`` has what symbols, coordinates and velocities stand for; ``done`` has all that was
-    read, too. ``check`` is called once with each node that is not known, before its arguments are
-    read.
+    ``known`` maps symbols, coordinates and velocities to values. ``done`` also has all converted
+    nodes, so that each node is converted once. ``check`` is called once for each node that is not
+    known, before its arguments are converted.
     """
 
     def __init__(
@@ -64,13 +64,13 @@ class Reader:
         self._positive = {n for user, (_, n) in known.items() if user.is_positive}
 
     def __call__(self, expression: sp.Basic) -> Value:
-        """Return the value of an expression."""
+        """Convert an expression to a value of the graph."""
         done, work = self.done, [(expression, False)]
         while work:
             node, checked = work.pop()
             if node in done:
                 continue
-            other = _smooth(node)
+            other = _replacement(node)
             if other is not None:
                 if other in done:
                     done[node] = done[other]
@@ -103,7 +103,7 @@ class Reader:
             is_log = node.func is sp.log
             stable = logarithm(graph, arguments[0], self._positive) if is_log else None
             return stable or graph.function(FUNCTIONS[node.func], *arguments)
-        wider = node.expand(func=True)  # the golden ratio and its kin
+        wider = node.expand(func=True)  # such as the golden ratio
         if wider == node:
             raise TypeError(f"{type(node).__name__} cannot be read")
         return self(wider)
@@ -118,10 +118,10 @@ class Reader:
         return self._graph.function("pow", base, exponent)
 
 
-def _smooth(node: Any) -> sp.Expr | None:
-    """Return what is the same for real numbers and is made of known functions, if another is not.
+def _replacement(node: Any) -> sp.Expr | None:
+    """Return an expression by known functions that equals a node for real arguments, or None.
 
-    Norms of vectors are made of squares of moduli.
+    Norms of vectors contain squares of moduli, which become plain squares.
     """
     if isinstance(node, sp.Pow) and isinstance(node.base, sp.Abs) and node.exp.is_even:
         return node.base.args[0] ** node.exp
@@ -132,10 +132,11 @@ def _smooth(node: Any) -> sp.Expr | None:
 def logarithm(
     graph: Graph, value: Value, positive: Container[int], *, term: bool = False
 ) -> Value | None:
-    """Return log(value) by softplus(x) = log(1 + exp(x)) and logcosh(x) = log(cosh(x)).
+    """Return log(value) by functions that do not overflow: softplus and logcosh.
 
-    None if no exponential is a factor, or in one; of a ``term`` of a sum if it is not known to be
-    positive. The nodes of symbols that are so are ``positive``.
+    softplus(x) is log(1 + exp(x)) and logcosh(x) is log(cosh(x)). The result is None if no factor
+    is or contains an exponential. For a ``term`` of a sum it is None if the term is not known to
+    be positive. ``positive`` has the nodes of positive symbols.
     """
     coefficient, n = value
     if coefficient <= 0:
@@ -152,7 +153,7 @@ def logarithm(
         if name == "sinh":
             m = graph.function("tanh", parts[0])[1]
         if log is not None:
-            logs.append(scaled(e, log))
+            logs.append(scale(e, log))
         if log is None or name == "sinh":
             rest.append((1, m, e))
     if term and not all(m in positive or graph.nodes[m].kind == "constant" for _, m, _ in rest):
@@ -163,8 +164,8 @@ def logarithm(
 
 
 def _of_sum(graph: Graph, n: int, positive: Container[int], term: bool) -> Value | None:
-    """Return the logarithm of a sum of positive terms."""
-    nodes = map(graph.nodes.__getitem__, graph.reached([n]))
+    """Return the logarithm of a sum of positive terms, or None."""
+    nodes = map(graph.nodes.__getitem__, graph.descendants([n]))
     if not term and not any(
         GROWING.intersection(x.parts[:1]) for x in nodes if x.kind == "function"
     ):
@@ -173,13 +174,13 @@ def _of_sum(graph: Graph, n: int, positive: Container[int], term: bool) -> Value
     for other in others:
         if total is None or other is None:
             return None
-        apart = graph.add([other, scaled(-1, total)])
-        total = graph.add([total, graph.function("softplus", apart)])
+        difference = graph.add([other, scale(-1, total)])
+        total = graph.add([total, graph.function("softplus", difference)])
     return total
 
 
 def fraction(number: Any) -> int | Fraction:
-    """Return a SymPy number as the fraction that it is."""
+    """Convert a SymPy number to an exact fraction."""
     if number.is_Rational:
         return exact(Fraction(int(number.p), int(number.q)))
     sign, mantissa, exponent, _ = number._mpf_
@@ -188,25 +189,25 @@ def fraction(number: Any) -> int | Fraction:
 
 
 def was_float(value: int | Fraction) -> bool:
-    """Return whether a number is one that only floats are: with a large power of two below it."""
+    """Return whether the denominator of a number is a large power of two, as only of a float."""
     q = value.denominator
     return q > FLOAT and q & (q - 1) == 0
 
 
 def is_float(value: int | Fraction) -> bool:
-    """Return whether a number is one that only floats are, and is one of them."""
+    """Return whether a number was a float, and is exactly representable as one."""
     return was_float(value) and Fraction(float(value)) == value
 
 
-def in_doubles(value: int | Fraction) -> int | Fraction:
-    """Return a number, rounded where its numerator or denominator is far too large for a double.
+def fit_to_double(value: int | Fraction) -> int | Fraction:
+    """Return a number, rounded to a double if its numerator or denominator has over 1000 bits.
 
-    Raises GenerationError if the number itself is.
+    Raises GenerationError if the number exceeds the range of double precision.
     """
     if magnitude(value) > sys.float_info.max:
         reject(
-            "a number that stands in the equations is larger than doubles can be.",
-            remedy="Choose other units, or do not raise such sums to high powers.",
+            "a number in the equations exceeds the range of double precision (about 1.8e308).",
+            remedy="Choose other units, or avoid high powers of large numbers.",
             error=GenerationError,
         )
     huge = max(abs(value.numerator), value.denominator).bit_length() > 1000
@@ -214,41 +215,41 @@ def in_doubles(value: int | Fraction) -> int | Fraction:
 
 
 def number(value: int | Fraction) -> sp.Number:
-    """Return a fraction as a SymPy number; what was a float is one again."""
-    value = in_doubles(value)
+    """Convert a fraction to a SymPy Rational, or to a Float if it was a float."""
+    value = fit_to_double(value)
     if is_float(value):
         return sp.Float(float(value))
     return sp.Rational(value.numerator, value.denominator)
 
 
-def written(graph: Graph, value: Value, names: Mapping[int, sp.Expr]) -> sp.Expr:
-    """Write a value as an expression of SymPy: a tree, so that only short ones should be.
+def to_sympy(graph: Graph, value: Value, names: Mapping[int, sp.Expr]) -> sp.Expr:
+    """Convert a short value to a SymPy expression. A tree repeats shared subexpressions.
 
-    ``names`` has what stands for symbols, by their nodes.
+    ``names`` maps nodes of symbols to SymPy expressions.
     """
     done: dict[int, sp.Expr] = {0: sp.S.One, **names}
-    for n in graph.reached([value[1]]):
+    for n in graph.descendants([value[1]]):
         if n not in done:
             kind, parts, _ = graph.nodes[n]
-            done[n] = line_written(kind, parts, done, _IN_TREES)
+            done[n] = line_to_sympy(kind, parts, done, _IN_TREES)
     return number(value[0]) * done[value[1]]
 
 
 def tree_size(graph: Graph, value: Value) -> int:
-    """Count the nodes of a value written as a tree."""
+    """Count the nodes of a value as a tree, which repeats shared subexpressions."""
     size: dict[int, int] = {}
-    for n in graph.reached([value[1]]):
+    for n in graph.descendants([value[1]]):
         size[n] = 1 + sum(size[m] for m in graph.arguments(n))
     return size[value[1]]
 
 
-def line_written(
+def line_to_sympy(
     kind: str,
     parts: Sequence[Any],
     done: Mapping[int, sp.Expr],
     functions: Mapping[str, Any] = _BY_NAME,
 ) -> sp.Expr:
-    """Write one node or line, made of others that are written."""
+    """Convert a node, or a line of straight-line code, from its converted arguments ``done``."""
     match kind:
         case "sum":
             return sp.Add(*(number(c) * done[m] for c, m in parts))

@@ -1,4 +1,4 @@
-"""Square roots that depend on each other, with the signs that this rests on."""
+"""Signs of nodes, and square roots that depend on each other."""
 
 from __future__ import annotations
 
@@ -8,22 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.graph.field import Angles, Evaluation, PrimeField, raised
+from symsimpson.graph.field import Angles, Evaluation, PrimeField, raise_to_power
 from symsimpson.graph.nodes import Graph, Value
 from symsimpson.support.array_types import Ints
 
-#: Functions that are positive everywhere, and those with the sign of their argument.
+#: Functions that are positive everywhere, and functions with the sign of their argument.
 POSITIVE = frozenset(["exp", "cosh", "softplus"])
 LIKE_ARGUMENT = frozenset(["sinh", "tanh", "asinh", "atan", "erf"])
-#: Functions with a real value only on a part of the real numbers.
+#: Functions that are real only on a part of the real numbers.
 PARTIAL = frozenset(["asin", "acos", "acosh", "atanh"])
 
 
 class Signs:
-    """The signs of nodes, as far as they are known.
+    """Signs of nodes, derived from the ``known`` signs of symbols.
 
-    A sign is a pair: the sign itself, 1, -1 or 0 for unknown, and whether zero is excluded. The
-    signs of symbols are ``known``.
+    A sign is a pair: 1, -1 or 0 for unknown, and whether zero is excluded.
     """
 
     def __init__(self, graph: Graph, known: Mapping[int, tuple[int, bool]]) -> None:
@@ -35,7 +34,7 @@ class Signs:
         coefficient, n = value
         if not coefficient:
             return 1, False
-        for m in self._graph.reached([n]) if n not in self._done else ():
+        for m in self._graph.descendants([n]) if n not in self._done else ():
             if m not in self._done:
                 self._done[m] = self._node(m)
         sign, strict = self._done[n]
@@ -75,8 +74,8 @@ class Signs:
         return sign, strict
 
     def real_everywhere(self, roots: Iterable[int]) -> bool:
-        """Return whether nodes are real wherever they have a value; True is certain."""
-        for n in self._graph.reached(roots):
+        """Return True if the nodes are certainly real wherever they are defined."""
+        for n in self._graph.descendants(roots):
             kind, parts, _ = self._graph.nodes[n]
             if kind == "product":
                 if any(e.denominator != 1 and self((1, m))[0] != 1 for m, e in parts):
@@ -88,7 +87,7 @@ class Signs:
         return True
 
     def never_real(self, n: int) -> bool:
-        """Return whether a node is a root or a logarithm of what is always negative."""
+        """Return whether a node is a root or a logarithm of a value that is always negative."""
         kind, parts, _ = self._graph.nodes[n]
         if kind == "product":
             return any(e.denominator != 1 and self((1, m)) == (-1, True) for m, e in parts)
@@ -100,14 +99,14 @@ class Signs:
         )
 
 
-#: A product of two numbers modulo this fits into 64 bits.
+#: A product of two numbers modulo this prime fits into 64 bits.
 PRIME = 2**31 - 1
-#: A dependence that is none survives so many more points than radicands with chance 2^-40.
+#: With this number of points more than radicands, a wrong dependence has probability 2^-40.
 MORE = 40
 
 
 def radicands(graph: Graph, nodes: Iterable[int]) -> list[int]:
-    """List the nodes of which square roots are taken."""
+    """List the nodes under square roots in ascending order."""
     bases: dict[int, None] = {}
     for n in nodes:
         kind, parts, _ = graph.nodes[n]
@@ -119,64 +118,68 @@ def radicands(graph: Graph, nodes: Iterable[int]) -> list[int]:
 
 
 def dependent_radicands(graph: Graph, roots: Iterable[int]) -> frozenset[int]:
-    """Return the radicands of which some product is a square, or may be one.
+    """Return the radicands that are factors of a product which is, or may be, a square.
 
-    The nodes that hold the square roots are in ``roots``.
+    The square roots of these radicands depend on each other. ``roots`` are nodes whose descendants
+    include the square roots.
     """
     roots = list(roots)
-    order = graph.reached(roots)
-    bases, holding = radicands(graph, order), set[int]()  # roots, or what is made of some
+    order = graph.descendants(roots)
+    bases, containing = radicands(graph, order), set[int]()  # nodes that contain square roots
     for n in order:
-        if radicands(graph, [n]) or not holding.isdisjoint(graph.arguments(n)):
-            holding.add(n)
-    nested = holding.intersection(bases)
+        if radicands(graph, [n]) or not containing.isdisjoint(graph.arguments(n)):
+            containing.add(n)
+    nested = containing.intersection(bases)
     plain = [m for m in bases if m not in nested]
     dependent = set(nested)
-    having: dict[int, list[int]] = {}
+    by_symbol: dict[int, list[int]] = {}
     for m in plain:
         for x in graph.nodes[m].symbols:
-            having.setdefault(x, []).append(m)
-    # all symbols vary, and then each alone: k x^2 is a square but for a constant
+            by_symbol.setdefault(x, []).append(m)
+    # first all symbols vary, then each separately: k x^2 is a square up to a constant
     angles = Angles(graph, order)
     if plain:
-        dependent |= _dependent(graph, plain, angles, None)
-    for x in sorted(having):
-        dependent |= _dependent(graph, having[x], angles, x)
+        dependent |= _find_dependent(graph, plain, angles, None)
+    for x in sorted(by_symbol):
+        dependent |= _find_dependent(graph, by_symbol[x], angles, x)
     return frozenset(dependent)
 
 
-def _dependent(graph: Graph, bases: list[int], angles: Angles, varied: int | None) -> set[int]:
-    """Return radicands of which a product is a square, as functions of all symbols or of one."""
+def _find_dependent(graph: Graph, bases: list[int], angles: Angles, varied: int | None) -> set[int]:
+    """Return the radicands with a square product, as functions of all symbols or of one."""
     name = None if varied is None else graph.nodes[varied].parts[0]
     try:
-        at = Evaluation(graph, bases, _Rows(len(bases) + MORE, name), angles=angles)
+        at = Evaluation(graph, bases, _PointArrays(len(bases) + MORE, name), angles=angles)
     except ZeroDivisionError:
         return set(bases)
     count, bits = len(bases) + MORE, []
-    for m in bases:  # a bit for each point, 1 where the radicand is no square
+    for m in bases:  # one bit for each point: 1 if the radicand is no square (Euler's criterion)
         values = np.broadcast_to(at.values[m], count).astype(np.int64)
         character = _power(values, (PRIME - 1) // 2)
         bits.append(int("".join("1" if c == PRIME - 1 else "0" for c in character), 2))
-    # a character that never changes is one of a constant, of either kind
+    # with one symbol, a product may also be a square times a constant that is no square
     constant = (1 << count) - 1
-    places = _kernel(bits if varied is None else [*bits, constant])
+    places = _dependent_rows(bits if varied is None else [*bits, constant])
     return {bases[k] for k in places if k < len(bases)}
 
 
-class _Rows(PrimeField):
-    """Rows of numbers modulo a prime below 2^31, one for each point."""
+class _PointArrays(PrimeField):
+    """Arithmetic modulo a prime on arrays with one number for each point.
+
+    If ``varied`` names a symbol, all other symbols have the same number at all points.
+    """
 
     def __init__(self, count: int, varied: str | None = None) -> None:
         super().__init__(0, PRIME)
         self._count, self._varied = count, varied
 
     def draw(self, *key: object) -> Ints:
-        """Return random numbers that are the same for the same key."""
+        """Return an array of random numbers. Equal keys give equal arrays."""
         text = repr([k.tobytes() if isinstance(k, np.ndarray) else k for k in key]).encode()
         seed = int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "big")
-        still = self._varied is not None and key[0] == "symbol" and key[1] != self._varied
-        drawn = np.random.default_rng(seed).integers(1, PRIME, 1 if still else self._count)
-        return np.broadcast_to(drawn, self._count)
+        fixed = self._varied is not None and key[0] == "symbol" and key[1] != self._varied
+        numbers = np.random.default_rng(seed).integers(1, PRIME, 1 if fixed else self._count)
+        return np.broadcast_to(numbers, self._count)
 
     def inverse(self, x: Any) -> Ints:
         """Return 1/x."""
@@ -192,12 +195,12 @@ class _Rows(PrimeField):
 
 
 def _power(x: Ints, e: int) -> Ints:
-    power: Ints = raised(lambda a, b: a * b % PRIME, np.ones_like(x), x, e)
+    power: Ints = raise_to_power(lambda a, b: a * b % PRIME, np.ones_like(x), x, e)
     return power
 
 
-def _kernel(bits: list[int]) -> set[int]:
-    """Return the places that take part in a dependence modulo two."""
+def _dependent_rows(bits: list[int]) -> set[int]:
+    """Return the indices of all rows that occur in a linear dependence modulo two."""
     basis: dict[int, tuple[int, int]] = {}
     places: set[int] = set()
     for place, row in enumerate(bits):

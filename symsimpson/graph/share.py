@@ -1,7 +1,8 @@
-"""Names for what products and sums have in common.
+"""Common subexpressions of products and sums.
 
-Powers of one base come from one inverse or root of it; then the pair of factors that most products
-share gets a line, until none is shared, and the same for pairs of terms [1]_.
+All powers of a base come from one inverse or root of it. Then the pair of factors that most
+products share gets a line. This is repeated until no pair is shared, and then for pairs of terms
+[1]_.
 
 References
 ----------
@@ -17,32 +18,38 @@ from fractions import Fraction
 from itertools import combinations
 from typing import Any
 
-from symsimpson.graph.lines import Fold, Item, Program, add_factor, write_powers
+from symsimpson.graph.lines import (
+    CoefficientFolding,
+    Item,
+    StraightLineCode,
+    add_factor,
+    write_powers,
+)
 from symsimpson.graph.nodes import exact
 
-#: Longer sums, and products, are not searched for pairs.
+#: Longest sum or product in which pairs are searched.
 LONGEST = 40
-#: Programs with more lines than this are not searched for pairs.
+#: Largest number of lines of a program in which pairs are searched.
 MOST_LINES = 12000
 
 Pair = tuple[Item, Item]
 
 
-def share(program: Program) -> Program:
-    """Write a program with fewer operations; it is changed in place."""
+def share(program: StraightLineCode) -> StraightLineCode:
+    """Reduce the operations of a program in place, and return it."""
     _gather_constants(program)
     write_powers(program)
-    Fold(program).run()
+    CoefficientFolding(program).run()
     if len(program.lines) <= MOST_LINES:
-        _Factors(program, 1).run()
-        _Factors(program, 9).run()
-        _Terms(program, 9).run()
+        _FactorPairs(program, 1).run()
+        _FactorPairs(program, 9).run()
+        _TermPairs(program, 9).run()
     program.resolve()
     return program
 
 
-def _gather_constants(program: Program) -> None:
-    """Make one constant of the factors, and one of the terms, that are known before a run."""
+def _gather_constants(program: StraightLineCode) -> None:
+    """Combine the factors of each product, and the terms of each sum, that have level 0."""
     for n in program.order():
         line = program.lines[n]
         if not line.level or line.kind not in ("sum", "product"):
@@ -56,18 +63,21 @@ def _gather_constants(program: Program) -> None:
 
 
 class _Pairs:
-    """Finds the pair that most lines of one kind have in common, and names it, again and again."""
+    """A greedy search for pairs that lines of one kind share. Each pair found gets a line.
+
+    Items with a level above ``level`` are ignored.
+    """
 
     kind = ""
-    place = 0  #: of the line in an item
+    place = 0  #: Index of the line in an item.
 
-    def __init__(self, program: Program, level: int) -> None:
+    def __init__(self, program: StraightLineCode, level: int) -> None:
         self._program, self._level = program, level
         self._where: dict[Pair, dict[int, None]] = {}
         self._heap: list[tuple[int, Any, Pair]] = []
 
     def run(self) -> None:
-        """Name pairs until none is shared."""
+        """Add lines for the most frequent pairs until no pair is shared."""
         for n in self._program.order():
             if self._program.lines[n].kind == self.kind and self._program.lines[n].level:
                 for pair in self._pairs(n):
@@ -83,14 +93,15 @@ class _Pairs:
                 continue
             if len(users) < 2:
                 break
-            self._name(pair, list(users))
+            self._extract(pair, list(users))
 
     def _push(self, pair: Pair) -> None:
         users = len(self._where[pair])
         if users > 1:
             heapq.heappush(self._heap, (-users, self._rank(pair), pair))
 
-    def _name(self, pair: Pair, users: list[int]) -> None:
+    def _extract(self, pair: Pair, users: list[int]) -> None:
+        """Replace a pair in all its users by one line."""
         number = self._line(pair)
         touched: dict[Pair, None] = {}
         for n in users:
@@ -124,13 +135,13 @@ class _Pairs:
         raise NotImplementedError
 
     def _rank(self, pair: Pair) -> Any:
-        """Order pairs of which there are equally many: first what is known early."""
+        """Return the order of equally frequent pairs: low levels first."""
         levels = [self._program.lines[item[self.place]].level for item in pair]
         return sum(levels), [float(x) for item in pair for x in item]
 
 
-class _Factors(_Pairs):
-    """Pairs of factors; items are (line, exponent)."""
+class _FactorPairs(_Pairs):
+    """A search for pairs of factors. Items are (line, exponent)."""
 
     kind = "product"
 
@@ -152,8 +163,11 @@ class _Factors(_Pairs):
         add_factor(line.parts, number, 1)
 
 
-class _Terms(_Pairs):
-    """Pairs of terms, by the ratio of their coefficients; items are (1 or the ratio, line)."""
+class _TermPairs(_Pairs):
+    """A search for pairs of terms with the same ratio of coefficients.
+
+    The items of a pair are (1, line) and (ratio, line).
+    """
 
     kind = "sum"
     place = 1
@@ -181,9 +195,9 @@ class _Terms(_Pairs):
         coefficient = next(c for c, m in line.parts if m == a)
         line.parts.remove((coefficient, a))
         line.parts.remove((exact(coefficient * ratio), b))
-        held = next((c for c, m in line.parts if m == number), None)
-        if held is not None:
-            line.parts.remove((held, number))
-            coefficient = exact(coefficient + held)
+        other = next((c for c, m in line.parts if m == number), None)
+        if other is not None:
+            line.parts.remove((other, number))
+            coefficient = exact(coefficient + other)
         if coefficient or not line.parts:
             line.parts.append((coefficient, number))

@@ -1,4 +1,4 @@
-"""The functions by which kernels evaluate constraints, one by one or in loops over families."""
+"""Functions that evaluate constraints: lines for each one, or loops over families."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from symsimpson.lower.expression import Expression
 from symsimpson.lower.ir import Call, Function, Row, Store
 from symsimpson.lower.levels import Level
 from symsimpson.lower.lower import Lowering
-from symsimpson.lower.storage import Held
+from symsimpson.lower.storage import Border
 from symsimpson.lower.template import Point
 from symsimpson.lower.terms_of_l import FamilyWriter, Table
 
@@ -27,19 +27,15 @@ DOCS = {
     "carried_slopes": "Derivatives of b by q at a point.",
 }
 _CLEARED = Call("clear", ("W", "CONSTRAINT_QQ", "HELD_SIZE", "lane"))
-#: What is evaluated is asked for by its name and indices.
-Entry = Callable[..., Expression]
-#: The row for two coordinates or constraints: the latter are those behind the former.
-EntryRow = Callable[[int, int], Row]
 
 
 def constraint_functions(
-    low: Lowering, held: Held, places: Sequence[int], *, drifting: bool
+    low: Lowering, held: Border, places: Sequence[int], *, drifting: bool
 ) -> list[Function]:
-    """Write phi, its derivatives and accelerations, each constraint by lines of its own.
+    """Write the functions of phi, its derivatives and accelerations, constraint by constraint.
 
-    With velocity constraints A v = b these are derived, too. ``places`` has the row of each
-    coordinate in matrices. Schemes with a drift, as RATTLE, call for phi alone (``drifting``).
+    Velocity constraints A v = b are included. ``places`` has the matrix row of each coordinate.
+    Schemes with drifts, such as RATTLE, also need phi alone (``drifting``).
     """
     point = replace(low.node, suffix="c", multipliers=low.multipliers)
     first = dict.fromkeys(("constraint_slopes", "constrain"), (_CLEARED,))
@@ -52,34 +48,22 @@ def constraint_functions(
 
 
 def constraint_stores(
-    low: Lowering, held: Held, places: Sequence[int], point: Point, section: str
+    low: Lowering, held: Border, places: Sequence[int], point: Point, section: str
 ) -> dict[str, Iterator[Store]]:
-    """Return what each function stores at a point."""
+    """Return the stores of each function at a point."""
     both = (*places, *range(low.n, low.n + held.count))
 
     def entry(what: str, *index: int) -> Expression:
-        return low.held.entry(point, section, what, *index)
+        return low.constraint_jet.entry(point, section, what, *index)
 
     def entry_row(i: int, j: int) -> Row:
         """Return the row of an entry of the saddle-point matrix [[M, Phi^T], [Phi, 0]]."""
         return Row("CONSTRAINT_QQ", held.entry(both[i], both[j]))
 
-    def values() -> Iterator[Store]:
-        return (Store(Row("CONSTRAINT", c), entry("phi", c)) for c in count)
-
-    def slopes() -> Iterator[Store]:
-        return _first_derivatives(entry, entry_row, low.n, count)
-
     count, plain = range(held.count), low.equations.plain
-    curves = (Store(Row("CURVATURE", c), -entry("curve", c)) for c in count)
-    pushes = (Store(Row("RESIDUAL", s), entry("push", a)) for a, s in enumerate(places))
-    pulls = _second_derivatives(entry, entry_row, low.n, add=False)
-    stores = {
-        "constraint_slopes": slopes(),
-        "constrain": chain(values(), slopes(), pulls),
-        "constraint_values": values(),
-        "pushes": chain(pushes, curves),
-    }
+    stores = _stores_of_phi(entry, entry_row, low.n, count)
+    pushes = (Store(Row("RESIDUAL", s), entry("push", a)) for s, a in enumerate(places))
+    stores["pushes"] = chain(pushes, stores.pop("curves"))
     rolling = range(len(plain.constraints), held.count)
     if rolling:
 
@@ -108,9 +92,9 @@ def constraint_stores(
 def constraint_family_functions(
     low: Lowering, families: Sequence[Family], places: Sequence[int], *, drifting: bool
 ) -> tuple[list[Function], dict[str, Table]]:
-    """Write phi, its derivatives and accelerations by loops over families, and their tables.
+    """Write the functions of phi, its derivatives and accelerations as loops over families.
 
-    There are no velocity constraints among families.
+    The second result has the tables of the loops. Families have no velocity constraints.
     """
     tables: dict[str, Table] = {}
     functions: list[Function] = []
@@ -124,22 +108,25 @@ def constraint_family_functions(
             low, family, f"CONSTRAINTS_{number}", derive_constraints(family.plain)
         )
         tables[writer.table] = writer.build_table(places)
-        for name, stores, indices in _family_stores(low, writer):
+        lookups, family_stores = _family_stores(low, writer)
+        for name, stores in family_stores.items():
             if name == "constraint_values" and not drifting:
                 continue
-            function = writer.function(f"{name}_{number}", DOCS[name], stores, indices)
+            more = lookups if name in ("constraint_slopes", "constrain") else []
+            function = writer.function(f"{name}_{number}", DOCS[name], stores, more)
             functions.append(function)
             calls["pushes" if name == "curves" else name].append(Call(function.name))
     functions += [Function(name, DOCS[name], tuple(some)) for name, some in calls.items()]
     return functions, tables
 
 
-def _family_stores(low: Lowering, writer: FamilyWriter) -> list[tuple[str, list[Store], list[str]]]:
-    """Return what a member stores in each function, and which places it looks up before."""
-    n, c = len(writer.indices), writer.constraint
+def _family_stores(
+    low: Lowering, writer: FamilyWriter
+) -> tuple[list[str], dict[str, Iterator[Store]]]:
+    """Return the lines that look up places, and the stores of a member in each function."""
+    n = len(writer.indices)
     here = [low.names.fresh(f"s{i}") for i in range(n + 1)]
-    items = [*writer.indices, f"DIMENSION + {c}"]
-    indices = [f"{s} = HELD_PLACE[{item}]" for s, item in zip(here, items, strict=True)]
+    items = [*writer.indices, f"DIMENSION + {writer.constraint}"]
 
     def entry(what: str, *index: int) -> Expression:
         return writer.template.entry(writer.point, "constraints", what, *index)
@@ -148,36 +135,48 @@ def _family_stores(low: Lowering, writer: FamilyWriter) -> list[tuple[str, list[
         """Return the row of an entry of the saddle-point matrix, by the looked-up places."""
         return Row("CONSTRAINT_QQ", f"{here[i]}*HELD_STRIDE + {here[j]} + HELD_OFFSET")
 
-    slopes = [*_first_derivatives(entry, entry_row, n, range(1))]
-    value = Store(Row("CONSTRAINT", c), entry("phi", 0))
-    pulls = [*_second_derivatives(entry, entry_row, n, add=True)]
-    curve = Store(Row("CURVATURE", c), -entry("curve", 0))
-    return [
-        ("constraint_slopes", slopes, indices),
-        ("constrain", [value, *slopes, *pulls], indices),
-        ("constraint_values", [value], []),
-        ("curves", [curve], []),
-    ]
+    lookups = [f"{s} = HELD_PLACE[{item}]" for s, item in zip(here, items, strict=True)]
+    return lookups, _stores_of_phi(entry, entry_row, n, [writer.constraint], add=True)
 
 
-def _first_derivatives(
-    entry: Entry, entry_row: EntryRow, n: int, constraints: range
-) -> Iterator[Store]:
-    """Store Phi = dphi/dq in the rows of the constraints, and its transpose."""
-    return (
-        Store(row, entry("Phi", c, a))
-        for c in constraints
-        for a in range(n)
-        for row in (entry_row(n + c, a), entry_row(a, n + c))
-        if entry("Phi", c, a) != 0
-    )
+def _stores_of_phi(
+    entry: Callable[..., Expression],
+    entry_row: Callable[[int, int], Row],
+    n: int,
+    constraints: Sequence[int | str],
+    *,
+    add: bool = False,
+) -> dict[str, Iterator[Store]]:
+    """Return the stores of phi and its derivatives by n coordinates, for each function.
 
+    ``entry`` gives an entry of the jet, and ``entry_row`` the row of a matrix entry. The iterators
+    define an entry when they reach its store. Second derivatives are added with ``add``.
+    """
 
-def _second_derivatives(entry: Entry, entry_row: EntryRow, n: int, *, add: bool) -> Iterator[Store]:
-    """Store the second derivatives of lambda.phi by the coordinates."""
-    return (
+    def values() -> Iterator[Store]:
+        return (Store(Row("CONSTRAINT", c), entry("phi", k)) for k, c in enumerate(constraints))
+
+    def slopes() -> Iterator[Store]:
+        """Store Phi = dphi/dq in the rows of the constraints, and its transpose."""
+        return (
+            Store(row, entry("Phi", k, a))
+            for k in range(len(constraints))
+            for a in range(n)
+            for row in (entry_row(n + k, a), entry_row(a, n + k))
+            if entry("Phi", k, a) != 0
+        )
+
+    pulls = (
         Store(entry_row(a, b), entry("pull", a, b), add=add)
         for a in range(n)
         for b in range(n)
         if entry("pull", a, b) != 0
     )
+    return {
+        "constraint_slopes": slopes(),
+        "constrain": chain(values(), slopes(), pulls),
+        "constraint_values": values(),
+        "curves": (
+            Store(Row("CURVATURE", c), -entry("curve", k)) for k, c in enumerate(constraints)
+        ),
+    }

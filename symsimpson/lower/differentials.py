@@ -1,4 +1,4 @@
-"""Kernels that differentiate a step, with the functions of the system that they call."""
+"""Kernels that differentiate a step, and the functions of the system that they call."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ import sympy as sp
 from symsimpson.discrete.reductions import Affine, Linear, Routh
 from symsimpson.lower.expression import Expression
 from symsimpson.lower.facts import solve_tables
-from symsimpson.lower.ir import Function, Kernel, Row, Store, stored
+from symsimpson.lower.ir import Function, Kernel, Row, Store, store_rows
 from symsimpson.lower.levels import Level
 from symsimpson.lower.lower import Lowering
 from symsimpson.lower.specialise import kernel_from_text
-from symsimpson.lower.storage import LoopKernels
+from symsimpson.lower.storage import Border, Storage
 from symsimpson.lower.traced_parts import TracedPart
 from symsimpson.text.interface import WITH_PIVOTS
 
 #: With more products than this, variations are solved for one by one.
 MOST_TERMS = 4000
 
-#: Derivatives by parameters, and where they stand.
+#: Blocks of derivatives by parameters, and the names of these in the jet.
 _BLOCKS = (("NODE_F_A", "F_a"), ("NODE_P_A", "P_a"))
 #: Second derivatives: the function, the block with its entries, and the tables of their variables.
 _CURVATURES = {
@@ -46,32 +46,32 @@ DOCS = {
 }
 
 
-def differentiating(
-    low: Lowering, loops: LoopKernels, facts: Mapping[str, object]
+def derivative_kernels(
+    low: Lowering, storage: Storage, held: Border | None, facts: Mapping[str, object]
 ) -> tuple[list[Function], list[Kernel], dict[str, object]]:
-    """Return the functions, kernels and tables that differentiate a step, if that is wanted.
+    """Return the functions, kernels and tables that differentiate a step.
 
-    They solve the equations of the step, linearised at the solution: this is the derivative of
-    whatever solved the step, as reduced parts have the same solution.
+    The results are empty if nothing is varied. The kernels linearise the equations of the step at
+    its solution. Reduced parts have the same solution, so the derivative does not depend on them.
     """
     if low.equations.varied is None:
         return [], [], {}
-    places = loops.storage.order
-    stores = _slopes(low, places) | _cost(low, places) | _curvatures(low)
+    places = storage.order
+    stores = _parameter_stores(low, places) | _cost_stores(low, places) | _curvature_stores(low)
     functions = [
         Function(name, DOCS[name], low.statements(some, (Level.ITERATION,)))
         for name, some in stores.items()
     ]
-    tables = _tables(low, loops)
+    tables = _tables(low, storage, held)
     if facts["BY_COLUMNS"]:
         functions += _TracedEnd(low, facts, tables).functions()
     return functions, [*_kernels(facts)], tables
 
 
 class _TracedEnd:
-    """Traces how a variation moves the end of a step, without inner control points.
+    """Traces the map of a variation to the end of a step, with inner control points eliminated.
 
-    This takes fewer operations than all columns of the derivative do.
+    This takes fewer operations than computing all columns of the derivative.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class _TracedEnd:
             known |= {"CYCLIC": len(cyclic), "EXTRA": len(routh.annihilator)}
         names = ("cyclic_velocities", "differentiate_node", "condense", "move_end")
         blocks = sizes(low, by_columns=True)
-        whole = low.of_all(low.equations.jet)
+        whole = low.with_jet(low.equations.jet)
         self._part = TracedPart(whole, self._order, names, known, tables, blocks, routh)
 
     def functions(self) -> tuple[Function, Function]:
@@ -107,14 +107,16 @@ class _TracedEnd:
         self._condense()
         size, count = 2 * low.n, len(low.varied)
         units = ([int(k == j) for j in range(count)] for k in range(count))
-        ends = [x for unit in units for x in self._moved([0] * size, unit)]
+        ends = [x for unit in units for x in self._move([0] * size, unit)]
         kept = [Store(Row("DERIVATIVE", k), value) for k, value in enumerate(ends)]
         rows = [Row("TANGENT", f"first + {k}") for k in range(size)]
         hints = [f"d{p}{q}" for p in ("", "p_") for q in low.names.coordinates]
         variation = [low.graph.fresh(hint, Level.LATE) for hint in hints]
         low.rows |= dict(zip(variation, rows, strict=True))
-        moved = [Store(*x) for x in zip(rows, self._moved(variation, [0] * count), strict=True)]
-        opening, carried, _ = low.halves(kept, moved, lambda k: Row("DERIVATIVE", len(ends) + k))
+        moved = [Store(*x) for x in zip(rows, self._move(variation, [0] * count), strict=True)]
+        opening, carried, _ = low.split_statements(
+            kept, moved, lambda k: Row("DERIVATIVE", len(ends) + k)
+        )
         doc = "Find what moves variations to the end of the step."
         first = Function("differentiate_end", doc, opening, ("W", "h", "t", "lane"))
         doc = "Carry a variation to the end of the step."
@@ -124,7 +126,7 @@ class _TracedEnd:
         """Differentiate all nodes, and eliminate the inner control points."""
         low, part, names = self._low, self._part, self._part.trace.names
         part.begin()
-        names["parameter_slopes"] = self._slopes
+        names["parameter_slopes"] = self._set_parameter_slopes
         if self._cyclic:
             part.run("cyclic_velocities", low.h, low.t, 0)
         for node in range(low.equations.scheme.stages):
@@ -135,21 +137,21 @@ class _TracedEnd:
         names["CONDENSED_END"] = first + end * (names["EQUATION_STRIDE"] + 1)
         part.run("condense", low.h)
 
-    def _slopes(self, W: Any, lane: int) -> None:
+    def _set_parameter_slopes(self, W: Any, lane: int) -> None:
         """Set the rows of the derivatives by parameters at the current node."""
         low, part, section = self._low, self._part, self._part.trace.section
-        step = tuple(part.row("NODE_STEP", k) for k in range(3 * low.sized))
+        step = tuple(part.row("NODE_STEP", k) for k in range(3 * low.varies_h))
         here, entry = replace(part.point(moving=True), step=step), low.slopes.entry
         for block, what in _BLOCKS:
-            entries = _not_zero(low, self._order, what)
+            entries = _nonzero_slopes(low, self._order, what)
             values = (partial(entry, here, section, what, self._order[s], by) for by, s in entries)
-            part.hold(block, values)
+            part.set_rows(block, values)
 
-    def _moved(self, variation: Sequence[Any], parameters: Sequence[int]) -> list[Expression]:
+    def _move(self, variation: Sequence[Any], parameters: Sequence[int]) -> list[Expression]:
         """Move a variation of the state and of parameters."""
         part, n, define = self._part, self._low.n, self._low.graph.define
         dq, dp = ([variation[first + a] for a in self._order] for first in (0, n))
-        part.hold("TANGENT", (*dq, *parameters, *dp))
+        part.set_rows("TANGENT", (*dq, *parameters, *dp))
         part.run("move_end")
         places = [*map(self._order.index, range(n))]
         places += [n + len(parameters) + s for s in places]
@@ -174,8 +176,8 @@ def _kernels(facts: Mapping[str, object]) -> Iterable[Kernel]:
     yield from (kernel_from_text(name, facts) for name in names)
 
 
-def _slopes(low: Lowering, places: Sequence[int]) -> dict[str, list[Store]]:
-    """Return the derivatives by the parameters that are varied, which functions evaluate."""
+def _parameter_stores(low: Lowering, places: Sequence[int]) -> dict[str, list[Store]]:
+    """Return the stores of derivatives by the varied parameters, for each function."""
     varied, plain, here = low.varied, low.equations.plain, low.node
     if not varied:
         return {}
@@ -194,11 +196,11 @@ def _slopes(low: Lowering, places: Sequence[int]) -> dict[str, list[Store]]:
         "parameter_slopes": [
             Store(Row(block, k), low.slopes.entry(here, "slopes", what, places[s], name))
             for block, what in _BLOCKS
-            for k, (name, s) in enumerate(_not_zero(low, places, what))
+            for k, (name, s) in enumerate(_nonzero_slopes(low, places, what))
         ]
     }
     count = range(len(low.multipliers))
-    rolling = range(len(plain.constraints), len(plain.held))
+    rolling = range(len(plain.constraints), len(plain.constraint_names))
     if count:
         kinds = ("CONSTRAINT_A", "phi_a", count), ("CONSTRAINT_QA", "pull_a", places)
         stores["constraint_parameter_slopes"] = by_parameters(*kinds)
@@ -209,8 +211,8 @@ def _slopes(low: Lowering, places: Sequence[int]) -> dict[str, list[Store]]:
     return stores
 
 
-def _cost(low: Lowering, places: Sequence[int]) -> dict[str, list[Store]]:
-    """Return a running cost and its derivatives, if there is one."""
+def _cost_stores(low: Lowering, places: Sequence[int]) -> dict[str, list[Store]]:
+    """Return the stores of a running cost and its derivatives, if there is a cost."""
     if low.equations.cost is None:
         return {}
     keys: list[tuple[str, *tuple[int | str, ...]]] = [("g",)]
@@ -218,14 +220,14 @@ def _cost(low: Lowering, places: Sequence[int]) -> dict[str, list[Store]]:
     keys += [("g_a", name) for name in low.varied]
     here = low.node
     values = (low.cost.entry(here, "cost", *key) for key in keys)
-    return {"cost_slopes": stored("NODE_COST", values)}
+    return {"cost_slopes": store_rows("NODE_COST", values)}
 
 
-def _curvatures(low: Lowering) -> dict[str, list[Store]]:
-    """Return the second derivatives at a node, and at a control point if there are constraints."""
+def _curvature_stores(low: Lowering) -> dict[str, list[Store]]:
+    """Return the stores of second derivatives at a node, and at a control point for constraints."""
     here, stores = low.node, {}
     v = tuple(low.step[0] * v for v in here.v or ())
-    t = here.t - low.step[1] * low.step[0] if low.sized and here.t is not None else here.t
+    t = here.t - low.step[1] * low.step[0] if low.varies_h and here.t is not None else here.t
     for what, (name, block, _) in _CURVATURES.items() if low.equations.second else ():
         if what == "point" and not low.multipliers:
             continue
@@ -233,20 +235,20 @@ def _curvatures(low: Lowering) -> dict[str, list[Store]]:
             here, suffix=what, v=v, t=t, weights=low.weights, multipliers=low.multipliers
         )
         entry = partial(low.curvatures.entry, point, "curvatures", what)
-        stores[name] = stored(block, starmap(entry, low.curvatures.places(what)))
+        stores[name] = store_rows(block, starmap(entry, low.curvatures.places(what)))
     return stores
 
 
-def _tables(low: Lowering, loops: LoopKernels) -> dict[str, object]:
-    """Return what the loops must know."""
-    storage, degree = (loops.held or loops).storage, loops.degree
-    constants = {**storage.constants("TANGENT", degree), **storage.bounds("TANGENT", degree)}
+def _tables(low: Lowering, storage: Storage, held: Border | None) -> dict[str, object]:
+    """Return the tables that the loops over derivatives read."""
+    whole, degree = held.storage if held else storage, low.equations.scheme.degree
+    constants = {**whole.constants("TANGENT", degree), **whole.bounds("TANGENT", degree)}
     tables = {
         "VARIED": len(low.varied),
         **{key: constants[key] for key in constants if not key.endswith("_STEP")},
-        "TANGENT_UNKNOWNS": storage.unknowns(degree),
+        "TANGENT_UNKNOWNS": whole.unknowns(degree),
     }
-    tables |= _slope_tables(low, loops.storage.order)
+    tables |= _slope_tables(low, storage.order)
     if not low.equations.second:
         return tables
     count = len(low.multipliers)
@@ -262,13 +264,13 @@ def _tables(low: Lowering, loops: LoopKernels) -> dict[str, object]:
 
 
 def _slope_tables(low: Lowering, places: Sequence[int]) -> dict[str, object]:
-    """Return where the derivatives of F and P by parameters stand that are not zero.
+    """Return the rows of the derivatives of F and P by parameters that are not zero.
 
-    Those by a parameter stand one after the other; their coordinates are given by place.
+    The derivatives by one parameter are adjacent. A table lists the places of their coordinates.
     """
     tables: dict[str, object] = {}
     for block, what in _BLOCKS if low.varied else ():
-        rows, name = _not_zero(low, places, what), block.removeprefix("NODE_")
+        rows, name = _nonzero_slopes(low, places, what), block.removeprefix("NODE_")
         counts = (sum(parameter == varied for parameter, _ in rows) for varied in low.varied)
         tables[f"{name}_FROM"] = (0, *accumulate(counts))
         tables[f"{name}_PLACE"] = (*(s for _, s in rows), 0)
@@ -285,14 +287,14 @@ def traces_end(low: Lowering) -> bool:
     linear = () if low.varied else (Affine, Linear)
     known = all(part.columns or isinstance(part, linear) for part in equations.parts)
     alone = sum(isinstance(part, Routh) for part in equations.parts) < 2
-    return few and known and alone and not equations.plain.held
+    return few and known and alone and not equations.plain.constraint_names
 
 
 def sizes(low: Lowering, *, by_columns: bool) -> dict[str, Any]:
-    """Return numbers that the sizes of what derivatives of a step have follow from."""
+    """Return the numbers that set the sizes of blocks for derivatives of a step."""
     if low.equations.varied is None:
         return {}
-    slopes = [1 + len(_not_zero(low, range(low.n), what)) for _, what in _BLOCKS]
+    slopes = [1 + len(_nonzero_slopes(low, range(low.n), what)) for _, what in _BLOCKS]
     places = [len(low.curvatures.places(x)) if low.equations.second else 0 for x in _CURVATURES]
     return {
         **dict(zip(("f_slopes", "p_slopes"), slopes, strict=True)),
@@ -301,13 +303,13 @@ def sizes(low: Lowering, *, by_columns: bool) -> dict[str, Any]:
         "by_columns": by_columns,
         "costly": low.equations.cost is not None,
         "second": low.equations.second,
-        "sized": low.sized,
+        "sized": low.varies_h,
         "varied": len(low.varied),
     }
 
 
-def _not_zero(low: Lowering, places: Sequence[int], what: str) -> list[tuple[str, int]]:
-    """List the derivatives that do not vanish: by which parameter, and at which place."""
+def _nonzero_slopes(low: Lowering, places: Sequence[int], what: str) -> list[tuple[str, int]]:
+    """List the derivatives that do not vanish, each by its parameter and place."""
     return [
         (name, s)
         for name in low.varied

@@ -32,16 +32,16 @@ OWN = """
 
 
 @cache
-def reserved() -> frozenset[str]:
-    """Return the names that mean something in a module."""
+def reserved_names() -> frozenset[str]:
+    """Return the names that have a meaning in a module."""
     sources = library_sources()
     texts = (*sources.values(), *kernel_sources().values())
     constants = re.findall(r"\b[A-Z][A-Z_0-9]+\b", "\n".join(texts))
     return frozenset([*OWN.split(), *KERNELS, *sources, *BLOCKS, *constants])
 
 
-def _written_out(name: str) -> str:
-    """Write Greek letters as words, and what TeX has around indices not at all."""
+def _spell_out(name: str) -> str:
+    """Write Greek letters as words, and remove the TeX marks of indices."""
     letters = []
     for letter in name:
         greek = re.fullmatch("GREEK (SMALL|CAPITAL) LETTER ([A-Z]+)", unicodedata.name(letter, ""))
@@ -51,8 +51,8 @@ def _written_out(name: str) -> str:
     return "".join(letters).replace("_{", "_").replace("}", "").replace("'", "_prime")
 
 
-def _shown(names: Iterable[str], kind: str) -> tuple[str, ...]:
-    """Return names as modules write them, a number where one is no plain text."""
+def _plain_names(names: Iterable[str], kind: str) -> tuple[str, ...]:
+    """Return names for a module; names that are not plain text become numbers."""
     plain = re.compile(r"[A-Za-z][A-Za-z0-9_ ]{0,63}")
     return tuple(name if plain.fullmatch(name) else f"{kind} {i}" for i, name in enumerate(names))
 
@@ -60,9 +60,9 @@ def _shown(names: Iterable[str], kind: str) -> tuple[str, ...]:
 class NameTable:
     """Gives every symbol of a module its own identifier.
 
-    A SymPy symbol's name is untrusted text. It is used only where it is a plain ASCII identifier
-    of moderate length that clashes with nothing. Greek letters are written out, and an underscore
-    goes behind words that mean something in a module; for other names ``q0``, ``a0``, ... stand.
+    A SymPy symbol's name is untrusted text. It is used only if it is a plain ASCII identifier of
+    moderate length that clashes with nothing. Greek letters are written out. Reserved words get an
+    underscore at the end. All other names are replaced by ``q0``, ``a0`` and so on.
     """
 
     def __init__(self, system: MechanicalSystem) -> None:
@@ -76,9 +76,9 @@ class NameTable:
         self.inputs = tuple(
             self._user(str(u).partition("(")[0], f"u{i}") for i, u in enumerate(system.inputs)
         )
-        self.invariants = _shown(system.plain.invariants, "invariant")
-        self.forces = _shown(system.plain.forces, "force")
-        self.constraints = _shown(system.plain.held, "constraint")
+        self.invariants = _plain_names(system.plain.invariants, "invariant")
+        self.forces = _plain_names(system.plain.forces, "force")
+        self.constraints = _plain_names(system.plain.constraint_names, "constraint")
 
     def of(self, plain: Plain, symbols: Iterable[sp.Symbol]) -> tuple[str, ...]:
         """Return the names of plain symbols of parameters and inputs, of h and t."""
@@ -88,14 +88,14 @@ class NameTable:
         return tuple(name_of[symbol] for symbol in symbols)
 
     def _user(self, name: str, substitute: str) -> str:
-        plain = _written_out(name)
+        plain = _spell_out(name)
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,31}", plain):
             plain = substitute
         elif (
             keyword.iskeyword(plain)
             or keyword.issoftkeyword(plain)
             or hasattr(builtins, plain)
-            or plain in reserved()
+            or plain in reserved_names()
         ):
             plain += "_"
         if re.fullmatch(r"[A-Z][A-Z_0-9]*_[A-Z_0-9]*", plain):
@@ -103,9 +103,9 @@ class NameTable:
         return self.fresh(plain)
 
     def fresh(self, hint: str) -> str:
-        """Return the name that is hinted at, or that and a number."""
+        """Return an unused name: the hint, or the hint and a number."""
         name, count = hint, 1
-        while name in self._taken or name in reserved():
+        while name in self._taken or name in reserved_names():
             count += 1
             name = f"{hint}_{count}"
         self._taken.add(name)

@@ -9,15 +9,15 @@ from typing import TypeAlias
 import sympy as sp
 
 from symsimpson.graph.nodes import UNIT, Exact, Graph, Value, exact
-from symsimpson.graph.read import Reader
-from symsimpson.graph.rebuild import rebuilt
+from symsimpson.graph.read import SympyConverter
+from symsimpson.graph.rebuild import rebuild
 
 
 class Expression:
     """A coefficient and a node of a graph, as a number to compute with.
 
-    Sums and products are those of the graph: equal terms are collected, products of products are
-    one product, and nothing is multiplied out.
+    The graph simplifies sums and products: it collects equal terms and merges nested products.
+    It never expands products of sums.
     """
 
     __slots__ = ("coefficient", "graph", "node")
@@ -40,12 +40,12 @@ class Expression:
 
     @property
     def is_symbol(self) -> bool:
-        """Whether it is a symbol, with no other coefficient than one."""
+        """True for a symbol with the coefficient one."""
         return self.coefficient == 1 and self.kind == "symbol"
 
     @property
     def is_number(self) -> bool:
-        """Whether it has no symbols."""
+        """True for an expression without symbols."""
         return not self.graph.nodes[self.node].symbols
 
     @property
@@ -110,7 +110,7 @@ class Expression:
         return self**-1 * other
 
 
-#: What expressions are computed with: numbers of SymPy are those of tables of a scheme.
+#: Operands of expressions; tables of a scheme have numbers of SymPy.
 Number: TypeAlias = Expression | Exact | sp.Expr
 
 
@@ -122,7 +122,7 @@ class Expressions(Graph):
 
     def __init__(self) -> None:
         super().__init__()
-        self._reader = Reader(self, {})
+        self._reader = SympyConverter(self, {})
 
     def add(self, values: Iterable[Value]) -> Value:
         """Add values; equal nodes are collected, and the first term has no minus."""
@@ -144,7 +144,7 @@ class Expressions(Graph):
         return sign, self._make("sum", parts, self._united(n for _, n in items))
 
     def _is_opened(self, c: Exact, n: int) -> bool:
-        """Return whether the terms of a multiple of a sum are terms of the sum that it is in."""
+        """Return whether a sum merges the terms of this multiple of another sum."""
         kind, parts, _ = self.nodes[n]
         return kind == "sum" and (c in (1, -1) or len(parts) == 1)
 
@@ -162,22 +162,24 @@ class Expressions(Graph):
         """Read an expression of SymPy, with expressions for its symbols."""
         reader = self._reader
         if known is not None:
-            reader = Reader(
+            reader = SympyConverter(
                 self, {symbol: replacement.value for symbol, replacement in known.items()}
             )
         return Expression(self, reader(expression))
 
-    def know(self, symbol: sp.Symbol, expression: Expression) -> None:
+    def bind(self, symbol: sp.Symbol, expression: Expression) -> None:
         """Let an expression stand wherever a symbol of SymPy does."""
         self._reader.done[symbol] = expression.value
 
-    def taken(self, graph: Graph, value: Value, known: Mapping[int, Expression]) -> Expression:
+    def import_value(
+        self, graph: Graph, value: Value, known: Mapping[int, Expression]
+    ) -> Expression:
         """Return a value of another graph, with expressions for its symbols."""
         replaced = {n: replacement.value for n, replacement in known.items()}
-        (result,) = rebuilt(graph, [value], replaced, self)
+        (result,) = rebuild(graph, [value], replaced, self)
         return Expression(self, result)
 
-    def named(self, name: str) -> Expression:
+    def make_symbol(self, name: str) -> Expression:
         """Return the symbol of a name."""
         return Expression(self, self.symbol(name))
 
@@ -189,16 +191,16 @@ class Expressions(Graph):
         """Return the product of some expressions."""
         return Expression(self, self.multiply([self.of(x).value for x in values]))
 
-    def applied(self, function: str, *arguments: Number) -> Expression:
+    def apply(self, function: str, *arguments: Number) -> Expression:
         """Return a function of some expressions."""
         return Expression(self, self.function(function, *(self.of(x).value for x in arguments)))
 
     def known_at(self, node: int) -> int:
-        """Return when a node is known: early ones come first in a sum."""
+        """Return the level of a node, by which terms of a sum are ordered: here always 0."""
         return 0
 
-    def replaced(self, expression: Expression, by: Mapping[Expression, Expression]) -> Expression:
+    def substitute(self, expression: Expression, by: Mapping[Expression, Expression]) -> Expression:
         """Return an expression with others in place of symbols."""
         numbers = {symbol.node: replacement.value for symbol, replacement in by.items()}
-        (result,) = rebuilt(self, [expression.value], numbers)
+        (result,) = rebuild(self, [expression.value], numbers)
         return Expression(self, result)

@@ -1,29 +1,24 @@
-"""Numbers of a module: facts for conditions, tables for loops, sizes of blocks."""
+"""Facts for conditions, tables for loops and sizes of blocks of a module."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import prod
 from typing import Any
 
 import sympy as sp
 
-from symsimpson.discrete.combined_rows import force_factor, inertia_factor, simplified
+from symsimpson.discrete.combined_rows import force_factor, inertia_factor, rationalise
 from symsimpson.discrete.reductions import Composed, Constrained, Part, Routh, Separable
-from symsimpson.lower.forms import drifting
+from symsimpson.lower.forms import has_drifts
 from symsimpson.lower.lower import Lowering
-from symsimpson.lower.storage import Held, LoopKernels, Storage, node_stride
+from symsimpson.lower.storage import Border, Storage, node_stride
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.text.table import Sizes
 
 
-def facts(
-    low: Lowering, loops: LoopKernels, part: Part, *, following: bool = False
-) -> dict[str, object]:
-    """Return the facts of a module whose step solves for a part.
-
-    Increments of some coordinates may be ``following`` from those of the others.
-    """
+def facts(low: Lowering, part: Part, storage: Storage, held: Border | None) -> dict[str, object]:
+    """Return the facts of a module that solves for a part, for an M that is not constant."""
     equations, plain = low.equations, low.equations.plain
     follows = isinstance(part, Separable) and part.last is not None
     return {
@@ -36,10 +31,10 @@ def facts(
         "HOLONOMIC": len(plain.constraints),
         "CARRIED": plain.carried,
         "GYROSCOPIC": equations.system.structure.gyroscopic,
-        "LOOKED_AT": equations.looked_at,
+        "LOOKED_AT": equations.needs_path,
         "DIFFERENTIATED": equations.varied is not None,
         "VARIED_BY": len(low.varied),
-        "SIZED": low.sized,
+        "SIZED": low.varies_h,
         "COSTED": equations.cost is not None,
         "TIMED_COST": plain.autonomous and cost_of_time(low),
         "SECOND": equations.second,
@@ -50,15 +45,17 @@ def facts(
         "STRAIGHT_PATH": follows and not part.columns,
         "COMPOSED": isinstance(part, Composed),
         "ITERATED": bool(part.columns),
-        "FOLLOWING": following,
+        "FOLLOWING": False,
         "TRACED": False,
-        "HELD": loops.held is not None,
-        "ROLLING": loops.rolling,
-        "CONSTANT_MASS": loops.constant_mass,
-        "PIVOTS": not loops.constant_mass,
-        "NEWTON_IN_ORDER": loops.in_order,
-        "IN_PAIRS": loops.written,
-        "CLEARED": loops.cleared,
+        "HELD": held is not None,
+        "ROLLING": held is not None and held.velocities > 0,
+        "CONSTANT_MASS": False,
+        "PIVOTS": True,
+        # elimination in a band exchanges rows
+        "NEWTON_IN_ORDER": bool(plain.velocity_constraints)
+        and not (low.singular_mass or storage.banded),
+        "IN_PAIRS": False,
+        "CLEARED": cleared_rows(storage, equations.scheme.degree, held),
         "WEIGHTED": True,
     }
 
@@ -70,34 +67,40 @@ def cost_of_time(low: Lowering) -> bool:
 
 
 def node_tables(scheme: Scheme) -> dict[str, object]:
-    """Return which control point each node is at, 0 if none; and if its place is not rounded."""
+    """Return the control point at each node, or 0, and whether its place is exact."""
     nodes = scheme.quadrature.nodes
     if not scheme.exact:
         return {"AT_POINT": (0,) * len(nodes), "EXACT_PLACE": (0,) * len(nodes)}
     at = [_control_point(row) for row in scheme.A]
     exact = [int(c.is_Rational and c.q & (c.q - 1) == 0) for c in nodes]
-    # points at which constraints ask for velocities stand behind the nodes
+    # the points of velocity constraints follow the nodes
     return {"AT_POINT": (*at, *[0] * scheme.degree), "EXACT_PLACE": (*exact,)}
 
 
 def _control_point(row: Sequence[sp.Expr]) -> int:
-    """Return the control point at which a node stands; 0 if at none, or at q0."""
+    """Return the control point at a node; 0 if there is none, or for q0."""
     places = [k for k, x in enumerate(row) if x != 0]
     return places[0] if len(places) == 1 and row[places[0]] == 1 else 0
 
 
-def equation_constants(storage: Storage, degree: int, held: Held | None) -> dict[str, object]:
-    """Return what loops over the entries of all equations must know."""
-    # what nodes contribute stands behind the matrix of all unknowns
+def equation_constants(storage: Storage, degree: int, held: Border | None) -> dict[str, object]:
+    """Return the strides of the matrix of all equations."""
+    # the matrix of the nodes follows the matrix of all unknowns
     before = held.storage.size(degree) if held else 0
-    cleared = before if held else storage.size(degree) if storage.banded else 0
-    return {**storage.constants("EQUATION", degree, before), "CLEARED": cleared}
+    constants = storage.constants("EQUATION", degree, before)
+    return {**constants, "CLEARED": cleared_rows(storage, degree, held)}
+
+
+def cleared_rows(storage: Storage, degree: int, held: Border | None) -> int:
+    """Count the rows of the matrix of all unknowns that must be cleared first."""
+    whole = held.storage if held else storage
+    return whole.size(degree) if held or storage.banded else 0
 
 
 def solve_constants(
-    storage: Storage, columns: tuple[int, ...], held: Held | None = None
+    storage: Storage, columns: tuple[int, ...], held: Border | None = None
 ) -> dict[str, object]:
-    """Return what elimination must know of the unknowns that it finds: these control points."""
+    """Return the tables of an elimination for the unknowns of these control points."""
     blocks = len(columns)
     if held:
         every, constants = held.storage, storage.constants("SOLVE", blocks)
@@ -132,8 +135,8 @@ def _cyclic_tables(part: Routh, scheme: Scheme) -> dict[str, object]:
         "REFERENCE": part.reference,
         "SEEN": scheme.stages + (0 if ends else 2),
         "ANNIHILATOR": part.annihilator or ((sp.S.Zero,),),
-        "REACHED_BY": tuple((*unused, *map(simplified, inverse.row(k))) for k in range(d)),
-        "AT_END": (*unused, *map(simplified, at_end)),
+        "REACHED_BY": tuple((*unused, *map(rationalise, inverse.row(k))) for k in range(d)),
+        "AT_END": (*unused, *map(rationalise, at_end)),
         "CYCLIC_MOVING": (*map(int, part.factors.changing),),
         "SOLVE_COORDINATES": len(part.coordinates),
         "SOLVE_UNKNOWNS": len(part.coordinates) * d,
@@ -143,7 +146,7 @@ def _cyclic_tables(part: Routh, scheme: Scheme) -> dict[str, object]:
 
 
 def solve_tables(part: Part, scheme: Scheme) -> dict[str, object]:
-    """Return the tables by which the loops combine nodes and control points."""
+    """Return the tables that combine nodes and control points."""
     if isinstance(part, Routh):
         return _cyclic_tables(part, scheme)
     if isinstance(part, Constrained):
@@ -162,7 +165,7 @@ def solve_tables(part: Part, scheme: Scheme) -> dict[str, object]:
         ),
         "TEST_ROWS": tuple(
             tuple(
-                simplified(x - test[0] * (1 - c)) for x, c in zip(test, scheme.points, strict=True)
+                rationalise(x - test[0] * (1 - c)) for x, c in zip(test, scheme.points, strict=True)
             )
             for test in part.tests
         ),
@@ -174,11 +177,11 @@ def solve_tables(part: Part, scheme: Scheme) -> dict[str, object]:
         last = part.last_test(d)
         tests = (*tests, last)
         if part.columns:
-            scale = simplified(-1 / S[part.last][d])
+            scale = rationalise(-1 / S[part.last][d])
             tables |= {
                 "LAST": part.last,
                 "LAST_SCALE": scale,
-                "LAST_MOVED": tuple(simplified(scale * S[part.last][m]) for m in part.columns),
+                "LAST_MOVED": tuple(rationalise(scale * S[part.last][m]) for m in part.columns),
                 "LAST_FORCE": tuple(force_factor(last, scheme, i) for i in nodes),
             }
     pulled = (any(force_factor(test, scheme, i) != 0 for test in tests) for i in nodes)
@@ -186,8 +189,8 @@ def solve_tables(part: Part, scheme: Scheme) -> dict[str, object]:
     return tables
 
 
-def common_sizes(low: Lowering, held: Held | None, routh: Routh | None) -> dict[str, Any]:
-    """Return the sizes that modules and traces have in common."""
+def common_sizes(low: Lowering, held: Border | None, routh: Routh | None) -> dict[str, Any]:
+    """Return the sizes that modules and traces share."""
     equations = low.equations
     return {
         "parameters": len(low.names.parameters),
@@ -205,18 +208,25 @@ def common_sizes(low: Lowering, held: Held | None, routh: Routh | None) -> dict[
     }
 
 
-def sizes(low: Lowering, loops: LoopKernels, **more: Any) -> Sizes:
-    """Return what the sizes of all blocks follow from, with ``more`` of stages and derivatives."""
+def sizes(
+    low: Lowering,
+    known: Mapping[str, object],
+    storage: Storage,
+    held: Border | None,
+    routh: Routh | None,
+    **more: Any,
+) -> Sizes:
+    """Return the numbers that set the sizes of all blocks; ``more`` has further ones."""
     plain, unknowns = low.equations.plain, low.equations.unknowns
-    looped = low.equations.varied is not None or not loops.written
+    looped = low.equations.varied is not None or not known["IN_PAIRS"]
     retimed = low.equations.system.retiming is not None
-    bordered = () if loops.held is None else (loops.held.storage,)
-    jacobian = [part.size(unknowns.control_points) for part in (loops.storage, *bordered)]
+    bordered = () if held is None else (held.storage,)
+    jacobian = [part.size(unknowns.control_points) for part in (storage, *bordered)]
     return Sizes(
         n=low.n,
         invariants=len(low.names.invariants),
         unknowns=unknowns.size,
-        entries=loops.storage.node_size,
+        entries=storage.node_size,
         bordered=sum(part.node_size for part in bordered),
         jacobian=sum(jacobian),
         hoisted=len(low.hoisted),
@@ -224,12 +234,13 @@ def sizes(low: Lowering, loops: LoopKernels, **more: Any) -> Sizes:
         pivots=len(low.scales),
         by_nodes=looped or bool(plain.powers) or retimed,
         assembled=bool(low.equations.rows) and looped,
-        constant_mass=loops.constant_mass,
+        constant_mass=bool(known["CONSTANT_MASS"]),
         dragged=plain.dragged,
+        decaying=bool(known.get("FRICTION")),
         timed=not plain.autonomous or cost_of_time(low),
         damped=plain.rate is not None,
-        drifting=drifting(low.equations),
+        drifting=has_drifts(low.equations),
         retimed=retimed,
-        **common_sizes(low, loops.held, loops.routh),
+        **common_sizes(low, held, routh),
         **more,
     )

@@ -1,4 +1,4 @@
-"""Which form kernels have: written out, or as loops, where lines would be many."""
+"""The form of kernels: straight-line code for small systems, loops for large ones."""
 
 from __future__ import annotations
 
@@ -6,52 +6,54 @@ from symsimpson.declare.constraints import regular_mass
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.reductions import Affine, Composed, Coupled, Linear, Part, Routh
 
-#: Straight lines are written up to about so many: each takes some 3 ms to compile, and loops, of
-#: which each is a function of its own, 12 s in all. They run two to five times as fast.
+#: The most lines of straight-line code. Each line takes about 3 ms to compile, and all loops
+#: together 12 s. Straight-line code is two to five times as fast as loops.
 MOST_LINES = 4000
-#: Parts with more unknowns are not written out, whatever they are made of.
+#: The most unknowns of a part in straight-line code.
 UNROLLED_UNKNOWNS = 16
-#: Those with constraints are sparse, and longer unrolled than others are: their loops take 18 s to
-#: compile, and five times as long to run.
+#: The same limits for systems with constraints. These are sparse, and their loops take 18 s to
+#: compile and run five times as long.
 CONSTRAINED_UNKNOWNS, CONSTRAINED_LINES = 32, 5000
-#: Nor are explicit steps with more forces, one for each kick and coordinate.
+#: The most forces of an explicit step in straight-line code, one for each kick and coordinate.
 UNROLLED_FORCES = 270
-#: All equations of a step are written out beside those of its parts if there are no more.
+#: The most unknowns for which unreduced equations are also straight-line code.
 WRITTEN_UNKNOWNS = 4
 
 
-def unrolled(equations: DiscreteEquations) -> bool:
+def is_unrolled(equations: DiscreteEquations) -> bool:
     """Return whether kernels are written as straight-line code instead of loops."""
     plain, few = equations.plain, all(_size(x) <= UNROLLED_UNKNOWNS for x in equations.parts)
     if plain.velocity_constraints and not regular_mass(plain, equations.system.parameters.values()):
         return False  # an elimination exchanges rows
-    if plain.held:  # drifts of these are loops
-        few = equations.unknowns.size <= CONSTRAINED_UNKNOWNS and not drifting(equations)
-    most = CONSTRAINED_LINES if plain.held else MOST_LINES
+    if plain.constraint_names:  # drifts of these are loops
+        few = equations.unknowns.size <= CONSTRAINED_UNKNOWNS and not has_drifts(equations)
+    most = CONSTRAINED_LINES if plain.constraint_names else MOST_LINES
     return equations.scheme.exact and few and _lines(equations) <= most
 
 
-def solves_all(equations: DiscreteEquations) -> bool:
-    """Return whether Newton's method solves the equations of a step as they are."""
+def solves_unreduced(equations: DiscreteEquations) -> bool:
+    """Return whether Newton's method solves the unreduced equations of a step."""
     first, *others = equations.parts
     return isinstance(first, Coupled) and not others
 
 
-def few_equations(equations: DiscreteEquations) -> bool:
-    """Return whether all equations of a step, as they are, take fewer lines than their loops."""
-    asked = bool(equations.rows) and equations.varied is None and not equations.plain.held
+def has_few_equations(equations: DiscreteEquations) -> bool:
+    """Return whether the unreduced equations of a step take fewer lines than their loops."""
+    asked = (
+        bool(equations.rows) and equations.varied is None and not equations.plain.constraint_names
+    )
     return asked and equations.unknowns.size <= WRITTEN_UNKNOWNS
 
 
 def _lines(equations: DiscreteEquations) -> float:
-    """Estimate how many lines all kernels have, from operations that are known before.
+    """Estimate the number of lines of all kernels from the operations of the jet.
 
-    Two kernels evaluate the jet at all nodes and eliminate, others parts of it once.
+    Two kernels evaluate the jet at all nodes and eliminate; others evaluate parts of it once.
     """
     operations, stages = equations.jet.operations, equations.scheme.stages
-    if drifting(equations):
+    if has_drifts(equations):
         return operations + equations.jet.force_operations * stages
-    if equations.plain.held:  # half of the matrix is zero
+    if equations.plain.constraint_names:  # half of the matrix is zero
         size = equations.unknowns.size
         return (2 * stages + 1.5) * operations + size**2 + size**3 / 12
     unknowns = [part_unknowns(part) for part in equations.parts]
@@ -77,6 +79,6 @@ def part_unknowns(part: Part) -> int:
     return len(part.coordinates) * len(part.columns)
 
 
-def drifting(equations: DiscreteEquations) -> bool:
+def has_drifts(equations: DiscreteEquations) -> bool:
     """Return whether steps are kicks and drifts."""
     return any(isinstance(part, Composed) for part in equations.parts)

@@ -37,7 +37,7 @@ class Load:
 
 @dataclass(frozen=True)
 class Store:
-    """``W[row, lane] = value``, or ``+=`` with ``add``; ``moving`` only where a lane is active."""
+    """``W[row, lane] = value``, or ``+=`` with ``add``; only in active lanes with ``moving``."""
 
     row: Row
     value: Expression
@@ -63,7 +63,7 @@ class Call:
 
     @property
     def values(self) -> list[Expression]:
-        """Those of its arguments that are values."""
+        """The arguments that are expressions."""
         return [x for x in self.arguments if isinstance(x, Expression)]
 
 
@@ -126,7 +126,7 @@ class Kernel:
 
 @dataclass(frozen=True)
 class Module:
-    """Everything that an emitter needs to write a module.
+    """The kernels, functions and tables of a module.
 
     ``layout`` gives the first row of each block of the workspace, ``rows`` their number.
     ``newton_unknowns`` is the number of unknowns of a step, 0 where it needs no iteration, and
@@ -145,15 +145,15 @@ class Module:
     facts: Mapping[str, object] = field(default_factory=dict)
 
 
-def stored(block: str, values: Iterable[Expression]) -> list[Store]:
+def store_rows(block: str, values: Iterable[Expression]) -> list[Store]:
     """Store values in the first rows of a block."""
     return [Store(Row(block, k), value) for k, value in enumerate(values)]
 
 
 def _by_section(definitions: Sequence[Definition]) -> list[Definition]:
-    """Order definitions so that those of a section stand together as far as they can.
+    """Order definitions so that definitions of one section are adjacent as far as possible.
 
-    Each stands behind what it is made of. Sections begin in the order of their first definitions.
+    Each definition follows its operands. Sections begin in the order of their first definitions.
     """
     maker = {target: n for n, d in enumerate(definitions) for target in d.targets}
     needs = [{maker[s] for s in d.symbols if s in maker} for d in definitions]
@@ -190,11 +190,9 @@ def sections(definitions: Sequence[Definition], common: str | None) -> list[Sect
         operations = sum(definition.operations for definition in members)
         pairs = sum(definition.function == "sincos" for definition in members)
         count = f"{operations} operations" + (f", {pairs} sincos" if pairs else "")
-        section_list.append(Section(f"{title}: {count}", tuple(map(_defining, members))))
+        statements = tuple(
+            Call(d.function, d.values, d.targets) if d.function else Assign(*d.targets, *d.values)
+            for d in members
+        )
+        section_list.append(Section(f"{title}: {count}", statements))
     return section_list
-
-
-def _defining(definition: Definition) -> Statement:
-    """Return the statement that computes a definition."""
-    function, targets, values = definition.function, definition.targets, definition.values
-    return Call(function, values, targets) if function else Assign(*targets, *values)

@@ -1,4 +1,4 @@
-"""Binding times: what depends on the run, on the step, on the iteration."""
+"""Binding times: values that depend on the run, the step or the iteration."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from typing import Any
 
 import mpmath
 
-from symsimpson.graph.evaluate import evaluated
+from symsimpson.graph.evaluate import evaluate_nodes
 from symsimpson.graph.nodes import UNIT, Exact
-from symsimpson.graph.read import in_doubles, is_float
+from symsimpson.graph.read import fit_to_double, is_float
 from symsimpson.lower.emitted_names import NameTable
 from symsimpson.lower.expression import Expression, Expressions
 from symsimpson.lower.printer import LARGE, count_operations
 
-#: Numbers that agree in so many digits, computed with some more, are the same.
+#: Constants are equal if they agree in DIGITS digits, computed with GUARD more.
 DIGITS, GUARD = 50, 15
 
 
 class Level(IntEnum):
-    """When a value is known."""
+    """The time from which a value is known."""
 
     CONSTANT = 0
     RUN = 1
@@ -31,22 +31,14 @@ class Level(IntEnum):
 
 
 #: Names of values cut out of an expression, by when they are known.
-_PREFIX = {
-    Level.CONSTANT: "k",
-    Level.RUN: "c",
-    Level.STEP: "s",
-    Level.ITERATION: "x",
-    Level.LATE: "y",
-}
-
-
+_PREFIX = "kcsxy"
 #: Operations of functions of values; sines and cosines are counted by themselves.
 _OPERATIONS = {"exact_sum": 6}
 
 
 @dataclass(frozen=True)
 class Definition:
-    """A value, or what a ``function`` of some values gives, with its level and its section."""
+    """A value, or the results of a ``function`` of some values, with a level and a section."""
 
     targets: tuple[Expression, ...]
     values: tuple[Expression, ...]
@@ -56,12 +48,12 @@ class Definition:
 
     @property
     def symbols(self) -> list[Expression]:
-        """The symbols that it is made of, in the order of the lines."""
+        """The symbols in its values, in the order of the lines."""
         return [symbol for value in self.values for symbol in value.symbols]
 
     @property
     def operations(self) -> int:
-        """Its operations, without sines and cosines."""
+        """The number of its operations, without sines and cosines."""
         return sum(map(count_operations, self.values)) + _OPERATIONS.get(self.function, 0)
 
 
@@ -70,7 +62,7 @@ Part = tuple[Expression, Level]
 
 
 class Definitions(Expressions):
-    """Definitions in an order in which they can be computed, each made once.
+    """Definitions in an order in which they can be computed; equal values share a definition.
 
     An expression is cut where its level changes: products of parameters are computed once a run,
     the trigonometry of the left node once a step.
@@ -83,17 +75,17 @@ class Definitions(Expressions):
         self.levels: dict[int, Level] = {}
         self.definitions: dict[Expression, Definition] = {}
         self.constants: dict[Expression, Expression] = {}
-        self._known: dict[Expression, Expression] = {}
+        self._symbol_of: dict[Expression, Expression] = {}
         self._constant_of: dict[Expression | str, Expression] = {}
         self._pairs: dict[tuple[Any, ...], tuple[Expression, Expression]] = {}
-        #: Symbols whose definitions may stand in place where they are used once.
-        self.passing: set[Expression] = set()
+        #: Symbols whose definitions may be substituted if they are used once.
+        self.removable: set[Expression] = set()
         #: Values that a text asks for which computes all of them, in that order, with its sections.
-        self.asked: dict[Expression, str] = {}
+        self.requests: dict[Expression, str] = {}
 
     def declare(self, name: str, level: Level) -> Expression:
         """Return the symbol of a value that comes from outside."""
-        symbol = self.named(name)
+        symbol = self.make_symbol(name)
         self.levels[symbol.node] = level
         return symbol
 
@@ -102,18 +94,18 @@ class Definitions(Expressions):
         return self.declare(self.names.fresh(hint), level)
 
     def define(self, hint: str, expression: Expression, section: str) -> Expression:
-        """Define an expression under a name; numbers and symbols stand for themselves."""
+        """Define an expression under a name; return numbers and symbols unchanged."""
         value, _ = self.split(expression, section)
         if self._trivial(value):
             return value
         return self._name(value, hint, section)
 
-    def define_passing(self, hint: str, expression: Expression, section: str) -> Expression:
+    def define_removable(self, hint: str, expression: Expression, section: str) -> Expression:
         """Define an expression whose line may be left out where it is used once."""
         before = len(self.definitions)
         value = self.define(hint, expression, section)
         if len(self.definitions) > before:
-            self.passing.update(value.symbols)
+            self.removable.update(value.symbols)
         return value
 
     def define_sincos(
@@ -134,19 +126,19 @@ class Definitions(Expressions):
             self.definitions |= {first: definition, second: definition}
             self._pairs[function, *values] = first, second
         for symbol in self._pairs[function, *values]:
-            self.asked.setdefault(symbol, section)
+            self.requests.setdefault(symbol, section)
         return self._pairs[function, *values]
 
     def level(self, expression: Expression) -> Level:
-        """Return when an expression is known."""
+        """Return the level at which an expression is known."""
         return Level(self.known_at(expression.node))
 
     def known_at(self, node: int) -> int:
-        """Return when a node is known: early ones come first in a sum."""
+        """Return the level of a node; sums begin with terms of low levels."""
         return max((self.levels[n] for n in self.nodes[node].symbols), default=0)
 
     def split(self, expression: Expression, section: str) -> Part:
-        """Replace what is known earlier than the whole by definitions."""
+        """Define the parts of an expression that are known earlier than the whole."""
         if expression.is_number:
             return self._number(expression), Level.CONSTANT
         kind, parts, _ = self.nodes[expression.node]
@@ -154,16 +146,14 @@ class Definitions(Expressions):
         if kind == "symbol":
             return self._multiple(c, Expression(self, (1, expression.node))), level
         if kind == "sum":
-            if c not in (1, -1):  # a number before what stands in parentheses
+            if c not in (1, -1):  # a number before parentheses
                 inner, _ = self.split(Expression(self, (1, expression.node)), section)
                 return self._multiple(c, inner), level
-            terms = self._numbers_joined(self.total, [(c * d, n) for d, n in parts])
+            terms = self._join_numbers(self.total, [(c * d, n) for d, n in parts])
             return self._regroup(self.total, self._parts(terms, section), level, section), level
         if kind == "product":
             factors = [self.multiply([(1, n, e)]) for n, e in parts]
-            joined = self._numbers_joined(
-                self.product, [*([(c, UNIT)] if c != 1 else []), *factors]
-            )
+            joined = self._join_numbers(self.product, [*([(c, UNIT)] if c != 1 else []), *factors])
             pieces = [
                 self.split(factor, section) if factor.is_number else self._power(factor, section)
                 for factor in joined
@@ -171,18 +161,18 @@ class Definitions(Expressions):
             return self._regroup(self.product, pieces, level, section), level
         name, *arguments = parts
         pieces = self._parts([Expression(self, value) for value in arguments], section)
-        return self._multiple(c, self.applied(name, *(value for value, _ in pieces))), level
+        return self._multiple(c, self.apply(name, *(value for value, _ in pieces))), level
 
     def _parts(self, values: Iterable[Expression], section: str) -> list[Part]:
         return [self.split(value, section) for value in values]
 
     def _power(self, power: Expression, section: str) -> Part:
-        """Split the base of a power; exponents have all digits, unless they are those of roots."""
+        """Split the base of a power; exponents other than roots become constants."""
         ((base, exponent),) = self.factors(power.node)
         value, level = self.split(Expression(self, (1, base)), section)
         if exponent.denominator in (1, 2, 4):
             return value**exponent, level
-        return self.applied("pow", value, self._number(self.of(exponent))), level
+        return self.apply("pow", value, self._number(self.of(exponent))), level
 
     def _multiple(self, c: Exact, value: Expression) -> Expression:
         """Return a value times a number, which has a name if it is not exact."""
@@ -190,10 +180,10 @@ class Definitions(Expressions):
         unscaled = Expression(self, (1, value.node))
         return unscaled if c == 1 else self._number(self.of(c)) * unscaled
 
-    def _numbers_joined(
+    def _join_numbers(
         self, join: Callable[[list[Expression]], Expression], values: list[tuple[Exact, int]]
     ) -> list[Expression]:
-        """Return parts of a sum or product, those that are numbers as one."""
+        """Return the parts of a sum or product, with all numbers joined."""
         parts = [Expression(self, value) for value in values]
         numbers = [part for part in parts if part.is_number]
         if len(numbers) < 2:
@@ -207,7 +197,7 @@ class Definitions(Expressions):
         level: Level,
         section: str,
     ) -> Expression:
-        """Gather the parts of a sum or product that are known before the others."""
+        """Define together the parts of a sum or product that are known before the others."""
         late = [value for value, at in parts if at == level]
         early = [(value, at) for value, at in parts if at < level]
         if join == self.product:  # signs stay outside, so that x and -x share a definition
@@ -229,24 +219,24 @@ class Definitions(Expressions):
         return join([value, *late])
 
     def _name(self, value: Expression, hint: str, section: str) -> Expression:
-        """Return the symbol that stands for a value already split, or for its opposite."""
-        if -value in self._known:
-            self.asked.setdefault(self._known[-value], section)
-            return -self._known[-value]
+        """Return the symbol of a split value, or the negative symbol of its opposite."""
+        if -value in self._symbol_of:
+            self.requests.setdefault(self._symbol_of[-value], section)
+            return -self._symbol_of[-value]
         level = self.level(value)
         if level == Level.CONSTANT:
-            return self._number(self.replaced(value, self.constants))
-        if value not in self._known:
+            return self._number(self.substitute(value, self.constants))
+        if value not in self._symbol_of:
             symbol = self.fresh(hint, level)
             self.definitions[symbol] = Definition((symbol,), (value,), level, section)
-            self._known[value] = symbol
-        self.asked.setdefault(self._known[value], section)
-        return self._known[value]
+            self._symbol_of[value] = symbol
+        self.requests.setdefault(self._symbol_of[value], section)
+        return self._symbol_of[value]
 
     def _number(self, number: Expression) -> Expression:
         """Write small integers, their halves and floats in place; name every other constant."""
         if number.node == UNIT:
-            number = self.of(in_doubles(number.coefficient))
+            number = self.of(fit_to_double(number.coefficient))
         c = number.coefficient
         if number.node == UNIT:
             small = abs(c.numerator) < LARGE and c.denominator < LARGE
@@ -269,13 +259,13 @@ class Definitions(Expressions):
 
     def is_positive(self, expression: Expression) -> bool:
         """Return whether an expression is a number above zero."""
-        value = self.replaced(expression, self.constants)
+        value = self.substitute(expression, self.constants)
         return value.is_number and mpmath.mpf(self._digits(value)) > 0
 
     def _digits(self, number: Expression) -> str:
         """Return a number in digits."""
         with mpmath.workdps(DIGITS + GUARD):
-            value = evaluated(self, [number.node], {}, mpmath.mp)[number.node]
+            value = evaluate_nodes(self, [number.node], {}, mpmath.mp)[number.node]
             c = number.coefficient
             return str(mpmath.nstr(value * c.numerator / c.denominator, DIGITS))
 

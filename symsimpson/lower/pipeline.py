@@ -1,4 +1,4 @@
-"""The whole way from a system to the text of a module, on one page."""
+"""From a system to the text of a module, on one page."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from symsimpson.declare.expression_checks import read_expression
 from symsimpson.declare.plain import Symbols
 from symsimpson.declare.system import MechanicalSystem
 from symsimpson.discrete.equations import discretise
-from symsimpson.discrete.jet import Cost
+from symsimpson.discrete.jet import RunningCost
 from symsimpson.discrete.reductions import read_exploit
 from symsimpson.errors import GenerationError, reject
 from symsimpson.lower.emit import emit
 from symsimpson.lower.emitted_names import NameTable
-from symsimpson.lower.forms import unrolled
+from symsimpson.lower.forms import is_unrolled
 from symsimpson.lower.module_kernels import lower
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
-from symsimpson.support.derivation import LAGRANGIAN, Derivation, collecting, timed
-from symsimpson.support.interpreter import rarely_collected
+from symsimpson.support.derivation import LAGRANGIAN, Derivation, collect_times, time_stage
+from symsimpson.support.interpreter import collect_rarely
 
 
 def source(
     system: MechanicalSystem, scheme: str | Scheme = "simpson", exploit: str | Iterable[str] = "all"
 ) -> str:
-    """Generate the text of a module; ``exploit`` names the findings that it makes use of."""
+    """Generate the text of a module; ``exploit`` names the findings that it uses."""
     return derive(system, scheme, exploit).text
 
 
@@ -41,24 +41,25 @@ def derive(
     *,
     second: bool = False,
 ) -> Derivation:
-    """Generate the module of a system and a scheme, and say what that took.
+    """Generate the module of a system and a scheme, with the seconds of each stage.
 
     Parameters
     ----------
     system, scheme, exploit
         As for :func:`source`.
     varied : iterable of str, optional
-        Names of parameters and inputs: a step is then differentiated by these, and by q and p.
+        Names of parameters and inputs. The module then differentiates a step by these, and by q
+        and p.
     running : sympy.Expr or LAGRANGIAN, optional
-        A cost that is integrated along the path, in the user's symbols.
+        A cost in the user's symbols. The module integrates it along the path.
     second : bool
-        Whether rows of a step are to be differentiated twice.
+        Whether the module has second derivatives of the rows of a step.
     """
     names = None if varied is None else tuple(varied)
     return _derive(system, read_scheme(scheme), read_exploit(exploit), names, running, second)
 
 
-def _cost(system: MechanicalSystem, running: Any) -> Cost | None:
+def _read_cost(system: MechanicalSystem, running: Any) -> RunningCost | None:
     """Read a running cost g(t, q, v, u) in the user's symbols.
 
     Raises ModelError if it contains something else.
@@ -66,14 +67,14 @@ def _cost(system: MechanicalSystem, running: Any) -> Cost | None:
     if running is None:
         return None
     if isinstance(running, str) and running == LAGRANGIAN:
-        return Cost(system.plain.graph, system.plain.L)
+        return RunningCost(system.plain.graph, system.plain.L)
     symbols = Symbols(system.coordinates, system.parameters, system.inputs)
     allowed = (*symbols.q, *symbols.v, *symbols.a, *symbols.u, symbols.t)
     value = read_expression(system.name, "running cost", running, symbols, symbols.known, allowed)
-    return Cost(symbols.graph, value)
+    return RunningCost(symbols.graph, value)
 
 
-def _varied(system: MechanicalSystem, names: Iterable[str]) -> tuple[sp.Symbol, ...]:
+def _find_varied(system: MechanicalSystem, names: Iterable[str]) -> tuple[sp.Symbol, ...]:
     """Return the plain symbols of parameters and inputs, by the user's names or the module's.
 
     Raises GenerationError if there is no such parameter or input.
@@ -87,8 +88,9 @@ def _varied(system: MechanicalSystem, names: Iterable[str]) -> tuple[sp.Symbol, 
     for name in names:
         if name not in by_name:
             reject(
-                f"derivatives names {name!r}, which is no parameter or input of {system.name}.",
-                remedy=f"It has {', '.join(users) or 'none'}, and steps have 'h' and 't'.",
+                f"{name!r} is no parameter or input of {system.name}.",
+                where="derivatives",
+                remedy=f"Choose among {', '.join([*users, 'h', 't'])}.",
                 error=GenerationError,
             )
     return tuple(by_name[name] for name in names)
@@ -103,21 +105,21 @@ def _derive(
     running: Any,
     second: bool,
 ) -> Derivation:
-    varied = None if names is None else _varied(system, names)
-    cost = _cost(system, running)
-    with collecting() as seconds, rarely_collected():
+    varied = None if names is None else _find_varied(system, names)
+    cost = _read_cost(system, running)
+    with collect_times() as seconds, collect_rarely():
         # MechanicalSystem, Scheme -> DiscreteEquations -> Module of kernels -> text
         equations = discretise(system, scheme, exploit, varied, cost, second=second)
-        if not unrolled(equations):  # in loops, forces damp
+        if not is_unrolled(equations):  # in loops, forces damp
             equations = discretise(
                 system, scheme, exploit - {"conformal"}, varied, cost, second=second
             )
         before = seconds.get("jet", 0.0)  # where its size is looked at above
-        with timed("text"):
+        with time_stage("text"):
             module = lower(equations)
             text = emit(equations, module)
     jet = seconds.get("jet", 0.0)
     stages = {**system.seconds, "jet": jet, "text": seconds["text"] - (jet - before)}
-    written_out = unrolled(equations)
+    written_out = is_unrolled(equations)
     operations = equations.jet.operations if written_out else None
     return Derivation(text, stages, operations, written_out)

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
 from symsimpson.graph.nodes import TINY, UNIT, Exact, Graph, Value, exact, magnitude
-from symsimpson.graph.read import in_doubles, is_float
+from symsimpson.graph.read import fit_to_double, is_float
 from symsimpson.lower.expression import Expression, Expressions
 
-#: Numbers without a formula: their names in a module, where they stand as doubles, and their
-#: values; a binding of more digits has its own.
+#: Named numbers without a formula, and their values in double precision. Bindings of more digits
+#: have their own values.
 NAMED_CONSTANTS = {"EULER_GAMMA": 0.5772156649015329, "CATALAN": 0.915965594177219, "TINY": TINY}
 _CONSTANT = {"pi": "pi", "EulerGamma": "EULER_GAMMA", "Catalan": "CATALAN", "Tiny": "TINY"}
 #: Integers from here on are no exact doubles, and soon none that fit into 64 bits.
@@ -24,9 +24,9 @@ Text = tuple[str, int]
 
 
 class Printer:
-    """Writes arithmetic, powers, roots and functions, which every binding has under these names.
+    """Writes expressions with operators and functions that every binding defines.
 
-    ``used`` collects the functions met, ``constants`` the named numbers. With ``exact`` set,
+    ``used`` collects the functions in them, ``constants`` the named numbers. With ``exact`` set,
     integers in quotients become ``real(...)``, so that a constant has the precision of the binding.
     """
 
@@ -55,10 +55,10 @@ class Printer:
     def _sum(self, graph: Expressions, terms: Sequence[tuple[Exact, int]]) -> Text:
         """Write a sum.
 
-        What is no product stands before products, each of which is fused with what is before it.
+        Products come last: the compiler fuses each with the terms before it.
         """
-        terms = sorted(terms, key=lambda term: (not _alone(graph, *term), graph.known_at(term[1])))
-        first = next((k for k, (c, n) in enumerate(terms) if c > 0 and _alone(graph, c, n)), 0)
+        terms = sorted(terms, key=lambda x: (not _is_simple(graph, *x), graph.known_at(x[1])))
+        first = next((k for k, (c, n) in enumerate(terms) if c > 0 and _is_simple(graph, c, n)), 0)
         terms = [terms[first], *terms[:first], *terms[first + 1 :]]
         if len(terms) == 1:
             return self._value(graph, *terms[0])
@@ -69,8 +69,8 @@ class Printer:
         return text, SUM
 
     def _product(self, graph: Expressions, c: Exact, factors: Sequence[tuple[int, Exact]]) -> Text:
-        c = in_doubles(c)
-        factors = sorted(factors, key=lambda factor: _place(graph, factor[0]))
+        c = fit_to_double(c)
+        factors = sorted(factors, key=lambda factor: _sort_key(graph, factor[0]))
         above = [self._power(graph, n, e) for n, e in factors if e > 0]
         below = [self._power(graph, n, -e) for n, e in factors if e < 0]
         if is_float(c):
@@ -93,9 +93,9 @@ class Printer:
         return text, SUM if sign else PRODUCT
 
     def _power(self, graph: Expressions, n: int, exponent: Exact) -> Text:
-        """Write a positive power: whole ones, and roots as square roots where that is possible.
+        """Write a positive power; roots become square roots where possible.
 
-        Compilers write loops over square roots as vector code, not those over powers.
+        Compilers vectorise square roots, but not powers.
         """
         base = self._value(graph, 1, n)
         if graph.nodes[n].kind == "sum" and len(graph.nodes[n].parts) == 1:
@@ -123,7 +123,7 @@ class Printer:
 
     def _number(self, c: Exact) -> Text:
         """Write a number."""
-        c = in_doubles(c)
+        c = fit_to_double(c)
         p, q = c.numerator, c.denominator
         if is_float(c):
             return repr(float(c)), SUM if c < 0 else ATOM
@@ -154,17 +154,17 @@ class Printer:
 
     @staticmethod
     def _within(text: Text, least: int) -> str:
-        """Put parentheses around what does not hold together so strongly."""
+        """Put parentheses around a text of lower precedence."""
         return text[0] if text[1] >= least else f"({text[0]})"
 
 
-def _alone(graph: Expressions, c: Exact, n: int) -> bool:
-    """Return whether a term is no product."""
+def _is_simple(graph: Expressions, c: Exact, n: int) -> bool:
+    """Return whether a term is not a product."""
     return n == UNIT or (c in (1, -1) and graph.nodes[n].kind != "product")
 
 
-def _place(graph: Expressions, n: int) -> tuple[bool, str, int]:
-    """Return by what factors are ordered: symbols by their names, then all others."""
+def _sort_key(graph: Expressions, n: int) -> tuple[bool, str, int]:
+    """Return the sort key of a factor: symbols by name, then all others."""
     kind, parts, _ = graph.nodes[n]
     return kind != "symbol", str(parts[0]) if kind == "symbol" else "", n
 
@@ -207,5 +207,5 @@ def formula(graph: Graph, value: Value, names: Mapping[str, str]) -> str:
     """Write a value of a graph for people to read, with other names for its symbols."""
     shown = Expressions()
     symbols = {n: graph.nodes[n].parts[0] for n in graph.nodes[value[1]].symbols}
-    known = {n: shown.named(names.get(name, name)) for n, name in symbols.items()}
-    return Printer().text(shown.taken(graph, value, known))
+    known = {n: shown.make_symbol(names.get(name, name)) for n, name in symbols.items()}
+    return Printer().text(shown.import_value(graph, value, known))

@@ -1,4 +1,4 @@
-"""Texts of functions, with conditions on facts resolved."""
+"""Specialisation of library texts: conditions on facts are resolved."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ _NAMES = """
 FACTS = frozenset(_NAMES.split())
 
 
-def specialised(text: str, facts: Mapping[str, object]) -> str:
+def specialise(text: str, facts: Mapping[str, object]) -> str:
     """Return a text of functions in which conditions on facts are resolved.
 
     Comments and line breaks stay. Raises KeyError for a name of :data:`FACTS` that is not known.
     """
     named = (FACTS | facts.keys()).intersection(re.findall(r"\w+", text))
-    return _specialised(text, tuple((x, facts[x]) for x in sorted(named) if x in facts))
+    return _specialise(text, tuple((x, facts[x]) for x in sorted(named) if x in facts))
 
 
 @lru_cache(maxsize=1024)
-def _specialised(text: str, facts: tuple[tuple[str, object], ...]) -> str:
+def _specialise(text: str, facts: tuple[tuple[str, object], ...]) -> str:
     known = dict(facts)
-    while changed := _changed(text, known):
+    while changed := _resolve_conditions(text, known):
         text = changed
     return text
 
 
-def called(
+def collect_called(
     names: Iterable[str], sources: Mapping[str, str], facts: Mapping[str, object]
 ) -> dict[str, str]:
     """Return texts of functions and of all that they call, with conditions on facts resolved."""
@@ -46,15 +46,15 @@ def called(
     waiting = {name for name in names if name in sources}
     while waiting:
         name = waiting.pop()
-        texts[name] = specialised(sources[name], facts)
+        texts[name] = specialise(sources[name], facts)
         calls = re.findall(r"\b(\w+)\(", texts[name])
         waiting |= {x for x in calls if x in sources and x not in texts}
     return texts
 
 
 def kernel_from_text(name: str, facts: Mapping[str, object]) -> Kernel:
-    """Return a kernel that does on each lane what its text in the library says."""
-    text = specialised(kernel_sources()[name], facts)
+    """Return the kernel of a library text, in a loop over lanes."""
+    text = specialise(kernel_sources()[name], facts)
     (function,) = ast.parse(text).body
     assert isinstance(function, ast.FunctionDef)
     documentation, *body = function.body
@@ -64,19 +64,19 @@ def kernel_from_text(name: str, facts: Mapping[str, object]) -> Kernel:
     return Kernel(name, doc, (Loop("lane", "range(LANES)", (lane,)),))
 
 
-def _resolved(test: ast.expr, facts: Mapping[str, object]) -> object:
-    """Return the value of a condition, or the expression that is left of it."""
+def _resolve(test: ast.expr, facts: Mapping[str, object]) -> object:
+    """Return the value of a condition, or its remaining expression."""
     if not isinstance(test, ast.BoolOp):
         parts = [*ast.walk(test)]
         names = {part.id for part in parts if isinstance(part, ast.Name)}
         if any(isinstance(part, (ast.Subscript, ast.Call)) for part in parts):
             return test
         if unknown := names & FACTS - facts.keys():
-            raise KeyError(f"The value of {', '.join(sorted(unknown))} is not known.")
+            raise KeyError(f"The module has no value of {', '.join(sorted(unknown))}.")
         known = names <= facts.keys()
         return eval(ast.unparse(test), {"__builtins__": {}}, {**facts}) if known else test
     every, left = isinstance(test.op, ast.And), []
-    for value in (_resolved(operand, facts) for operand in test.values):
+    for value in (_resolve(operand, facts) for operand in test.values):
         if isinstance(value, ast.expr):
             left.append(value)
         elif bool(value) is not every:
@@ -86,20 +86,20 @@ def _resolved(test: ast.expr, facts: Mapping[str, object]) -> object:
     return ast.BoolOp(test.op, left) if len(left) > 1 else left[0] if left else every
 
 
-def _changed(text: str, facts: Mapping[str, object]) -> str:
+def _resolve_conditions(text: str, facts: Mapping[str, object]) -> str:
     """Return the text with its outer conditions resolved, without superfluous ``pass``.
 
     The text is empty if nothing changes.
     """
     lines = text.splitlines()
-    # lines of the text, and what stands in place of them; nodes come before what is inside
+    # lines of the text and their replacements; outer nodes come before inner ones
     changes: dict[range, list[str]] = {}
     for node in _nodes(ast.parse(text).body, lines):
         place: ast.stmt | ast.expr | None = None
         match node:
-            case ast.If(test) if (value := _resolved(test, facts)) is not test:
+            case ast.If(test) if (value := _resolve(test, facts)) is not test:
                 place, kept = node, [*_branches(node, value, lines)]
-            case ast.IfExp(test) if not isinstance(value := _resolved(test, facts), ast.expr):
+            case ast.IfExp(test) if not isinstance(value := _resolve(test, facts), ast.expr):
                 taken = ast.get_source_segment(text, node.body if value else node.orelse)
                 after = lines[(node.end_lineno or 0) - 1][node.end_col_offset :]
                 place = node
@@ -122,7 +122,7 @@ def _changed(text: str, facts: Mapping[str, object]) -> str:
 
 
 def _nodes(statements: Iterable[ast.stmt], lines: list[str]) -> Iterator[ast.AST]:
-    """Yield statements and the conditional expressions in them, those outside before others."""
+    """Yield statements and the conditional expressions in them, outer ones first."""
     for statement in statements:
         yield statement
         inner = [*getattr(statement, "body", ()), *getattr(statement, "orelse", ())]
@@ -133,7 +133,7 @@ def _nodes(statements: Iterable[ast.stmt], lines: list[str]) -> Iterator[ast.AST
 
 
 def _branches(node: ast.If, value: object, lines: list[str]) -> Iterator[str]:
-    """Yield what is left of a condition that has this value, or is this expression."""
+    """Yield the lines of an ``if`` after its condition got this value or expression."""
     pad, word = " " * node.col_offset, lines[node.lineno - 1].split()[0]
     start, split, end = node.test.end_lineno or 0, node.body[-1].end_lineno or 0, node.end_lineno
     while not lines[start - 1].partition("  #")[0].endswith(":"):

@@ -1,4 +1,4 @@
-"""Kernels that iterate what the nodes of a step have: velocities, forces."""
+"""Kernels that iterate the velocities and forces at the nodes of a step."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from symsimpson.lower.ir import (
 from symsimpson.lower.levels import Level
 from symsimpson.lower.lower import Lowering
 from symsimpson.lower.specialise import kernel_from_text
-from symsimpson.lower.state_kernels import STATE, begun_pivots, least_pivot
 from symsimpson.lower.storage import node_stride
 from symsimpson.lower.terms_of_l import split_loads
+from symsimpson.lower.traced_kernels import STATE, store_first_pivots, store_least_pivot
 from symsimpson.lower.traced_parts import TracedPart
 
 #: An iteration with more operations a node than this is not written out.
@@ -45,7 +45,7 @@ LATE = ("STAGE_NU", "STAGE_F")
 
 
 class _Node(int):
-    """The index of a node, behind all others: functions do the same at all nodes."""
+    """The index of the current node, one after the last; it is printed as ``j``."""
 
     def __str__(self) -> str:
         return "j"
@@ -53,7 +53,7 @@ class _Node(int):
 
 @dataclass(frozen=True)
 class Stages:
-    """Kernels, functions of the system that they call, and what a module needs for them."""
+    """The kernels of a stage iteration, with their functions, tables, facts and block sizes."""
 
     kernels: tuple[Kernel, ...] = ()
     functions: tuple[Function, ...] = ()
@@ -65,21 +65,21 @@ class Stages:
 def looped_stages(low: Lowering, known: Mapping[str, object]) -> Stages:
     """Return the kernels of a large system with a constant M.
 
-    With 60 coordinates that all meet Newton's method takes ten to fifty times as long; but it does
-    not where its matrix is a band, nor where M would have to be factorised at each node (30 coupled
-    pendulums).
+    Newton's method takes ten to fifty times as long for 60 coordinates that all interact. It is
+    faster if its matrix is a band. It is also faster if M must be factorised at each node, as for
+    30 coupled pendulums.
     """
-    return _stages(low, range(low.n), {**known, "TURNED": False})
+    return _complete_stages(low, range(low.n), {**known, "TURNED": False})
 
 
-def _stages(
+def _complete_stages(
     low: Lowering,
     forced: Sequence[int],
     facts: dict[str, object],
     functions: tuple[Function, ...] = (),
     **sizes: Any,
 ) -> Stages:
-    """Complete the kernels of a system, of which forces act on coordinates that are ``forced``."""
+    """Return the kernels of a system in which forces act on the ``forced`` coordinates."""
     timed, stride = not low.equations.plain.autonomous, node_stride(low.equations.scheme)
     unforced = tuple(a for a in range(low.n) if a not in forced)
     facts |= {"UNFORCED": bool(unforced)}
@@ -92,8 +92,8 @@ def _stages(
     )
 
 
-def _over_nodes(name: str, doc: str, body: Sequence[Statement], *given: str) -> Function:
-    """Return a function that does this at all nodes; what is the same for all is loaded once."""
+def _node_function(name: str, doc: str, body: Sequence[Statement], *given: str) -> Function:
+    """Return a function with a loop over all nodes; common loads come before the loop."""
     first, *rest = body
     outside, inside = split_loads(first)
     loop = Loop("node", "range(STRIDE if LANES == 1 else NODES)", (*inside, *rest))
@@ -101,11 +101,12 @@ def _over_nodes(name: str, doc: str, body: Sequence[Statement], *given: str) -> 
 
 
 class TracedStages:
-    """Traces what is done at a node."""
+    """Traces the functions of a node for small systems."""
 
     def __init__(self, low: Lowering, known: Mapping[str, object]) -> None:
         self._low, self._known, self._scales = low, {**known}, len(low.scales)
-        self._stride, self._forced = node_stride(low.equations.scheme), low.template.forced
+        self._stride = node_stride(low.equations.scheme)
+        self._forced = low.template.forced_coordinates
         self._node = _Node(low.equations.scheme.stages)
         self._order = [a for part in low.equations.parts for a in part.mass_order]
         facts = {"TRACED": True, "CONSTANT_MASS": False, "GYROSCOPIC": False, "PIVOTS": False}
@@ -116,7 +117,7 @@ class TracedStages:
         self._rows = self._symbols()
 
     def stages(self) -> Stages | None:
-        """Return the kernels of a small system; None if those of a node would be too long."""
+        """Return the kernels of a small system; None if a node has too many operations."""
         low, h, t = self._low, self._low.h, self._low.t
         start, end = self._velocity("start_velocity", t), self._velocity("end_velocity", h, t)
         self._run("stage_force", h, t, self._node)
@@ -127,30 +128,33 @@ class TracedStages:
             value = low.graph.define(name, self._part.row(block, self._node), "velocities")
             moves.append(Store(self._row(block), value))
         pivot = self._row("STAGE_PIVOT")
-        forces += least_pivot(low, self._pivots(), pivot, "velocities", self._scales)
-        reached = [low.graph.definitions[s] for s in low.needed([*forces, *moves], Level)]
+        forces += store_least_pivot(low, self._pivots(), pivot, "velocities", self._scales)
+        needed = low.find_needed([*forces, *moves], tuple(Level))
+        reached = [d for s, d in low.graph.definitions.items() if s in needed]
         if sum(definition.operations for definition in reached) > MOST_OPERATIONS:
             return None
-        opening, closing, between = low.halves(forces, moves, partial(self._row, "STAGE_HELD"))
-        kept, turned, angles = self._turning(opening)
+        row = partial(self._row, "STAGE_HELD")
+        opening, closing, between = low.split_statements(forces, moves, row)
+        kept, turned, angles = self._turn_angles(opening)
         functions = [
             Function("start_velocity", "Find the velocity at (q, p).", start, ("W", "t", "lane")),
-            _over_nodes("stage_forces", "Find forces at all nodes.", kept),
-            _over_nodes("stage_velocities", "Find velocities at all nodes.", closing),
-            self._ahead(),
+            _node_function("stage_forces", "Find forces at all nodes.", kept),
+            _node_function("stage_velocities", "Find velocities at all nodes.", closing),
+            self._extrapolate(),
         ]
         if angles:
             doc = "Find forces, with sines and cosines turned by what angles change."
-            functions.append(_over_nodes("turned_forces", doc, turned))
+            functions.append(_node_function("turned_forces", doc, turned))
         if len(self._forced) < low.n:
             doc = "Find the velocity at q1 of coordinates without a force."
             functions.append(Function("end_velocity", doc, end, ("W", "h", "t", "lane")))
         facts = {"PIVOTS": len(low.scales) > self._scales, "TURNED": angles > 0}
         sizes = {"staged_values": between, "angles": angles}
-        return _stages(low, self._forced, {**self._known, **facts}, tuple(functions), **sizes)
+        known = {**self._known, **facts}
+        return _complete_stages(low, self._forced, known, tuple(functions), **sizes)
 
     def _velocity(self, function: str, *times: Expression) -> tuple[Statement, ...]:
-        """Find the velocity at the start of a run, or at q1 that of cyclic coordinates."""
+        """Find the velocity at the start of a run, or at q1 for cyclic coordinates."""
         low, at_start = self._low, function == "start_velocity"
         self._run(function, *times)
         stores = [
@@ -160,32 +164,32 @@ class TracedStages:
             if at_start or a not in self._forced
         ]
         if at_start:
-            stores += begun_pivots(low, self._pivots(), "velocity", self._scales)
+            stores += store_first_pivots(low, self._pivots(), "velocity", self._scales)
         return low.statements(stores, STATE)
 
-    def _ahead(self) -> Function:
-        """Extrapolate to the nodes of the next step."""
+    def _extrapolate(self) -> Function:
+        """Trace the extrapolation to the nodes of the next step."""
         self._run("stage_ahead", 0, self._node)
         moves = self._stores("STAGE_Q", "dq_{}_ahead", range(self._low.n), "extrapolation")
         moves = [Store(Row("STAGE_V", store.row.index), store.value) for store in moves]
         lines = self._low.statements(moves, FIRST)
-        return _over_nodes("extrapolate_stages", "Begin the next step.", lines, "smooth")
+        return _node_function("extrapolate_stages", "Begin the next step.", lines, "smooth")
 
     def _run(self, function: str, *arguments: Any) -> None:
         """Trace a function, at nodes whose rows hold symbols."""
         self._part.begin()
         for block, values in self._rows.items():
-            self._part.hold(block, values)
+            self._part.set_rows(block, values)
         self._trace(function, *arguments)
 
     def _trace(self, function: str, *arguments: Any) -> None:
-        """Trace a function; sums that wait for nothing stay apart from others."""
-        before = set(self._low.graph.passing)
+        """Trace a function; its sums keep names, so that they can run in parallel."""
+        before = set(self._low.graph.removable)
         self._part.trace.run(function, *arguments, 0)
-        self._low.graph.passing &= before
+        self._low.graph.removable &= before
 
     def _symbols(self) -> dict[str, list[Any]]:
-        """Return what rows of nodes hold in a trace, by blocks; the node at hand is the last."""
+        """Return the symbols of the rows of nodes by block; the current node is the last."""
         names, others = self._low.names, [0] * self._node
         every, order = (*range(self._node), self._node), self._order
 
@@ -217,7 +221,7 @@ class TracedStages:
         return symbol
 
     def _row(self, block: str, k: int = 0, node: int | None = None) -> Row:
-        """Return the row of the kth value of a node in a block, by default of that at hand."""
+        """Return the row of the kth value of a node in a block; default is the current node."""
         if node is not None and node < self._node:
             return Row(block, k * self._stride + node)
         table = ["smooth"] if block == "STAGE_AHEAD" else []
@@ -226,7 +230,7 @@ class TracedStages:
     def _stores(
         self, block: str, hint: str, coordinates: Iterable[int], section: str
     ) -> list[Store]:
-        """Store what rows of the node hold, one for each of these coordinates."""
+        """Store the values of the node, one for each of these coordinates."""
         stores = []
         for a in coordinates:
             first = self._order.index(a) * (self._node + 1)
@@ -236,14 +240,17 @@ class TracedStages:
         return stores
 
     def _pivots(self) -> list[Expression]:
-        """Return the pivots of M at the point at hand."""
+        """Return the pivots of M at the current point."""
         n = self._low.n
         return [self._part.row("NODE_L_VV", s * n + s) for s in range(n)]
 
-    def _turning(self, body: Iterable[Statement]) -> tuple[list[Statement], list[Statement], int]:
-        """Return statements that keep sines and cosines, others that turn these, and their number.
+    def _turn_angles(
+        self, body: Iterable[Statement]
+    ) -> tuple[list[Statement], list[Statement], int]:
+        """Return statements that store sines and cosines, others that turn them, and their number.
 
-        The latter turn them by what angles have changed since, and store how far.
+        The second statements turn sines and cosines by the change of the angles. They also store
+        the squared change.
         """
         fresh = self._low.graph.fresh
         numbers, changes = count(), list[Expression]()
@@ -263,22 +270,22 @@ class TracedStages:
             turned = Call("turned", (*before[1:], change), call.results)
             return [*loads, Assign(change, angle - before[0]), turned]
 
-        kept, turned = _with_angles(body, keep), _with_angles(body, turn)
+        kept, turned = _rewrite_angles(body, keep), _rewrite_angles(body, turn)
         if changes:
             squares = self._low.graph.total(change**2 for change in changes)
             turned.append(Store(Row("STAGE_TURN", "node"), squares))
         return kept, turned, len(changes)
 
 
-def _with_angles(
+def _rewrite_angles(
     body: Iterable[Statement], rewrite: Callable[[Call], list[Statement]]
 ) -> list[Statement]:
-    """Return statements in which others stand for the calls that give a sine and a cosine."""
+    """Return statements in which the calls of sincos are rewritten."""
     statements: list[Statement] = []
     for statement in body:
         match statement:
             case Section():
-                inner = tuple(_with_angles(statement.body, rewrite))
+                inner = tuple(_rewrite_angles(statement.body, rewrite))
                 statements.append(replace(statement, body=inner))
             case Call("sincos"):
                 statements += rewrite(statement)

@@ -1,13 +1,12 @@
-"""Storage of matrices: places of the entries of coordinates, of constraints, of both."""
+"""Storage of matrices: places of entries of coordinates and constraints."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from symsimpson.discrete.bandwidth import band_of, neighbours, ordering
+from symsimpson.discrete.bandwidth import band_of, list_neighbours, order_coordinates
 from symsimpson.discrete.families import Family
-from symsimpson.discrete.reductions import Routh
 from symsimpson.schemes.scheme import Scheme
 
 #: Nodes are filled up to a multiple of this: a vector register of the widest machines.
@@ -18,10 +17,11 @@ REGISTER = 8
 class Storage:
     """Places of matrix entries of a large system.
 
-    Dense, unknown ``row * n + s`` belongs to coordinate s and block ``row`` (one for each control
-    point that is solved for). Banded, coordinates are taken in another order in which those that
-    meet in a term of L stand close; s is the place there, and the unknown is ``s * blocks + row``.
-    Elimination with row pivoting widens a band of half-width b to b below and 2 b above.
+    A matrix has one block of n unknowns for each control point that is solved for. In dense storage
+    unknown ``row * n + s`` belongs to block ``row`` and coordinate s. In banded storage the unknown
+    is ``s * blocks + row``, where s is the place of the coordinate in another order. There,
+    coordinates that share a term of L are close to each other. Elimination with row pivoting
+    widens a band of half-width b to b below and 2 b above the diagonal.
     """
 
     order: tuple[int, ...]  #: The coordinate at each place.
@@ -50,7 +50,7 @@ class Storage:
 
     @property
     def node_offset(self) -> int:
-        """Where the first entry of an n by n matrix stands."""
+        """Offset of the first entry of an n by n matrix."""
         return self.band if self.banded else 0
 
     def band_of(self, entries: Iterable[tuple[int, int]]) -> int:
@@ -68,7 +68,7 @@ class Storage:
         return self.n * blocks
 
     def node_constants(self) -> dict[str, object]:
-        """Return what loops over the entries of an n by n matrix must know."""
+        """Return the strides of an n by n matrix, as constants of a module."""
         return {
             "COORDINATE": self.order,
             "BAND": self.band,
@@ -77,9 +77,9 @@ class Storage:
         }
 
     def constants(self, prefix: str, blocks: int, before: int = 0) -> dict[str, object]:
-        """Return what loops over the entries of a system of blocks times n unknowns must know.
+        """Return the strides of a matrix of blocks times n unknowns, as constants of a module.
 
-        So many entries stand ``before`` its own.
+        ``before`` counts the entries in front of the matrix.
         """
         half, unknowns = self._half(blocks), self.unknowns(blocks)
         return {
@@ -90,7 +90,7 @@ class Storage:
         }
 
     def bounds(self, prefix: str, blocks: int) -> dict[str, object]:
-        """Return how far from the diagonal an elimination finds entries: below, and above it."""
+        """Return the half-widths below and above the diagonal that an elimination visits."""
         half, unknowns = self._half(blocks), self.unknowns(blocks)
         return {
             f"{prefix}_LOWER": half if self.banded else max(unknowns - 1, 0),
@@ -102,31 +102,35 @@ class Storage:
 
 
 def node_stride(scheme: Scheme) -> int:
-    """Return the rows of a value that all nodes have: more than nodes where these are lanes."""
+    """Return the rows of a value of all nodes; nodes that are lanes fill vector registers."""
     register = REGISTER // 2 if scheme.stages <= REGISTER // 2 else REGISTER
     full = -(-scheme.stages // register) * register
     return full if scheme.by_stages else scheme.stages
 
 
 @dataclass(frozen=True)
-class Held:
-    """Places of coordinates and constraints in an order in which those that meet stand close.
+class Border:
+    """The order of coordinates and constraints in a bordered matrix, and their places in it.
 
-    Each constraint stands behind all coordinates in it: a symmetric elimination then needs no
-    exchange of rows.
+    Coordinates and constraints that interact are close to each other. Each constraint follows all
+    of its coordinates, so that a symmetric elimination needs no exchange of rows.
     """
 
     storage: Storage  #: Of both; the item at each place is a coordinate, or n plus a constraint.
     #: That of the coordinate at each place of coordinates alone, then that of each constraint.
     place: tuple[int, ...]
     count: int  #: Number of constraints.
-    velocities: int = 0  #: Number of those, the last ones, that are constraints of velocities.
+    velocities: int = 0  #: Number of velocity constraints, which come last.
     #: Whether elimination takes all increments before the multipliers, and exchanges no rows.
     in_order: bool = False
 
     @classmethod
-    def dense(cls, n: int, count: int, velocities: int = 0, *, in_order: bool = False) -> Held:
-        """Put the constraints behind all coordinates, and keep all entries."""
+    def dense(
+        cls, n: int, count: int, velocities: int = 0, *, in_order: bool = False
+    ) -> Border | None:
+        """Put the constraints after all coordinates; return None without constraints."""
+        if not count:
+            return None
         storage, places = Storage.dense(n + count), tuple(range(n + count))
         return cls(storage, places, count, velocities, in_order or velocities > 0)
 
@@ -137,11 +141,11 @@ class Held:
         members: Sequence[frozenset[int]],
         near: Sequence[set[int]],
         velocities: int = 0,
-    ) -> Held:
-        """Put each constraint right behind the last of its coordinates.
+    ) -> Border:
+        """Put each constraint right after the last of its coordinates.
 
-        Coordinates stand in an ``order``; ``members`` are those in each constraint, and ``near``
-        those that meet each one.
+        ``order`` is the order of coordinates. ``members`` has the coordinates of each constraint,
+        and ``near`` the coordinates that interact with each coordinate.
         """
         n, at = len(order), {a: s for s, a in enumerate(order)}
         behind: list[list[int]] = [[] for _ in order]
@@ -156,12 +160,12 @@ class Held:
         return cls(storage, places, len(members), velocities)
 
     def entry(self, i: int, j: int) -> int:
-        """Return where two coordinates, or constraints behind these, meet in the node's matrix."""
+        """Return the entry of two items in the bordered matrix; constraints follow coordinates."""
         first = self.storage.node_offset + self.place[i] * self.storage.node_stride
         return first + self.place[j]
 
     def constants(self, blocks: int) -> dict[str, object]:
-        """Return what loops over coordinates and constraints must know."""
+        """Return the tables for loops over coordinates and constraints."""
         n = len(self.storage.order) - self.count
         steps = self.storage.constants("HELD", blocks)
         step = steps["HELD_ROW_STEP"]
@@ -182,29 +186,24 @@ class Held:
         }
 
 
-def dense(n: int, constraints: int, velocities: int = 0) -> tuple[Storage, Held | None]:
-    """Keep the order of coordinates, constraints behind them if there are any, and all entries."""
-    return Storage.dense(n), Held.dense(n, constraints, velocities) if constraints else None
-
-
-def smaller(
+def choose_storage(
     storage: Storage,
-    held: Held | None,
+    held: Border | None,
     terms: Sequence[Family],
     met: Sequence[Family],
     degree: int,
     rolling: Sequence[frozenset[int]] = (),
-) -> tuple[Storage, Held | None]:
-    """Return bands where these are smaller than what is given.
+) -> tuple[Storage, Border | None]:
+    """Return banded storage where it is smaller than the given one.
 
-    ``terms`` are those of L, ``met`` the constraints, and ``rolling`` has the coordinates in each
-    velocity constraint.
+    ``terms`` are families of terms of L, and ``met`` families of constraints. ``rolling`` has the
+    coordinates of each velocity constraint.
     """
-    near = neighbours([*terms, *met], storage.n)
+    near = list_neighbours([*terms, *met], storage.n)
     for member in rolling:
         for i in member:
             near[i] |= member - {i}
-    order, band = ordering(near)
+    order, band = order_coordinates(near)
     if held is None:
         banded = Storage(order, band, banded=True)
         return (banded if banded.size(degree) < storage.size(degree) else storage), None
@@ -215,41 +214,14 @@ def smaller(
     }
     positions = held.count - len(rolling)
     every = [*(members[c] for c in range(positions)), *rolling]
-    chain = Held.chain(order, every, near, len(rolling))
+    chain = Border.chain(order, every, near, len(rolling))
     if chain.storage.size(degree) >= held.storage.size(degree):
         return storage, held
-    return Storage(order, band_of(order, neighbours(terms, storage.n)), banded=True), chain
+    return Storage(order, band_of(order, list_neighbours(terms, storage.n)), banded=True), chain
 
 
-@dataclass(frozen=True)
-class LoopKernels:
-    """How kernels go over coordinates, unknowns and matrix entries in loops."""
-
-    storage: Storage
-    degree: int
-    held: Held | None  #: How constraints stand among the coordinates, if there are any.
-    #: Whether M is, so that its factors may stay in their place from step to step.
-    constant_mass: bool = False
-    #: Whether Newton's method needs no exchange of rows, but for a few steps.
-    in_order: bool = False
-    written: bool = False  #: Whether the equations of a step are written out.
-    routh: Routh | None = None  #: Which cyclic coordinates follow from their momenta, if some do.
-
-    @property
-    def rolling(self) -> bool:
-        """Whether some constraints are those of velocities."""
-        return self.held is not None and self.held.velocities > 0
-
-    @property
-    def cleared(self) -> int:
-        """Rows of the matrix of all unknowns that sums or elimination begin with as zero."""
-        storage = self.held.storage if self.held else self.storage
-        return storage.size(self.degree) if self.held or storage.banded else 0
-
-    @property
-    def pivots(self) -> dict[str, object]:
-        """Where each pivot of M stands among the factors."""
-        storage = self.held.storage if self.held else self.storage
-        places = self.held.place[: self.storage.n] if self.held else range(self.storage.n)
-        step, offset = storage.node_stride + 1, storage.node_offset
-        return {} if self.constant_mass else {"PIVOT_AT": tuple(i * step + offset for i in places)}
+def pivot_places(storage: Storage, held: Border | None) -> tuple[int, ...]:
+    """Return the entry of each pivot of M among its factors, in the order of places."""
+    places = held.place[: storage.n] if held else range(storage.n)
+    factors = held.storage if held else storage
+    return tuple(i * (factors.node_stride + 1) + factors.node_offset for i in places)

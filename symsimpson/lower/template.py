@@ -1,4 +1,4 @@
-"""The jet of L as definitions: its program instantiated at every node."""
+"""Templates of jets: their programs become definitions at every node."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import count
 
 from symsimpson.discrete.jet import Jet, Key
-from symsimpson.graph.lines import Line, Program
+from symsimpson.graph.lines import Line, StraightLineCode
 from symsimpson.graph.nodes import UNIT, Value
 from symsimpson.lower.expression import Expression
 from symsimpson.lower.levels import Definitions, Level
@@ -19,11 +19,11 @@ _AT_POINT = {"q": "q", "v": "v", "u": "u", "l": "multipliers", "s": "step", "w":
 
 @dataclass(frozen=True)
 class Point:
-    """Where a jet is evaluated: names of q and v there, and a suffix for everything made of them.
+    """A point at which a jet is evaluated: its arguments, and a suffix for names of its values.
 
-    ``v`` is None where only functions of t, u and q are asked for, ``t`` where nothing depends on
-    it; ``u`` are the inputs there, ``multipliers`` those of constraints, ``weights`` those of what
-    is differentiated twice, ``step`` h and where in the step the point is.
+    ``v`` is None if the values depend on t, u and q only, and ``t`` is None for an autonomous
+    system. ``u`` are the inputs, ``multipliers`` belong to constraints, and ``weights`` to second
+    derivatives. ``step`` has h, the place of the point in the step, and 1 if v scales with 1/h.
     """
 
     suffix: str
@@ -37,11 +37,11 @@ class Point:
 
 
 class JetTemplate:
-    """Writes the outputs of a jet at any point, sharing what they have in common.
+    """Writes the outputs of a jet at any point; outputs share common lines.
 
-    At a point the lines that an output needs, and no others, become definitions of a ``graph``,
-    with the point's own names; a line that is used once stands in place. The ``names`` are those of
-    the coordinates in names of entries; ``parameters`` have the names of plain symbols.
+    The lines that an output needs become definitions of the ``graph``, with names of their own at
+    each point. A line that is used once is substituted. ``names`` has the names of coordinates in
+    names of entries. ``parameters`` maps names of plain symbols to expressions.
     """
 
     def __init__(
@@ -53,10 +53,10 @@ class JetTemplate:
         momenta: Sequence[Expression],
     ) -> None:
         self._jet, self._graph, self._names = jet, graph, names
-        self._program: Program = jet.program
+        self._program: StraightLineCode = jet.program
         self._parameters = parameters
         self._momenta = momenta
-        self._made: dict[tuple[str, int], Expression] = {}
+        self._expressions: dict[tuple[str, int], Expression] = {}
         self._points: dict[str, Point] = {}
         self._users = self._program.users()
         self._angles: dict[Value, int] = {}
@@ -83,7 +83,7 @@ class JetTemplate:
         return self._points[suffix]
 
     @property
-    def forced(self) -> tuple[int, ...]:
+    def forced_coordinates(self) -> tuple[int, ...]:
         """The coordinates on which a force acts."""
         return self._jet.forced
 
@@ -97,16 +97,16 @@ class JetTemplate:
         return not self._jet[what, *index][0]
 
     def entry(self, point: Point, section: str, what: str, *index: int | str) -> Expression:
-        """Return one entry of the jet at a point, making the definitions it needs."""
+        """Return one entry of the jet at a point, and add the definitions that it needs."""
         key: Key = (what, *index)
         value = self._value(self._jet[key], point, section)
         suffix = (point.suffix,) if self._graph.level(value) > Level.RUN else ()
-        indices = [self._spelt(i) for i in index]
+        indices = [self._spell_index(i) for i in index]
         hint = "_".join((what.replace("_", ""), *indices, *suffix))
         return self._graph.define(re.sub(r"[^A-Za-z0-9_]", "_", hint), value, section)
 
-    def _spelt(self, i: int | str) -> str:
-        """Return an index as names of entries have it: a coordinate by its name."""
+    def _spell_index(self, i: int | str) -> str:
+        """Return an index for the name of an entry: the name of a coordinate, or a number."""
         return str(self._names[i] if isinstance(i, int) and i < len(self._names) else i)
 
     def _value(self, value: Value, point: Point, section: str) -> Expression:
@@ -115,24 +115,24 @@ class JetTemplate:
         return coefficient * self._line(n, point, section)
 
     def _line(self, n: int, point: Point, section: str) -> Expression:
-        """Return what stands for a line at a point."""
+        """Return the expression of a line at a point."""
         if n == UNIT:
             return self._graph.of(1)
         line = self._program.lines[n]
         if line.kind == "symbol":
             return self._symbol(line.parts[0], point)
         key = (point.suffix, n)
-        if key in self._made:
-            return self._made[key]
+        if key in self._expressions:
+            return self._expressions[key]
         if _is_angle(line):
             return self._angle(n, line, point, section)
-        written = self._written(line, point, section)
+        written = self._write_line(line, point, section)
         if self._users[n] > 1 and written.node != UNIT:
-            return self._named(n, written, point, section)
+            return self._name_line(n, written, point, section)
         return written
 
-    def _written(self, line: Line, point: Point, section: str) -> Expression:
-        """Write a line, made of others."""
+    def _write_line(self, line: Line, point: Point, section: str) -> Expression:
+        """Write a line as an expression of other lines."""
         graph, parts = self._graph, line.parts
         match line.kind:
             case "sum":
@@ -142,13 +142,13 @@ class JetTemplate:
             case "constant":
                 return Expression(graph, graph.constant(*parts))
         name, *values = parts
-        return graph.applied(name, *(self._value(value, point, section) for value in values))
+        return graph.apply(name, *(self._value(value, point, section) for value in values))
 
-    def _named(self, n: int, written: Expression, point: Point, section: str) -> Expression:
+    def _name_line(self, n: int, written: Expression, point: Point, section: str) -> Expression:
         graph = self._graph
         hint = "c" if graph.level(written) <= Level.RUN else f"x_{point.suffix}"
-        self._made[point.suffix, n] = graph.define(hint, written, section)
-        return self._made[point.suffix, n]
+        self._expressions[point.suffix, n] = graph.define(hint, written, section)
+        return self._expressions[point.suffix, n]
 
     def _symbol(self, name: str, point: Point) -> Expression:
         if name in self._parameters:
@@ -164,15 +164,15 @@ class JetTemplate:
         return values[place]
 
     def _angle(self, n: int, line: Line, point: Point, section: str) -> Expression:
-        """Return the sine or the cosine of an angle, of which both are made at once."""
+        """Return the sine or the cosine of an angle; both are defined at once."""
         angle = self._value(line.parts[1], point, section)
         if self._graph.level(angle) == Level.CONSTANT:
-            return self._graph.define("C", self._graph.applied(line.parts[0], angle), section)
+            return self._graph.define("C", self._graph.apply(line.parts[0], angle), section)
         number = self._angles[line.parts[1]]
         hint = angle.name if angle.is_symbol else f"angle{number}_{point.suffix}"
         sine, cosine = self._graph.define_sincos(hint, angle, section)
-        self._made[point.suffix, n] = sine if line.parts[0] == "sin" else cosine
-        return self._made[point.suffix, n]
+        self._expressions[point.suffix, n] = sine if line.parts[0] == "sin" else cosine
+        return self._expressions[point.suffix, n]
 
 
 def _is_angle(line: Line) -> bool:

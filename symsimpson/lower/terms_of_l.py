@@ -1,4 +1,4 @@
-"""The functions by which kernels evaluate L at nodes: written out, or by loops over families."""
+"""Functions that evaluate L at nodes: straight-line code, or loops over families."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from symsimpson.lower.ir import (
     Section,
     Statement,
     Store,
-    stored,
+    store_rows,
 )
 from symsimpson.lower.levels import Level
 from symsimpson.lower.lower import Lowering
@@ -88,9 +88,9 @@ def cyclic_function(low: Lowering, part: Routh) -> Function:
 def unrolled_functions(
     low: Lowering, names: Iterable[str], stand: Sequence[int] | None = None
 ) -> list[Function]:
-    """Write every entry of the jet by lines of its own; coordinates ``stand`` at these places.
+    """Write every entry of the jet by lines of its own; ``stand`` has the places of coordinates.
 
-    With forces most entries of a large system are zero: loops clear them all before.
+    With forces most entries of a large system are zero. Loops clear them all first.
     """
     sparse = not low.equations.plain.conservative
     dragged = low.equations.plain.dragged
@@ -113,7 +113,7 @@ def unrolled_functions(
 def jet_entries(
     parts: Sequence[str], n: int, *, dragged: bool
 ) -> Iterator[tuple[str, tuple[int, ...], tuple[str, *tuple[int, ...]]]]:
-    """Yield what functions of a node store, the index of each, and its entry in the jet."""
+    """Yield the name of each value of a node, its index, and its entry in the jet."""
     for what in _with_drag(parts, dragged=dragged):
         for index in _indices(what, n):
             # L_qv is the transpose of P_q, and df/dv is stored apart: F_v is their sum
@@ -122,7 +122,7 @@ def jet_entries(
 
 
 def position(index: Iterable[int], size: int) -> int:
-    """Return where an entry of an array stands, of so many rows in each direction."""
+    """Return the flat index of an entry of an array of this size in each direction."""
     return reduce(lambda place, k: place * size + k, index, 0)
 
 
@@ -132,7 +132,7 @@ def _with_drag(parts: Sequence[str], *, dragged: bool) -> Sequence[str]:
 
 
 def _clearing(parts: Iterable[str]) -> list[Loop]:
-    """Return the loops that begin the sums over the terms of L with zero; that of V goes on."""
+    """Return the loops that set the sums over the terms of L to zero, except the sum V."""
     size = {True: "NODE_L_QV - NODE_L_QQ", False: "DIMENSION"}
     return [
         Loop(
@@ -144,17 +144,17 @@ def _clearing(parts: Iterable[str]) -> list[Loop]:
 
 
 def power_stores(low: Lowering, template: JetTemplate, point: Point) -> list[Store]:
-    """Store the power of each force, and dL/dt; that of constraints is 0 here."""
+    """Store the power of each force, and dL/dt; the power of constraints is 0 here."""
     powers = low.equations.plain.powers
     values = [template.entry(point, "powers", "power", name) for name in powers]
-    return stored("POWER", values)
+    return store_rows("POWER", values)
 
 
 def pull_stores(low: Lowering, point: Point) -> list[Store]:
     """Store the power of constraints A v = b that move, by their multipliers."""
     plain = low.equations.plain
-    rolling = range(len(plain.constraints), len(plain.held))
-    b = [low.held.entry(point, "powers", "b", c) for c in rolling]
+    rolling = range(len(plain.constraints), len(plain.constraint_names))
+    b = [low.constraint_jet.entry(point, "powers", "b", c) for c in rolling]
     pulls = (-x * point.multipliers[c] for c, x in zip(rolling, b, strict=True))
     row = Row("POWER", [*plain.powers].index("of constraints"))
     return [Store(row, low.graph.total(pulls))]
@@ -172,7 +172,7 @@ def family_functions(
 ) -> tuple[list[Function], dict[str, Table]]:
     """Write a loop over each family, and functions that call these loops.
 
-    Each family has a table, see :class:`FamilyWriter`; these are returned by name.
+    The second result has the table of each family, see :class:`FamilyWriter`.
     """
     tables: dict[str, Table] = {}
     writers = []
@@ -186,8 +186,7 @@ def family_functions(
         parts = _with_drag(known, dragged=low.equations.plain.dragged)
         calls: list[Statement] = [*_clearing(parts)]
         for number, writer in writers:
-            stores = _family_stores(writer, parts)
-            if stores:
+            if stores := writer.stores(parts):
                 functions.append(writer.function(f"{name}_{number}", doc, stores))
                 calls.append(Call(functions[-1].name))
         functions.append(Function(name, doc, tuple(calls)))
@@ -195,10 +194,10 @@ def family_functions(
 
 
 class FamilyWriter:
-    """Writes loops over the members of one family: terms of the same form.
+    """Writes loops over the members of one family of terms that have the same form.
 
-    Its ``table`` has a row for each member, of places of coordinates, the constraint if the term is
-    one, and rows of coefficients.
+    Its ``table`` has a row for each member. The row lists the places of the coordinates, the index
+    of the constraint if the term is one, and the rows of coefficients.
     """
 
     def __init__(self, low: Lowering, family: Family, table: str, jet: Jet) -> None:
@@ -229,7 +228,7 @@ class FamilyWriter:
     def build_table(self, places: Sequence[int]) -> Table:
         """Return the table; coefficients that are new get rows in the module."""
         family, rows = self._family, {x: i for i, x in enumerate(self._low.coefficients)}
-        known = cache(self._low.known)
+        known = cache(self._low.import_value)
         table = []
         for k, member in enumerate(family.coordinates):
             row_numbers = [rows.setdefault(known(x), len(rows)) for x in family.coefficients[k]]
@@ -238,19 +237,28 @@ class FamilyWriter:
         self._low.coefficients = tuple(rows)
         return tuple(table)
 
-    def entries(self, parts: Iterable[str]) -> list[str]:
-        """List those of some parts that a member adds to: what a force owes v stands apart."""
-        plain = self._family.plain
+    def stores(self, parts: Iterable[str]) -> list[Store]:
+        """Return the stores of a member for some derivatives of L; df/dv of a force is separate."""
+        plain, stores = self._family.plain, []
         other = "F_v" if plain.forces else "f_v"
-        return [x for x in parts if x != other and (x != "f_v" or plain.dragged)]
+        for what in (x for x in parts if x != other and (x != "f_v" or plain.dragged)):
+            for index in _indices(what, len(self.indices)):
+                value = self.template.entry(self.point, "jet", what, *index)
+                if value != 0:
+                    places = [self.indices[i] for i in index]
+                    row = places[0] if places else 0
+                    if len(places) == 2:
+                        row = f"{places[0]}*NODE_STRIDE + {places[1]} + NODE_OFFSET"
+                    stores.append(Store(Row(BLOCKS[what], row), value, add=True))
+        return stores
 
     def function(
-        self, name: str, doc: str, stores: Sequence[Store], more: Sequence[str] = ()
+        self, name: str, doc: str, stores: Iterable[Store], more: Sequence[str] = ()
     ) -> Function:
         """Write the loop over members with these stores.
 
-        Loads that are the same for all members stand before the loop; ``more`` indices are looked
-        up in each turn.
+        Loads that are the same for all members come before the loop. ``more`` lines look up
+        indices in each turn.
         """
         constraint = [self.constraint] if self.constraint else []
         columns = [*self.indices, *constraint, *self._coefficient_rows]
@@ -264,7 +272,7 @@ class FamilyWriter:
         return Function(name, doc, (*outside, loop))
 
     def _term_text(self) -> str:
-        """Return the form of the terms in words."""
+        """Return the formula of the terms, for the docstring."""
         plain = self._family.plain
         (term,) = plain.constraints.values() or [f for f in plain.f if f[0]] or [plain.L]
         if tree_size(plain.graph, term) > _SHOWN:
@@ -277,29 +285,8 @@ class FamilyWriter:
         return formula(plain.graph, term, shown)[:60]
 
 
-def _family_stores(writer: FamilyWriter, parts: Iterable[str]) -> list[Store]:
-    """Return what a member adds to some derivatives of L."""
-    stores = []
-    for what in writer.entries(parts):
-        for index in _indices(what, len(writer.indices)):
-            value = writer.template.entry(writer.point, "jet", what, *index)
-            if value != 0:
-                places = [writer.indices[i] for i in index]
-                stores.append(Store(_row(what, places), value, add=True))
-    return stores
-
-
-def _row(what: str, places: Sequence[str]) -> Row:
-    block = BLOCKS[what]
-    if not places:
-        return Row(block, 0)
-    if len(places) == 1:
-        return Row(block, places[0])
-    return Row(block, f"{places[0]}*NODE_STRIDE + {places[1]} + NODE_OFFSET")
-
-
 def split_loads(reads: Statement) -> tuple[list[Statement], list[Statement]]:
-    """Split loads into those that are the same in all turns of a loop and the others."""
+    """Split loads into loop-invariant ones and the others."""
     outside: list[Statement] = []
     inside: list[Statement] = []
     if isinstance(reads, Section) and all(isinstance(read, Load) for read in reads.body):
@@ -326,44 +313,43 @@ def coefficient_loops(
 ) -> tuple[list[Statement], list[Store], dict[str, object]]:
     """Generate the loops, single stores and tables that compute the coefficients of L.
 
-    ``values`` are the coefficients, in the order of their rows, made of the parameters of ``low``.
-    Loops are for products of one form, of which there are at least FEWEST; stores are for what is
-    left. A table has for each turn of a loop the row of a coefficient, then those of its
-    parameters.
+    ``values`` are the coefficients in the order of their rows. They depend on the parameters of
+    ``low``. A loop computes at least FEWEST products of one form; single stores compute the rest.
+    Each row of a table has the row of a coefficient, then the rows of its parameters.
     """
     kinds: dict[tuple[Exact, int], list[tuple[int, ...]]] = defaultdict(list)
     stores = []
     for row, value in enumerate(values):
-        places = _places(low, value)
+        places = _parameter_rows(low, value)
         number = value.coefficient
         if places:
             kinds[number, len(places)].append((row, *places))
         else:
-            stores.append(_store(low, row, value))
+            stores.append(_coefficient_store(low, row, value))
     loops: list[Statement] = []
     tables: dict[str, object] = {}
     for (number, _), members in kinds.items():
         if len(members) < FEWEST:
-            stores += [_store(low, row, values[row]) for row, *_ in members]
+            stores += [_coefficient_store(low, row, values[row]) for row, *_ in members]
             continue
         name = f"PRODUCTS_{len(tables) + 1}"
         tables[name] = tuple(members)
-        loops.append(_loop(low, name, number, members))
+        loops.append(_coefficient_loop(low, name, number, members))
     return loops, sorted(stores, key=lambda store: int(store.row.index)), tables
 
 
-def _places(low: Lowering, product: Expression) -> tuple[int, ...]:
+def _parameter_rows(low: Lowering, product: Expression) -> tuple[int, ...]:
     """Return the rows of the parameters in a pure product; () for any other expression."""
     factors = [Expression(low.graph, (e, n)) for n, e in low.graph.factors(product.node)]
     rows = [low.rows[factor] for factor in factors if factor in low.rows]
     return tuple(sorted(int(row.index) for row in rows)) if len(rows) == len(factors) else ()
 
 
-def _store(low: Lowering, row: int, value: Expression) -> Store:
+def _coefficient_store(low: Lowering, row: int, value: Expression) -> Store:
     return Store(Row("COEFFICIENT", row), low.graph.split(value, "constants")[0])
 
 
-def _loop(
+def _coefficient_loop(
     low: Lowering, table: str, number: Exact, members: Sequence[tuple[int, ...]]
 ) -> Statement:
     """Write the loop over products of one kind."""

@@ -1,4 +1,4 @@
-"""Texts of the library, executed with expressions for numbers."""
+"""Traces: library texts that are executed with expressions for numbers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 
 import sympy as sp
 
-from symsimpson.discrete.combined_rows import simplified
+from symsimpson.discrete.combined_rows import rationalise
 from symsimpson.errors import GenerationError, reject
 from symsimpson.graph.nodes import exact
 from symsimpson.lower.expression import Expression
@@ -20,7 +20,7 @@ from symsimpson.lower.levels import Definitions, Level
 
 
 class Irrational:
-    """An irrational number, exact: roots that cancel do so, and no denominator has a root."""
+    """An exact irrational number; roots cancel, and denominators have no roots."""
 
     __slots__ = ("value",)
 
@@ -32,7 +32,7 @@ class Irrational:
             return operate(other.graph.of(self.value), other)
         if not isinstance(other, (int, Fraction, Irrational)):
             return NotImplemented
-        return _combined(operate, self.value, _written(other))
+        return _combine(operate, self.value, _to_sympy(other))
 
     def __neg__(self) -> ExactNumber:
         return Irrational(-self.value)
@@ -54,17 +54,17 @@ class Irrational:
     __rmul__ = __mul__
 
     def __eq__(self, other: object) -> bool:
-        """Return whether another number is the same; no whole number is."""
+        """Return whether another irrational number is equal; rational numbers never are."""
         return isinstance(other, Irrational) and self.value == other.value
 
     def __hash__(self) -> int:
         return hash(self.value)
 
     def __gt__(self, other: Any) -> bool:
-        return bool(self.value > _written(other))
+        return bool(self.value > _to_sympy(other))
 
     def __lt__(self, other: Any) -> bool:
-        return bool(self.value < _written(other))
+        return bool(self.value < _to_sympy(other))
 
 
 #: A number of a table.
@@ -72,7 +72,7 @@ ExactNumber: TypeAlias = int | Fraction | Irrational
 
 
 class ExactTable:
-    """A table of the scheme, or a number of it, with all digits."""
+    """A table of the scheme with exact entries."""
 
     def __init__(self, entries: tuple[Any, ...]) -> None:
         self._entries = entries
@@ -81,7 +81,7 @@ class ExactTable:
         entry: Any = self._entries
         for k in place if isinstance(place, tuple) else (place,):
             if k < 0:
-                raise IndexError(f"a text reads entry {place} of a table")
+                raise IndexError(f"A text reads the entry {place} of a table.")
             entry = entry[k]
         return ExactTable(entry) if isinstance(entry, tuple) else exact_number(entry)
 
@@ -100,18 +100,18 @@ def exact_number(number: Any) -> ExactNumber:
     return exact(Fraction(int(value.p), int(value.q))) if value.is_Rational else Irrational(value)
 
 
-def _written(number: ExactNumber) -> sp.Expr:
+def _to_sympy(number: ExactNumber) -> sp.Expr:
     if isinstance(number, Irrational):
         return number.value
     return sp.Rational(number.numerator, number.denominator)
 
 
 @lru_cache(maxsize=10_000)  # the same products of entries for all pairs of coordinates
-def _combined(operate: Callable[[Any, Any], Any], x: sp.Expr, y: sp.Expr) -> ExactNumber:
-    return exact_number(simplified(operate(x, y)))
+def _combine(operate: Callable[[Any, Any], Any], x: sp.Expr, y: sp.Expr) -> ExactNumber:
+    return exact_number(rationalise(operate(x, y)))
 
 
-#: Where functions go to that are given no node and no control point.
+#: The point of functions that have no node and no control point as argument.
 PLACES = {"path_start": "start", "path_end": "end"}
 _OPERATIONS = {"Add": operator.add, "Sub": operator.sub, "Mult": operator.mul}
 
@@ -122,7 +122,7 @@ class TracedRows:
     A row holds a value, or a function that makes its value when it is read for the first time.
     """
 
-    def __init__(self, named: Callable[[int, Any], Any], name: Callable[[int], str]) -> None:
+    def __init__(self, named: Callable[..., Any], name: Callable[[int], str]) -> None:
         self.values: dict[int, Any] = {}
         self._named, self._name = named, name
 
@@ -138,7 +138,8 @@ class TracedRows:
         return value
 
     def __getitem__(self, place: tuple[int, int]) -> Any:
-        value = self.values[place[0]] = self._named(place[0], self.raw(place[0]))
+        row = place[0]
+        value = self.values[row] = self._named(lambda: self._name(row), self.raw(row))
         return value
 
     def __setitem__(self, place: tuple[int, int], value: Any) -> None:
@@ -148,10 +149,10 @@ class TracedRows:
 class Trace:
     """Executes functions of texts: Python resolves loops, tables, and conditions on these.
 
-    A value that a text reads again, from a local or from a row, becomes a definition.
+    A value that a text reads from a local variable or from a row becomes a definition.
 
-    ``names`` are what else the texts name: first rows of blocks, tables, sizes, and functions that
-    are written in Python. ``sections`` gives for a function the title of what it computes.
+    ``names`` has all other names in the texts: first rows of blocks, tables, sizes, and functions
+    in Python. ``sections`` has the section title of each function.
     """
 
     def __init__(
@@ -163,9 +164,9 @@ class Trace:
         spelt_index: Callable[[str, int], str],
         sections: Mapping[str, str],
     ) -> None:
-        self._graph, self._row_name, self._spelt_index = graph, row_name, spelt_index
+        self._graph, self._spelt_index = graph, spelt_index
         self.section, self.place = "constants", ""
-        self.rows = TracedRows(self._named_row, row_name)
+        self.rows = TracedRows(self.name_value, row_name)
         self.names: dict[str, Any] = {
             **names,
             "W": self.rows,
@@ -173,26 +174,28 @@ class Trace:
             "abs": self._absolute,
             "min": self._least,
             "sincos": self._sincos,
-            "_use": self._used,
-            "_add_to": self._added,
-            "_add_to_row": self._added_to_row,
-            "_divide": self._divided,
+            "_use": self._name_local,
+            "_add_to": self._add,
+            "_add_to_row": self._add_to_row,
+            "_divide": self._divide,
             "_moved": self.rows.raw,
-            "_known": _known,
+            "_known": _check_condition,
         }
         for text in texts:
-            exec(instrumented(text), self.names)
-        self.names |= names  # functions in Python stand for those of the text
+            exec(instrument(text), self.names)
+        self.names |= names  # functions in Python replace those of the text
         self.names["exact_sum"] = self._exact_sum
         for name, title in sections.items():
             if name in self.names:
-                self.names[name] = self._titled(self.names[name], title, PLACES.get(name, ""))
+                self.names[name] = self._with_title(self.names[name], title, PLACES.get(name, ""))
 
     def run(self, function: str, *arguments: Any) -> None:
         """Execute a function of the text."""
         self.names[function](self.rows, *arguments)
 
-    def _titled(self, function: Callable[..., Any], title: str, place: str) -> Callable[..., Any]:
+    def _with_title(
+        self, function: Callable[..., Any], title: str, place: str
+    ) -> Callable[..., Any]:
         arguments = getattr(function, "__code__", None)
         names = arguments.co_varnames[: arguments.co_argcount] if arguments else ()
 
@@ -209,53 +212,49 @@ class Trace:
 
     # -- values with names
 
-    def named(self, hint: str, value: Any) -> Any:
-        """Return a symbol for a value; numbers and symbols stand for themselves."""
+    def name_value(self, hint: str | Callable[[], str], value: Any) -> Any:
+        """Return a symbol for a value; return numbers and symbols unchanged."""
         if not isinstance(value, Expression) or value.is_number or value.is_symbol:
             return value
-        return self._graph.define_passing(hint, value, self.section)
+        name = hint if isinstance(hint, str) else hint()
+        return self._graph.define_removable(name, value, self.section)
 
-    def _named_row(self, row: int, value: Any) -> Any:
-        if not isinstance(value, Expression) or value.is_number or value.is_symbol:
-            return value
-        return self.named(self._row_name(row), value)
+    def _name_local(self, name: str, over: Sequence[str], value: Any, *indices: Any) -> Any:
+        def spelt() -> str:
+            varies = self._graph.level(value) > Level.RUN
+            return "_".join((name, *(map(self._spelt_index, over, indices) if varies else ())))
 
-    def _used(self, name: str, over: Sequence[str], value: Any, *indices: Any) -> Any:
-        if not isinstance(value, Expression) or value.is_number or value.is_symbol:
-            return value
-        varies = self._graph.level(value) > Level.RUN
-        spelt = map(self._spelt_index, over, indices) if varies else ()
-        return self.named("_".join((name, *spelt)), value)
+        return self.name_value(spelt, value)
 
     # -- operations
 
-    def _added(self, old: Any, operation: str, value: Any) -> Any:
+    def _add(self, old: Any, operation: str, value: Any) -> Any:
         if operation == "Div":
-            return self._divided(self.named("rest", old), value)
+            return self._divide(self.name_value("rest", old), value)
         return _OPERATIONS[operation](old, value)
 
-    def _added_to_row(self, row: int, operation: str, value: Any) -> None:
-        self.rows.values[row] = self._added(self.rows.raw(row), operation, value)
+    def _add_to_row(self, row: int, operation: str, value: Any) -> None:
+        self.rows.values[row] = self._add(self.rows.raw(row), operation, value)
 
-    def _divided(self, x: Any, y: Any) -> Any:
+    def _divide(self, x: Any, y: Any) -> Any:
         if isinstance(y, Expression) and y.is_number:
             return x * y**-1
         if isinstance(y, Expression):
-            y = self.named("den", y)
-            return x * self.named(f"inv_{y.name}" if y.is_symbol else "inv", y**-1)
+            y = self.name_value("den", y)
+            return x * self.name_value(f"inv_{y.name}" if y.is_symbol else "inv", y**-1)
         if isinstance(y, Irrational):
-            return x * exact_number(simplified(1 / y.value))
+            return x * exact_number(rationalise(1 / y.value))
         return x / y if isinstance(x, Expression) else exact(Fraction(1) / y) * x
 
     def _absolute(self, x: Any) -> Any:
         if not isinstance(x, Expression):
             return abs(x)
-        return x if self._graph.is_positive(x) else self._graph.applied("abs", x)
+        return x if self._graph.is_positive(x) else self._graph.apply("abs", x)
 
     def _least(self, x: Any, *others: Any) -> Any:
         for y in others:
             both = isinstance(x, Expression) or isinstance(y, Expression)
-            x = self._graph.applied("min", x, y) if both else min(x, y)
+            x = self._graph.apply("min", x, y) if both else min(x, y)
         return x
 
     def _sincos(self, angle: Any) -> tuple[Expression, Expression]:
@@ -265,26 +264,27 @@ class Trace:
         )
 
     def _exact_sum(self, x: Expression, y: Any) -> tuple[Expression, Expression]:
-        step = self.named(f"{x.name}_step", self._graph.of(y))
+        step = self.name_value(f"{x.name}_step", self._graph.of(y))
         return self._graph.define_pair(
             "exact_sum", (x, step), (f"{x.name}_next", f"{x.name}_low_next"), self.section
         )
 
 
-def _known(value: Any) -> Any:
-    """Return what a condition asks about. Raises GenerationError for a value of the run."""
+def _check_condition(value: Any) -> Any:
+    """Return the operand of a condition. Raises GenerationError for a value of the run."""
     if isinstance(value, Expression):
         reject(
-            f"A text that is traced has a condition on the value {value}.",
-            remedy="Call the function that it stands in behind what is traced.",
+            f"A traced text has a condition on the value {value}.",
+            why="A trace cannot branch on a value of the run.",
+            remedy="Move the condition to a function that the kernel calls after the trace.",
             error=GenerationError,
         )
     return value
 
 
 @lru_cache(maxsize=1024)
-def instrumented(text: str) -> CodeType:
-    """Return a function that tells a :class:`Trace` which values it reads."""
+def instrument(text: str) -> CodeType:
+    """Return the code of a function that reports the values it reads to a :class:`Trace`."""
     (function,) = ast.parse(text).body
     assert isinstance(function, ast.FunctionDef)
     function.decorator_list = []
@@ -296,11 +296,11 @@ def instrumented(text: str) -> CodeType:
     given = [x.arg for x in function.args.args if x.arg in ("node", "point")]
     writer = _Instrument(local, given)
     function.body = [writer.visit(statement) for statement in function.body]
-    return compile(ast.Module([function], []), "<traced>", "exec")
+    return compile(ast.fix_missing_locations(ast.Module([function], [])), "<traced>", "exec")
 
 
 class _Instrument(ast.NodeTransformer):
-    """Writes what a text reads, divides, adds to, and asks in conditions, as calls."""
+    """Writes reads, divisions, additions and conditions of a text as calls of the trace."""
 
     def __init__(self, local: Iterable[str], indices: Sequence[str]) -> None:
         self._local, self._indices = set(local), [*indices]
@@ -313,11 +313,12 @@ class _Instrument(ast.NodeTransformer):
         if node.id in self._indices:
             return node
         over = tuple(x for x in self._assigned.get(node.id, ()) if x in self._indices)
-        indices = ast.Tuple([_constant(x) for x in over], ast.Load(), **_LINE)
-        return _call("_use", _constant(node.id), indices, node, *map(_name, over))
+        indices = ast.Tuple([ast.Constant(x) for x in over], ast.Load())
+        values = [ast.Name(x, ast.Load()) for x in over]
+        return _call("_use", ast.Constant(node.id), indices, node, *values)
 
     def visit_Assign(self, node: ast.Assign) -> ast.stmt:
-        """Leave a value that only moves to a row without a name: the row has one."""
+        """Do not name a value that is only copied to a row: the row has a name."""
         (target,) = node.targets
         to_row, value = isinstance(target, ast.Subscript), node.value
         if to_row and isinstance(value, ast.Subscript) and isinstance(value.slice, ast.Tuple):
@@ -343,15 +344,15 @@ class _Instrument(ast.NodeTransformer):
         return _call("_divide", node.left, node.right) if isinstance(node.op, ast.Div) else node
 
     def visit_AugAssign(self, node: ast.AugAssign) -> ast.stmt:
-        value, operation = self.visit(node.value), _constant(type(node.op).__name__)
+        value, operation = self.visit(node.value), ast.Constant(type(node.op).__name__)
         if isinstance(node.target, ast.Subscript):
             place = node.target.slice
             assert isinstance(place, ast.Tuple)
             row = self.visit(place.elts[0])
-            return ast.Expr(_call("_add_to_row", row, operation, value), **_LINE)
+            return ast.Expr(_call("_add_to_row", row, operation, value))
         assert isinstance(node.target, ast.Name)
-        added = _call("_add_to", _name(node.target.id), operation, value)
-        return ast.Assign([node.target], added, **_LINE)
+        old = ast.Name(node.target.id, ast.Load())
+        return ast.Assign([node.target], _call("_add_to", old, operation, value))
 
     def _visit_choice(self, node: Any) -> Any:
         self.generic_visit(node)
@@ -367,17 +368,5 @@ class _Instrument(ast.NodeTransformer):
         return node
 
 
-#: Where nodes stand that no text contains.
-_LINE: Any = {"lineno": 1, "col_offset": 0}
-
-
-def _name(name: str) -> ast.expr:
-    return ast.Name(name, ast.Load(), **_LINE)
-
-
-def _constant(value: str) -> ast.expr:
-    return ast.Constant(value, **_LINE)
-
-
 def _call(function: str, *arguments: ast.expr) -> ast.expr:
-    return ast.Call(_name(function), [*arguments], [], **_LINE)
+    return ast.Call(ast.Name(function, ast.Load()), [*arguments], [])

@@ -1,10 +1,9 @@
-"""Parts of a system as systems of their own, in which texts of the library are traced."""
+"""Traces of library texts for a part of a system, as if it were a system."""
 
 from __future__ import annotations
 
 from bisect import bisect
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -14,8 +13,8 @@ from symsimpson.lower.expression import Expression
 from symsimpson.lower.facts import common_sizes, equation_constants, node_tables
 from symsimpson.lower.ir import Row, Store
 from symsimpson.lower.lower import Lowering
-from symsimpson.lower.specialise import called
-from symsimpson.lower.storage import Held, Storage, node_stride
+from symsimpson.lower.specialise import collect_called
+from symsimpson.lower.storage import Border, Storage, node_stride
 from symsimpson.lower.template import JetTemplate, Point
 from symsimpson.lower.terms_of_l import BLOCKS, FUNCTIONS, cyclic_values, jet_entries, position
 from symsimpson.lower.trace import ExactTable, Trace
@@ -91,10 +90,10 @@ RESTING = frozenset(["a", "M", "V"])
 
 
 class TracedPart:
-    """Some coordinates, and the texts of their step.
+    """The trace of a step of some coordinates.
 
-    The part has a workspace of its own, as if there were no other coordinates: rows that stand for
-    symbols of the system are set, all others when a text does so.
+    The part has a workspace of its own, as if there were no other coordinates. Rows of base symbols
+    of the system are set at the beginning. Texts set all other rows.
     """
 
     #: Names of values in rows, by blocks.
@@ -108,16 +107,27 @@ class TracedPart:
         facts: Mapping[str, object],
         tables: Mapping[str, object],
         blocks: Mapping[str, Any] | None = None,
-        reduction: Routh | Held | None = None,
+        reduction: Routh | Border | None = None,
     ) -> None:
         self.low, self.coordinates = low, (*coordinates,)
         routh = reduction if isinstance(reduction, Routh) else None
-        self.held = held = reduction if isinstance(reduction, Held) else None
+        self.held = held = reduction if isinstance(reduction, Border) else None
         self._n, eqs = len(self.coordinates), low.equations
         scheme, unknowns = eqs.scheme, eqs.unknowns
         storage = Storage.dense(self._n)
         self._routh, self._cyclic = routh, routh.cyclic if routh is not None else ()
-        sizes = replace(self._sizes(), **(blocks or {}))
+        kinds = ("assembled", "constant_mass", "dragged", "timed", "damped", "decaying", "retimed")
+        size = scheme.degree * self._n + unknowns.others_size
+        large: dict[str, Any] = {  # large enough for all texts
+            "n": self._n,
+            "unknowns": size,
+            "entries": self._n**2,
+            "bordered": held.storage.node_size if held else 0,
+            "jacobian": 2 * size**2,
+            "pivots": self._n,
+        }
+        large |= common_sizes(low, held, routh) | dict.fromkeys(kinds, True)
+        sizes = Sizes(**{**large, **(blocks or {})})
         self._first, _ = layout(sizes)
         self._count = {x.name: int(x.size(sizes)) for x in TABLE}
         self._blocks = [(self._first[name], name) for name, count in self._count.items() if count]
@@ -131,7 +141,7 @@ class TracedPart:
             "DIMENSION": self._n,
             "DEGREE": scheme.degree,
             "NODES": scheme.stages,
-            "UNKNOWNS": scheme.degree * self._n + unknowns.behind,
+            "UNKNOWNS": size,
             "INPUTS": len(low.names.inputs),
             "INPUT_STRIDE": node_stride(scheme),
             "ROW_ORDER": eqs.rows,
@@ -149,30 +159,14 @@ class TracedPart:
         if held is not None:
             names_ = ("constrain", "constraint_slopes", "hold_velocities", "rates")
             evaluations |= {name: partial(self._constrain, name) for name in names_}
-        texts = called(functions, {**library_sources(), **kernel_sources()}, facts).values()
+        texts = collect_called(functions, {**library_sources(), **kernel_sources()}, facts).values()
         known = self._first | names | evaluations
-        self.trace = Trace(low.graph, texts, known, self._row_name, self._spelt, SECTIONS)
-
-    def _sizes(self) -> Sizes:
-        """Return sizes of blocks that are large enough for all texts."""
-        low, n, eqs = self.low, self._n, self.low.equations
-        unknowns = eqs.scheme.degree * n + eqs.unknowns.behind
-        kinds = ("assembled", "constant_mass", "dragged", "timed", "damped", "decaying", "retimed")
-        return Sizes(
-            n=n,
-            unknowns=unknowns,
-            entries=n**2,
-            bordered=self.held.storage.node_size if self.held else 0,
-            jacobian=2 * unknowns**2,
-            pivots=n,
-            **common_sizes(low, self.held, self._routh),
-            **dict.fromkeys(kinds, True),
-        )
+        self.trace = Trace(low.graph, texts, known, self._row_name, self._spell_index, SECTIONS)
 
     # -- rows
 
     def begin(self) -> None:
-        """Forget all rows but those that stand for symbols of the system."""
+        """Clear all rows, then set the rows of base symbols of the system."""
         self.trace.rows.values = {}
         for node in range(self.low.equations.scheme.stages if self.low.names.inputs else 0):
             self.low.inputs(node)
@@ -182,10 +176,10 @@ class TracedPart:
                 self.trace.rows.values[place] = symbol
         self._base = dict(self.trace.rows.values)
         if "GROWTH" in self._first and self.low.equations.plain.rate is not None:
-            self.hold("GROWTH", self.low.growths())
+            self.set_rows("GROWTH", self.low.growth_factors())
 
     def _place(self, row: Row) -> int | None:
-        """Return where a row of the system stands; None if it is not one of the part."""
+        """Return the row of the part for a row of the system; None if the part has none."""
         index, name = row.index, row.block
         if name not in self._first or not isinstance(index, int):
             return None
@@ -207,47 +201,47 @@ class TracedPart:
         """Execute a text of a step, which takes h and t."""
         self.run(function, self.low.h, self.low.t)
 
-    def named(
+    def name_rows(
         self, block: str, count: int, hints: Sequence[str] = (), section: str = ""
     ) -> list[Expression]:
-        """Return what the first rows of a block hold now, under names."""
+        """Return the current values of the first rows of a block, with names."""
         names = hints or [self.name_of(block, k) for k in range(count)]
         define, section = self.low.graph.define, section or self.trace.section
         return [define(name, self.row(block, k), section) for k, name in enumerate(names)]
 
     def row(self, block: str, index: int = 0) -> Expression:
-        """Return what a row holds now, without a name."""
+        """Return the current value of a row, without a name."""
         return self.low.graph.of(self.trace.rows.raw(self._first[block] + index))
 
     def has(self, block: str) -> bool:
         """Return whether a text has set the first row of a block."""
         return self._first.get(block, -1) in self.trace.rows.values
 
-    def put(self, block: str, index: int, value: Expression) -> None:
-        """Let a row hold a value."""
+    def set_row(self, block: str, index: int, value: Expression) -> None:
+        """Set a row to a value."""
         self.trace.rows.values[self._first[block] + index] = value
 
-    def take(self, other: TracedPart, blocks: Iterable[str]) -> None:
-        """Take rows of coordinates that another part has, too."""
+    def copy_rows(self, other: TracedPart, blocks: Iterable[str]) -> None:
+        """Copy rows of the coordinates that another part has, too."""
         for block in blocks:
             for s, a in enumerate(other.coordinates):
                 if a in self.coordinates:
-                    self.put(block, self.coordinates.index(a), other.row(block, s))
+                    self.set_row(block, self.coordinates.index(a), other.row(block, s))
 
     def diagonal(self, block: str, count: int) -> list[Expression]:
-        """Return the diagonal of a matrix under names."""
+        """Return the diagonal of a matrix, with names."""
         define, section = self.low.graph.define, self.trace.section
         return [define("pivot", self.row(block, i * (count + 1)), section) for i in range(count)]
 
-    def leave_momenta(self, unmoved: Any) -> None:
-        """Leave momenta on which nothing acts as they are."""
+    def restore_momenta(self, unmoved: Any) -> None:
+        """Restore the rows of momenta on which nothing acts."""
         for s, a in enumerate(self.coordinates):
             if self.row("RESIDUAL", s) == (unmoved[a] if unmoved else 0):
                 for block in ("MOMENTUM", "MOMENTUM_LOW"):
-                    self.put(block, s, self._base[self._first[block] + s])
+                    self.set_row(block, s, self._base[self._first[block] + s])
 
-    def moved(self, blocks: Iterable[str]) -> dict[Expression, Expression]:
-        """Map symbols of the system to what their rows hold now."""
+    def map_symbols(self, blocks: Iterable[str]) -> dict[Expression, Expression]:
+        """Map symbols of the system to the current values of their rows."""
         rows = (self._first[block] + s for block in blocks for s in range(self._n))
         return {self._base[row]: self.low.graph.of(self.trace.rows.raw(row)) for row in rows}
 
@@ -276,7 +270,7 @@ class TracedPart:
         return stores
 
     def _system_row(self, block: str, index: int) -> Row:
-        """Return which row of the system a row of the part is."""
+        """Return the row of the system for a row of the part."""
         k, s = divmod(index, self._n)
         if block in OF_INCREMENTS and k < self.low.equations.scheme.degree:
             return Row(block, k * self.low.n + self.coordinates[s])
@@ -293,7 +287,7 @@ class TracedPart:
         eqs = self.low.equations
         if block == "JACOBIAN":
             solved = self._n - len(self._cyclic)
-            if self.held is not None:  # what nodes contribute stands behind the other
+            if self.held is not None:  # the matrix of the nodes follows the matrix of all unknowns
                 whole = self.held.storage.unknowns(eqs.scheme.degree)
                 row, column = divmod(index, whole)
                 if row < whole:
@@ -306,7 +300,7 @@ class TracedPart:
         equation = self._unknown(index, eqs.rows, self._n)
         here = self.trace.place or "start"
         names: dict[str, object] = {
-            "q": self._spelt("s", s),
+            "q": self._spell_index("s", s),
             "block": k,
             "next": k + 1,
             "row": equation,
@@ -320,9 +314,9 @@ class TracedPart:
     def _unknown(self, index: int, points: Sequence[int], count: int) -> str:
         """Name a row or a column of equations: a control point, and one of some coordinates."""
         k, s = divmod(index, count)
-        return f"{points[k]}_{self._spelt('s', s)}" if k < len(points) else str(index)
+        return f"{points[k]}_{self._spell_index('s', s)}" if k < len(points) else str(index)
 
-    def _spelt(self, index: str, value: int) -> str:
+    def _spell_index(self, index: str, value: int) -> str:
         """Name a loop index of a text: a coordinate, or a number."""
         if index in ("s", "a", "b") and value < self._n:
             return self.low.names.coordinates[self.coordinates[value]]
@@ -331,7 +325,7 @@ class TracedPart:
     # -- the system at a point
 
     def _evaluate(self, parts: Sequence[str], W: Any, lane: int) -> None:
-        """Let rows hold entries of the jet at the point whose q and v stand in rows of a node."""
+        """Set rows to entries of the jet at the point that the rows of the node describe."""
         low, n = self.low, self._n
         point = self.point(moving=not RESTING.issuperset(parts))
         section, place = self.trace.section, self.coordinates
@@ -344,22 +338,22 @@ class TracedPart:
             rows[row] = rows[row] + value() if what == "V" else value
 
     def _evaluate_cyclic(self, W: Any, node: int, lane: int) -> None:
-        """Let rows hold M of cyclic coordinates at the point, and their momenta at v_y = 0."""
+        """Set rows to M of cyclic coordinates at the point, and to their momenta at v_y = 0."""
         assert self._routh is not None
         size, section = len(self._cyclic), self.trace.section
         point, template = self.point(moving=True), self.low.template
         for block, index, value in cyclic_values(self.low, template, self._routh, point, section):
-            self.put(block, position((node, *index), size), value)
+            self.set_row(block, position((node, *index), size), value)
 
     def _constrain(self, function: str, W: Any, lane: int) -> None:
-        """Let rows hold what constraints are at the point whose q and v stand in rows of a node."""
+        """Set rows to constraints at the point that the rows of the node describe."""
         low, held = self.low, self.held
         assert held is not None
         rows = self.trace.rows.values
         if function.startswith("constrain"):
             cleared = range(held.storage.node_size)
             rows |= {self._first["CONSTRAINT_QQ"] + entry: 0 for entry in cleared}
-        point = self.point(moving=True, template=low.held)
+        point = self.point(moving=True, template=low.constraint_jet)
         stores = constraint_stores(low, held, range(self._n), point, self.trace.section)
         for store in stores[function]:
             rows[self._first[store.row.block] + int(store.row.index)] = store.value
@@ -372,7 +366,7 @@ class TracedPart:
         # a text that does not go to a node does not tell its time, nor inputs there
         blocks = {"NODE_POSITION": n, "NODE_VELOCITY": n if moving else (), "NODE_TIME": range(1)}
         blocks |= {"NODE_INPUT": range(len(low.names.inputs)), "MULTIPLIER": count}
-        here = {name: self._known(name, rows) for name, rows in blocks.items()}
+        here = {name: self._values_of(name, rows) for name, rows in blocks.items()}
         for values, name in ((q, "NODE_POSITION"), (v, "NODE_VELOCITY")):
             for a, value in zip(self.coordinates, here[name], strict=False):
                 values[a] = value
@@ -381,13 +375,13 @@ class TracedPart:
         point = Point(place, tuple(q), moves, t, here["NODE_INPUT"], here["MULTIPLIER"])
         return (template or low.template).at(point)
 
-    def hold(self, block: str, values: Iterable[Any]) -> None:
-        """Let the first rows of a block hold values, or functions that make them when read."""
+    def set_rows(self, block: str, values: Iterable[Any]) -> None:
+        """Set the first rows of a block to values, or to functions that are called when read."""
         for k, value in enumerate(values):
             self.trace.rows.values[self._first[block] + k] = value
 
-    def _known(self, block: str, places: Iterable[int]) -> tuple[Expression, ...]:
-        """Return what rows of a block hold, of those that are set."""
+    def _values_of(self, block: str, places: Iterable[int]) -> tuple[Expression, ...]:
+        """Return the values of those rows of a block that are set."""
         W, first = self.trace.rows, self._first.get(block, 0)
         rows = [first + k for k in places if first + k in W.values]
         return tuple(self.low.graph.of(W[row, 0]) for row in rows)

@@ -24,17 +24,20 @@ from symsimpson.lower.facts import facts, solve_constants, solve_tables
 from symsimpson.lower.ir import Function, Row, Store
 from symsimpson.lower.levels import Level
 from symsimpson.lower.lower import Lowering
-from symsimpson.lower.storage import Held, LoopKernels, Storage
+from symsimpson.lower.storage import Border, Storage
 from symsimpson.lower.trace import TracedRows
 from symsimpson.lower.traced_parts import ROWS, TracedPart
 
 
-def traced_facts(low: Lowering, part: Part, held: Held | None = None) -> dict[str, object]:
-    """Return what texts are told about a part that is traced."""
-    storage, degree = Storage.dense(low.n), low.equations.scheme.degree
-    loops = LoopKernels(storage, degree, held, constant_mass=True, written=True)
-    weighted = held is not None and low.stiffened
-    return {**facts(low, loops, part), "TRACED": True, "WEIGHTED": weighted}
+def traced_facts(low: Lowering, part: Part, held: Border | None = None) -> dict[str, object]:
+    """Return the facts of a traced part."""
+    true = dict.fromkeys(("TRACED", "CONSTANT_MASS", "IN_PAIRS"), True)
+    others = {
+        "PIVOTS": False,
+        "NEWTON_IN_ORDER": False,
+        "WEIGHTED": bool(held) and low.singular_mass,
+    }
+    return {**facts(low, part, Storage.dense(low.n), held), **true, **others}
 
 
 #: Texts that a trace begins with.
@@ -45,11 +48,11 @@ FUNCTIONS = """
 
 
 class TracedSolver:
-    """A part of coordinates whose increments are unknowns.
+    """The trace of a part whose increments are unknowns.
 
-    Where M is constant, the equations are combinations of rows, and X_d may follow from the others.
-    Linear equations are solved when the step is closed. With constraints, h times the multipliers
-    at control points are unknowns, too.
+    If M is constant, the equations are combinations of rows, and X_d may follow from the other
+    increments. Linear equations are solved when the step is closed. With constraints, h times the
+    multipliers at control points are unknowns, too.
     """
 
     def __init__(
@@ -59,23 +62,21 @@ class TracedSolver:
         routh = part if isinstance(part, Routh) else None
         every = (*part.coordinates, *(routh.cyclic if routh is not None else ()))
         plain, scheme = low.equations.plain, low.equations.scheme
-        count = range(len(plain.held) if isinstance(part, Constrained) else 0)
+        count = range(len(plain.constraint_names) if isinstance(part, Constrained) else 0)
         #: Number of a unknown's block, and coordinate or constraint.
         self.multipliers = [(scheme.degree + 1 + k, c) for k in range(scheme.degree) for c in count]
-        self._solved = [(m, a) for m in part.columns for a in part.coordinates]
+        self._solved_unknowns = [(m, a) for m in part.columns for a in part.coordinates]
         follows = isinstance(part, Separable) and part.last is not None and part.columns
         ends = [(scheme.degree, a) for a in part.coordinates if follows]
-        self.increments = [*self._solved, *ends]
+        self.increments = [*self._solved_unknowns, *ends]
         self.unknowns = [*self.increments, *self.multipliers]
         columns = part.solved if isinstance(part, Affine) else part.columns
-        held = None
-        tables = solve_tables(part, scheme) | {"SOLVE_ENTRIES": len(self._solved) ** 2}
+        rolling = len(plain.velocity_constraints)
+        held = Border.dense(len(every), len(count), rolling, in_order=True)
+        tables = solve_tables(part, scheme) | {"SOLVE_ENTRIES": len(self._solved_unknowns) ** 2}
         if isinstance(part, Constrained):
-            rolling = len(plain.velocity_constraints)
-            held = Held.dense(len(every), len(count), rolling, in_order=True)
             pairs = zip(part.rows, part.columns, strict=True)
             tables["ROW_STIFFNESS"] = tuple(scheme.stiffness[k][m] for k, m in pairs)
-            tables["CLEARED"] = held.storage.size(scheme.degree)
         tables = solve_constants(Storage.dense(len(every)), columns, held) | tables
         known = traced_facts(low, part, held)
         self.traced = TracedPart(
@@ -83,7 +84,7 @@ class TracedSolver:
         )
 
     def _begin(self) -> TracedPart:
-        """Begin a trace; a constant M and its factors are those of the start of a run."""
+        """Begin a trace; a constant M is factorised at the start of a run."""
         traced = self.traced
         traced.begin()
         if isinstance(self._part, Separable):
@@ -100,15 +101,15 @@ class TracedSolver:
         """Trace one Newton iteration for the increments, and for the multipliers."""
         traced, names = self._begin(), self._low.names.coordinates
         traced.run_step("correct")
-        hints = [f"d_{names[a]}_X{m}" for m, a in self._solved]
+        hints = [f"d_{names[a]}_X{m}" for m, a in self._solved_unknowns]
         hints += [f"d_mu_{k}_{c}" for k, c in self.multipliers]
-        traced.hold("RESIDUAL", traced.named("RESIDUAL", len(hints), hints, "elimination"))
+        traced.set_rows("RESIDUAL", traced.name_rows("RESIDUAL", len(hints), hints, "elimination"))
         traced.run("update_increments")
 
     def close(self) -> None:
         """Trace the end of the step: q1 = q0 + X_d and p1 = p0 + h sum_i b_i F_i, less damping."""
         traced, low = self._begin(), self._low
-        if isinstance(self._part, Separable) and not self._solved:
+        if isinstance(self._part, Separable) and not self._solved_unknowns:
             traced.run_step("find_straight_path")
         if isinstance(self._part, Affine):
             traced.run_step("solve_linear_step")
@@ -118,15 +119,15 @@ class TracedSolver:
         traced.run_step("find_cyclic_impulse" if isinstance(self._part, Routh) else impulse)
         if low.equations.plain.rate is not None:
             for s, a in enumerate(traced.coordinates):
-                decayed = low.decayed(low.p[a], traced.row("RESIDUAL", s))
-                traced.put("RESIDUAL", s, decayed)
+                decayed = low.damp(low.p[a], traced.row("RESIDUAL", s))
+                traced.set_row("RESIDUAL", s, decayed)
         traced.run("close_step")
-        traced.leave_momenta(0)
+        traced.restore_momenta(0)
 
     def pivots(self) -> list[Expression]:
         """Return the pivots of M, with constraints, that were found with the velocity at q1."""
         traced, low = self.traced, self._low
-        if not (low.stiffened or low.equations.system.structure.constant_mass):
+        if not (low.singular_mass or low.equations.system.structure.constant_mass):
             traced.run("find_pivots")
         return traced.diagonal("HELD", low.n + len(low.multipliers))[: low.n]
 
@@ -136,7 +137,7 @@ _POINTS = (0, 1, 2, Fraction(7, 3), Fraction(-5, 11))
 
 
 def explicit_facts(low: Lowering) -> dict[str, object]:
-    """Return what texts of kicks and drifts are told."""
+    """Return the facts of steps by kicks and drifts."""
     retimed = low.equations.system.retiming is not None
     return {"FRICTION": any(rate[0] for rate in low.equations.plain.rates), "RETIMED": retimed}
 
@@ -152,7 +153,7 @@ def explicit_tables(low: Lowering, coordinates: Sequence[int]) -> dict[str, obje
     return tables | ({"START_ENERGY": parameters.index(energy)} if energy in parameters else {})
 
 
-def own_time(low: Lowering) -> Function:
+def time_function(low: Lowering) -> Function:
     """Return the function that makes the user's time of a share of a step."""
     level, share = (low.graph.fresh(hint, Level.ITERATION) for hint in ("level", "share"))
     low.rows |= {level: Row("ENERGY", 0), share: Row("RATE", 0)}
@@ -172,7 +173,7 @@ def _rate(low: Lowering, level: Expression) -> Expression:
 
 
 class TracedSteps(TracedPart):
-    """A part whose steps are kicks and drifts, of forces that are linear or not."""
+    """The trace of a part whose steps are kicks and drifts."""
 
     increments: tuple[tuple[int, int], ...] = ()
     multipliers: tuple[tuple[int, int], ...] = ()
@@ -195,7 +196,7 @@ class TracedSteps(TracedPart):
             for table, values in (("KICKS", part.kicks), ("DRIFTS", part.drifts)):
                 names = [f"{table}[{values.index(x)}]" for x in values]  # the same for equal ones
                 tables[table] = [low.graph.declare(name, Level.RUN) for name in names]
-        functions = {name: partial(low.graph.applied, name) for name in ("exp", "sinh")}
+        functions = {name: partial(low.graph.apply, name) for name in ("exp", "sinh")}
         tables |= {**functions, "own_time": self._pass_time}
         known = traced_facts(low, part) | explicit_facts(low) | {"ALIKE": False}
         self._step = "shear" if isinstance(part, Linear) else "compose"
@@ -204,13 +205,13 @@ class TracedSteps(TracedPart):
 
     @property
     def traced(self) -> TracedPart:
-        """The rows that a step leaves."""
+        """The traced rows of the step: this part."""
         return self
 
     def close(self) -> None:
         """Trace a step: q1, p1, and the time that passes."""
         self._take_step()
-        self.leave_momenta(self.low.p_low)
+        self.restore_momenta(self.low.p_low)
 
     def _take_step(self) -> None:
         """Execute a step; linear forces are evaluated where they have a value."""
@@ -222,7 +223,8 @@ class TracedSteps(TracedPart):
             except ZeroDivisionError:
                 continue
         reject(
-            "forces that are linear have no value at any point that was tried.",
+            "the linear forces have no value at any of the points that were tried.",
+            where=self.low.equations.system.name,
             remedy="Simplify the potential, or compile with exploit=().",
             error=GenerationError,
         )
@@ -231,7 +233,7 @@ class TracedSteps(TracedPart):
         """Set the rows of friction, too."""
         super().begin()
         if rates := self.low.equations.plain.rates:
-            self.hold("DECAY", (self.low.known(rates[a]) for a in self.coordinates))
+            self.set_rows("DECAY", (self.low.import_value(rates[a]) for a in self.coordinates))
 
     def _pass_time(self, W: TracedRows, lane: int) -> None:
         """Make the user's time of a share of a step."""

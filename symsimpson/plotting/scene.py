@@ -1,4 +1,4 @@
-"""Where the points and bodies of a system are, and which points hold together."""
+"""Positions of points and bodies over time, and the lines between points."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from symsimpson.errors import reject
 from symsimpson.support.array_types import Floats
 from symsimpson.support.names import spelled
 
-#: Distances that change by less than this, of the size of the scene, do not change.
+#: A distance is constant if it changes by less than this fraction of the scene.
 RIGID = 1e-6
-#: A trail has the length of so many frames.
+#: Length of a trail, in frames.
 TRAIL = 40
 
 
-class Link(NamedTuple):
-    """A line that is drawn between two points; -1 is the origin."""
+class Segment(NamedTuple):
+    """A line between two points, given by their indices; -1 is the origin."""
 
     first: int
     second: int
@@ -26,41 +26,40 @@ class Link(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """Points and bodies over time."""
+    """Points and bodies over time; N is the number of frames, k the number of points."""
 
-    names: tuple[str, ...]  #: Those of the points.
-    #: The points, at the times of the frames and between them, of shape
-    #: ((N - 1) stride + 1, k, 2 or 3).
+    names: tuple[str, ...]  #: Names of the points.
+    #: Points at the times of frames and between them, shape ((N - 1) stride + 1, k, 2 or 3).
     fine: Floats
-    bodies: tuple[Floats, ...]  #: Closed lines, shape (N, corners + 1, 2 or 3).
-    links: tuple[Link, ...]
-    middle: Floats  #: shape (2 or 3,)
-    reach: float  #: Nothing is farther from the middle, along an axis.
-    stride: int  #: Points in ``fine`` from one frame to the next.
-    unit: str  #: That of all positions.
+    bodies: tuple[Floats, ...]  #: Closed polygons, shape (N, corners + 1, 2 or 3).
+    links: tuple[Segment, ...]
+    middle: Floats  #: Centre of the scene, shape (2 or 3,).
+    reach: float  #: Largest distance from the middle along an axis.
+    stride: int  #: Times in ``fine`` from one frame to the next.
+    unit: str  #: Unit of all positions.
 
     @property
     def points(self) -> Floats:
-        """The points, shape (N, k, 2 or 3)."""
+        """Points at the times of frames, shape (N, k, 2 or 3)."""
         return self.fine[:: self.stride]
 
     @property
     def spatial(self) -> bool:
-        """Whether it has three dimensions."""
+        """True for a scene of three dimensions."""
         return self.points.shape[2] == 3
 
     def trail(self, frame: int, which: int) -> Floats:
-        """Return where a point has been of late, between the frames too."""
+        """Return the recent path of a point, up to a frame."""
         return self.fine[max(0, frame - TRAIL) * self.stride : frame * self.stride + 1, which]
 
-    def ends(self, frame: int, link: Link) -> Floats:
-        """Return the two ends of a link in one frame."""
+    def ends(self, frame: int, link: Segment) -> Floats:
+        """Return both ends of a segment in a frame."""
         first = self.points[frame, link.first] if link.first >= 0 else np.zeros_like(self.middle)
         return np.array([first, self.points[frame, link.second]])
 
 
-class Film(NamedTuple):
-    """A scene, the times of its frames, and how they are shown."""
+class FrameSequence(NamedTuple):
+    """A scene, the times of its frames, and the settings of its animation."""
 
     scene: Scene
     t: Floats
@@ -70,42 +69,44 @@ class Film(NamedTuple):
     dpi: float
 
 
-def scene_of(some: Any, stride: int = 1) -> Scene:
-    """Evaluate the positions that were declared with a system; each ``stride``-th state is a frame.
+def build_scene(states: Any, stride: int = 1) -> Scene:
+    """Return the scene of states; each ``stride``-th state is a frame.
 
-    Raises InputError if there are none.
+    Raises InputError if the system declares no positions, or if there are no states.
     """
-    flat = places_of(some)
+    flat = evaluate_positions(states)
     points = {name: x[:, None] for name, x in flat.items() if x.ndim == 2}
     bodies = [np.concatenate([x, x[:, :1]], axis=1) for x in flat.values() if x.ndim == 3]
-    together = np.concatenate(list(points.values()) or [bodies[0][:, :0]], axis=1)
-    links = _links(together)
-    drawn = [together, *bodies, *([0 * together] if any(link.first < 0 for link in links) else [])]
+    all_points = np.concatenate(list(points.values()) or [bodies[0][:, :0]], axis=1)
+    links = _find_segments(all_points)
+    origin = [0 * all_points] if any(link.first < 0 for link in links) else []
+    drawn = [all_points, *bodies, *origin]
     low = np.min([x.min(axis=(0, 1)) for x in drawn if x.size], axis=0)
     high = np.max([x.max(axis=(0, 1)) for x in drawn if x.size], axis=0)
     reach = 0.55 * float((high - low).max()) or 1.0
-    thinned, middle = tuple(x[::stride] for x in bodies), (low + high) / 2
-    unit = unit_of(some.program)
-    return Scene(tuple(points), together, thinned, links, middle, reach, stride, unit)
+    frame_bodies, middle = tuple(x[::stride] for x in bodies), (low + high) / 2
+    unit = find_unit(states.program)
+    return Scene(tuple(points), all_points, frame_bodies, links, middle, reach, stride, unit)
 
 
-def places_of(some: Any) -> dict[str, Floats]:
+def evaluate_positions(states: Any) -> dict[str, Floats]:
     """Return points, shape (N, 2 or 3), and corners of bodies, (N, corners, 2 or 3), by name.
 
-    Raises InputError if there are none.
+    Raises InputError if the system declares no positions, or if there are no states.
     """
-    declared = some.program.declared
+    declared = states.program.declared
     positions = getattr(declared, "positions", None)
     if not positions:
         reject(
-            f"{some.program.system}: nothing says where its points are.",
-            remedy="Declare them: MechanicalSystem(..., positions={'bob': (l*sin(q), "
-            "-l*cos(q))}), and "
-            "compile that system; a stepper from a file has none.",
+            "the system declares no positions.",
+            where=states.program.system,
+            why="Steppers from generated files never have positions.",
+            remedy="Declare MechanicalSystem(..., positions={'bob': (l*sin(q), -l*cos(q))}), and "
+            "compile this system.",
         )
-    if not len(some):
-        reject("there are no states to draw.", remedy="Take a longer run, or another part of it.")
-    places = points_of(declared, some.t, some.q, some.parameter_values)
+    if not len(states):
+        reject("there are no states to draw.", remedy="Use a longer run, or another part of it.")
+    places = points_of(declared, states.t, states.q, states.parameter_values)
     dimension = max(2, *(x.shape[-1] for x in places.values()))
     return {
         name: np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, dimension - x.shape[-1])])
@@ -113,8 +114,8 @@ def places_of(some: Any) -> dict[str, Floats]:
     }
 
 
-def unit_of(program: Any) -> str:
-    """Return the unit of points, or of factors in them; "" if it is not known or they differ."""
+def find_unit(program: Any) -> str:
+    """Return the common unit of all positions; "" if it is unknown or not unique."""
     known, units = program.units, set()
     for name, place in program.declared.positions.items():
         terms = [term for axis in np.ravel(place) for term in axis.as_ordered_terms()]
@@ -123,10 +124,10 @@ def unit_of(program: Any) -> str:
     return units.pop() if len(units) == 1 else ""
 
 
-def _links(points: Floats) -> tuple[Link, ...]:
-    """Link each point to the one before it, or the origin, where their distance is constant.
+def _find_segments(points: Floats) -> tuple[Segment, ...]:
+    """Connect each point to the point before it, or to the origin, if the distance is constant.
 
-    A single point that is free has a link that is not rigid.
+    A single point without a constant distance has a segment that is not rigid.
     """
     links = []
     size = np.ptp(points, axis=(0, 1)).max() if points.size else 0.0
@@ -135,8 +136,8 @@ def _links(points: Floats) -> tuple[Link, ...]:
             start = points[:, before] if before >= 0 else 0.0
             distance = np.linalg.norm(points[:, k] - start, axis=-1)
             if np.ptp(distance) <= RIGID * size:
-                links.append(Link(before, k, True))
+                links.append(Segment(before, k, True))
                 break
     if not links and points.shape[1] == 1:
-        links.append(Link(-1, 0, False))
+        links.append(Segment(-1, 0, False))
     return tuple(links)

@@ -1,1 +1,1 @@
-"""A module that is ready to run: kernels, their numbers, names and cache."""
+"""Modules that are ready to run: kernels, arithmetic, names and cache."""

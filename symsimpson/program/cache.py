@@ -1,4 +1,4 @@
-"""Machine code, texts or answers on disk, under what they follow from."""
+"""The cache on disk: compiled code, derived texts, and choices, by digests of their inputs."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from filelock import FileLock, Timeout
 from symsimpson.errors import GenerationError, StorageError, SymsimpsonError, reject
 from symsimpson.support.calling import warn
 from symsimpson.support.derivation import Derivation
-from symsimpson.support.files import written_beside
-from symsimpson.support.interpreter import rarely_collected, undisturbed
-from symsimpson.support.progress import waiting
+from symsimpson.support.files import atomic_path
+from symsimpson.support.interpreter import collect_rarely, defer_interrupts
+from symsimpson.support.progress import announce
 from symsimpson.text.header import digest
 
 Result = TypeVar("Result")
@@ -41,20 +41,21 @@ LOG = logging.getLogger(__name__)
 
 _VARIABLE = "SYMSIMPSON_CACHE_DIR"
 DIGESTS = "digests.json"
-#: How folders begin in which entries are built, and names of modules in them.
+#: Prefixes of folders in which entries are built, and of the modules in them.
 BUILDING, MODULE = ".building-", "symsimpson_compiled_"
 _results: dict[str, object] = {}
-#: So many entries can be made at a time; nobody waits longer, in seconds, for whoever makes one.
+#: The number of entries that can be built at a time, and the longest wait for one in seconds.
 LOCKS, LONGEST = 64, 600.0
-#: Settings of numba that change nothing in what it compiles.
+#: Settings of numba that do not change compiled code.
 _IDLE = ("CACHE_DIR", "NUM_THREADS", "THREADING_LAYER", "THREADING_LAYER_PRIORITY", "WARNINGS")
 
 
 def cache_folder() -> Path:
-    """Return the folder of compiled code, made if need be and checked to be private.
+    """Return the private folder of compiled code; create it if necessary.
 
-    ``$SYMSIMPSON_CACHE_DIR``, else ``$XDG_CACHE_HOME/symsimpson``, else ``~/.cache/symsimpson``.
-    Raises GenerationError if others may write there: its files are executed.
+    The folder is ``$SYMSIMPSON_CACHE_DIR``, ``$XDG_CACHE_HOME/symsimpson`` or
+    ``~/.cache/symsimpson``, in this order. Raises GenerationError if other users may write there,
+    because its files are executed.
     """
     base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     folder = Path(os.environ.get(_VARIABLE) or Path(base) / "symsimpson")
@@ -63,14 +64,14 @@ def cache_folder() -> Path:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         info = folder.lstat()
         writable = os.access(folder, os.W_OK)
-    except (OSError, RuntimeError) as error:  # the latter where no home is known
+    except (OSError, RuntimeError) as error:  # RuntimeError if there is no home folder
         reason = str(getattr(error, "strerror", None) or error).rstrip(".")
         return _temporary_folder(folder, reason)
     foreign = hasattr(os, "getuid") and info.st_uid != os.getuid()
     shared = os.name == "posix" and info.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
     why = ""
     if shared:
-        why = f"others may write there (mode {info.st_mode & 0o777:04o}; chmod 700 changes it)"
+        why = f"other users may write there (mode {info.st_mode & 0o777:04o}; use chmod 700)"
     if foreign:
         why = "it belongs to another user"
     if not stat.S_ISDIR(info.st_mode):
@@ -78,9 +79,8 @@ def cache_folder() -> Path:
     if why:
         reject(
             f"the cache folder {folder} is not private to you: {why}.",
-            remedy="Files in it are executed, so nobody else may write there. Name "
-            "another folder in "
-            f"${_VARIABLE}.",
+            why="Files in this folder are executed.",
+            remedy=f"Name another folder in ${_VARIABLE}.",
             error=GenerationError,
         )
     return folder if writable else _temporary_folder(folder, "it cannot be written to")
@@ -88,9 +88,9 @@ def cache_folder() -> Path:
 
 @cache
 def _temporary_folder(folder: Path, why: str) -> Path:
-    """Return a private folder for this process alone, where no other can be had; say so once."""
+    """Return a temporary folder for this process, and warn once that nothing is cached."""
     warn(
-        f"the cache folder {folder} cannot be used ({why}): each process compiles anew.\n"
+        f"the cache folder {folder} cannot be used ({why}), so each process compiles again.\n"
         f"Name a folder of your own in ${_VARIABLE}.",
         RuntimeWarning,
     )
@@ -100,19 +100,18 @@ def _temporary_folder(folder: Path, why: str) -> Path:
 
 
 @cache
-def _without_cache(folder: Path, why: str) -> None:
-    """Say once that what is compiled is not kept."""
+def _warn_without_cache(folder: Path, why: str) -> None:
+    """Warn once that compiled code is not stored."""
     warn(
-        f"nothing can be written to the cache folder {folder} ({why}): what is compiled now is not "
-        f"kept, and each process compiles anew.\nMake room, or name another folder in "
-        f"${_VARIABLE}.",
+        f"nothing can be written to the cache folder {folder} ({why}), so each process compiles "
+        f"again.\nFree space on the disk, or name another folder in ${_VARIABLE}.",
         RuntimeWarning,
     )
 
 
 @cache
 def _machine() -> str:
-    """Name everything besides its text that compiled code depends on."""
+    """Return a digest of everything but the text that compiled code depends on."""
     idle = {f"NUMBA_{name}" for name in _IDLE}
     settings = {x: y for x, y in os.environ.items() if x.startswith("NUMBA_") and x not in idle}
     parts = (
@@ -128,22 +127,23 @@ def _machine() -> str:
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
-def compiled(
+def load_or_compile(
     text: str, label: str, use: Callable[[ModuleType, bool], Result], file: str | None = None
 ) -> Result:
-    """Import a module from its text and compile what is used of it, or load that from disk.
+    """Compile a module, or load it from disk, and return the result of ``use``.
 
     Parameters
     ----------
     text : str
-        The module's text; it must be trusted.
+        The key of the entry; without ``file`` also the text of the module, which must be trusted.
     label : str
-        Names what ``use`` takes of it; part of the key.
+        A name for the result of ``use``. It is a part of the key.
     use : callable
-        Takes the module, and whether numba is to keep on disk what it compiles of it. What it gives
-        is returned, the same object for the same text and label in one process.
+        A function of the module and of a flag, whether numba stores compiled code on disk. Its
+        result is returned. It is the same object for the same text and label in a process.
     file : str, optional
-        What the module is, if its code follows from more than that: from all of ``text``.
+        The text of the module, if its code depends on more than this text. Then ``text`` has all
+        that the code depends on.
     """
     content = _content(text, label)
     if content not in _results:
@@ -152,7 +152,7 @@ def compiled(
 
 
 def location(text: str, label: str) -> str:
-    """Say where the compiled code of a text is: loaded, on disk, or nowhere yet."""
+    """Return as a text whether the compiled code is loaded, on disk, or not compiled yet."""
     content = _content(text, label)
     if content in _results:
         return "loaded"
@@ -167,32 +167,31 @@ def _content(text: str, label: str) -> str:
 def _load_or_build(text: str, key: str, use: Callable[[ModuleType, bool], Result]) -> Result:
     if getattr(numba.config, "DISABLE_JIT", False):
         reject(
-            "numba compiles nothing here, as NUMBA_DISABLE_JIT says, and steps are compiled code.",
-            remedy="Unset that variable and begin Python anew; symsimpson.compile(..., "
-            "precision=20) "
+            "NUMBA_DISABLE_JIT turns off the compiler, but steps are compiled code.",
+            remedy="Unset this variable and restart Python. symsimpson.compile(..., precision=20) "
             "needs no compiler.",
             error=GenerationError,
         )
     folder = cache_folder()
-    result = _loaded(folder, key, use)
+    result = _load(folder, key, use)
     if result is not None:
         return result
-    with waiting("compiling, once for this machine"), rarely_collected(), _alone(folder, key):
-        result = _loaded(folder, key, use)  # another process may have made it meanwhile
+    with announce("compiling, once for this machine"), collect_rarely(), _build_lock(folder, key):
+        result = _load(folder, key, use)  # another process may have built it meanwhile
         if result is not None:
             return result
         try:
             return _build(folder, key, text, use)
-        except OSError as error:  # a disk that is full
+        except OSError as error:  # the disk may be full
             name = f"{MODULE}{key}"
             sys.modules.pop(name, None)
-            _without_cache(folder, str(error.strerror or error))
-            return _in_memory(name, text, use)
+            _warn_without_cache(folder, str(error.strerror or error))
+            return _build_in_memory(name, text, use)
 
 
-@undisturbed(most=1)  # from within LLVM, numba's callbacks lose an exception
-def _loaded(folder: Path, key: str, use: Callable[[ModuleType, bool], Result]) -> Result | None:
-    """Load an entry, if there is a whole one; what is left of another is taken away."""
+@defer_interrupts(most=1)  # from within LLVM, numba's callbacks lose an exception
+def _load(folder: Path, key: str, use: Callable[[ModuleType, bool], Result]) -> Result | None:
+    """Load an entry if it is intact. Remove a damaged entry and return None."""
     entry, name = folder / key, f"{MODULE}{key}"
     if not entry.is_dir():
         return None
@@ -201,7 +200,7 @@ def _loaded(folder: Path, key: str, use: Callable[[ModuleType, bool], Result]) -
             result = _import(entry / f"{name}.py", name, use)
             LOG.info("machine code taken from the cache: %s", entry)
             return result
-        except Exception:  # whatever a stale pickle may raise, the entry can be made again
+        except Exception:  # a stale pickle may raise anything, and the entry can be built again
             sys.modules.pop(name, None)
     LOG.info("machine code in the cache is damaged, and compiled again: %s", entry)
     shutil.rmtree(entry, ignore_errors=True)
@@ -209,15 +208,15 @@ def _loaded(folder: Path, key: str, use: Callable[[ModuleType, bool], Result]) -
 
 
 def lock_file(folder: Path, key: str) -> Path:
-    """Return the file that a process locks while it makes an entry."""
+    """Return the file that a process locks while it builds an entry."""
     return folder / f".lock-{int(key[-4:], 16) % LOCKS}"
 
 
 @contextlib.contextmanager
-def _alone(folder: Path, key: str) -> Iterator[None]:
-    """Let one process at a time make an entry; the system frees the lock of one that died."""
+def _build_lock(folder: Path, key: str) -> Iterator[None]:
+    """Lock an entry against other processes. The system frees the lock of a process that died."""
     lock = FileLock(lock_file(folder, key), timeout=LONGEST)
-    # without the lock both make it, and one is kept
+    # without the lock both processes build the entry, and one of them is stored
     with contextlib.suppress(OSError, NotImplementedError, Timeout):
         lock.acquire()
     try:
@@ -226,9 +225,9 @@ def _alone(folder: Path, key: str) -> Iterator[None]:
         lock.release()
 
 
-@undisturbed(most=1)  # from within LLVM, numba's callbacks lose an exception
+@defer_interrupts(most=1)  # from within LLVM, numba's callbacks lose an exception
 def _build(folder: Path, key: str, text: str, use: Callable[[ModuleType, bool], Result]) -> Result:
-    """Compile in a folder of its own, and rename it into place."""
+    """Compile an entry in a temporary folder, and rename the folder into place."""
     entry, name = folder / key, f"{MODULE}{key}"
     start = time.perf_counter()
     building = Path(tempfile.mkdtemp(prefix=BUILDING, dir=folder))
@@ -237,7 +236,7 @@ def _build(folder: Path, key: str, text: str, use: Callable[[ModuleType, bool], 
         path.write_text(text, encoding="utf-8")
         result = _import(path, name, use)
         (building / DIGESTS).write_text(json.dumps(_digests(building)), encoding="utf-8")
-        with contextlib.suppress(OSError):  # another process was first
+        with contextlib.suppress(OSError):  # another process may have been first
             building.rename(entry)
         LOG.info("compiled %s in %.2f s", entry, time.perf_counter() - start)
         return result
@@ -264,7 +263,7 @@ def _intact(entry: Path) -> bool:
 
 
 def _import(path: Path, name: str, use: Callable[[ModuleType, bool], Result]) -> Result:
-    """Import a file under a name, registered before it runs: numba finds its cache by it."""
+    """Import a file under a registered name, by which numba finds its cache."""
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
     assert spec.loader is not None
@@ -275,9 +274,9 @@ def _import(path: Path, name: str, use: Callable[[ModuleType, bool], Result]) ->
         return use(module, True)
 
 
-@undisturbed(most=1)  # from within LLVM, numba's callbacks lose an exception
-def _in_memory(name: str, text: str, use: Callable[[ModuleType, bool], Result]) -> Result:
-    """Make a module of its text alone."""
+@defer_interrupts(most=1)  # from within LLVM, numba's callbacks lose an exception
+def _build_in_memory(name: str, text: str, use: Callable[[ModuleType, bool], Result]) -> Result:
+    """Compile a module without any file."""
     module = ModuleType(name)
     sys.modules[name] = module
     exec(compile(text, f"<{name}>", "exec"), module.__dict__)
@@ -286,7 +285,7 @@ def _in_memory(name: str, text: str, use: Callable[[ModuleType, bool], Result]) 
 
 @contextlib.contextmanager
 def _own_numba_cache() -> Iterator[None]:
-    """Keep numba's files inside the entry, wherever the environment would put them."""
+    """Make numba store its files in the entry, whatever the environment says."""
     config: Any = numba.core.config
     elsewhere, bytecode = config.CACHE_DIR, sys.dont_write_bytecode
     config.CACHE_DIR, sys.dont_write_bytecode = "", True
@@ -301,16 +300,16 @@ ANSWER = re.compile(r"\.?[0-9a-f]{64}(\.new)?\.json")
 
 
 def clear_cache() -> int:
-    """Remove compiled code and remembered choices from the disk.
+    """Remove compiled code and stored choices from the disk.
 
-    The next run of each system compiles again. Code that is loaded stays in use, and other
-    processes may go on: what one of them compiles at the moment is not removed. Files in the
-    cache folder that symsimpson did not write stay there.
+    The next run of each system compiles again. Code that this process has loaded remains in use.
+    Entries that another process compiles at this moment are not removed, nor are files that
+    symsimpson did not write.
 
     Returns
     -------
     int
-        Number of bytes that were removed.
+        The number of removed bytes.
 
     Raises
     ------
@@ -326,22 +325,22 @@ def clear_cache() -> int:
     0
     """
     folder = cache_folder()
-    freed = sum(_removed(folder, path) for path in list(_ours(folder)))
+    freed = sum(_remove(folder, path) for path in list(_list_paths(folder)))
     for kind in KINDS:
-        with contextlib.suppress(OSError):  # it holds something else
+        with contextlib.suppress(OSError):  # it may contain other files
             (folder / kind).rmdir()
     return freed
 
 
 def usage(folder: Path) -> tuple[int, int]:
-    """Return the number of compiled entries in a cache folder, and the bytes of all in it."""
-    ours = list(_ours(folder))
-    entries = [path for path in ours if path.is_dir() and not path.name.startswith(BUILDING)]
-    return len(entries), sum(map(_bytes, ours))
+    """Return the number of compiled entries in a cache folder, and the size of all in bytes."""
+    paths = list(_list_paths(folder))
+    entries = [path for path in paths if path.is_dir() and not path.name.startswith(BUILDING)]
+    return len(entries), sum(map(_count_bytes, paths))
 
 
-def _ours(folder: Path) -> Iterator[Path]:
-    """Return entries, folders in which entries are built, and answers."""
+def _list_paths(folder: Path) -> Iterator[Path]:
+    """List the entries, the folders in which entries are built, and the answers."""
     for path in folder.iterdir():
         if path.is_dir() and not path.is_symlink():
             if path.name in KINDS:
@@ -351,59 +350,59 @@ def _ours(folder: Path) -> Iterator[Path]:
 
 
 def _keys(path: Path) -> list[str]:
-    """Return keys of the entries in a folder; none if it holds anything else."""
+    """Return the keys of the entries in a folder; an empty list if it contains anything else."""
     names = [x.name for x in path.rglob("*") if not x.is_dir()]
     if not all(x.startswith(MODULE) or x == DIGESTS for x in names):
         return []
     return [match[1] for x in names if (match := SOURCE.fullmatch(x))]
 
 
-def _bytes(path: Path) -> int:
+def _count_bytes(path: Path) -> int:
     total = 0
     for file in (path, *path.rglob("*")):
-        with contextlib.suppress(OSError):  # another process removed it
+        with contextlib.suppress(OSError):  # another process may have removed it
             total += file.lstat().st_size * (not file.is_dir())
     return total
 
 
-def _removed(folder: Path, path: Path) -> int:
-    """Remove a file or a folder, unless another process builds it; return the bytes removed."""
-    size, keys = _bytes(path), _keys(path) if path.name.startswith(BUILDING) else []
+def _remove(folder: Path, path: Path) -> int:
+    """Remove a file or a folder, unless another process builds it; return the removed bytes."""
+    size, keys = _count_bytes(path), _keys(path) if path.name.startswith(BUILDING) else []
     try:
         with contextlib.ExitStack() as stack:
             for key in keys:
                 stack.enter_context(FileLock(lock_file(folder, key), timeout=0))
-            aside = tempfile.TemporaryDirectory(
+            temporary = tempfile.TemporaryDirectory(
                 prefix=BUILDING, dir=folder, ignore_cleanup_errors=True
             )
-            # renamed first: another process finds all of it, or nothing
-            path.rename(Path(stack.enter_context(aside)) / path.name)
+            # renamed first, so that another process finds a whole entry or none
+            path.rename(Path(stack.enter_context(temporary)) / path.name)
     except (OSError, NotImplementedError, Timeout):
         return 0
     return size
 
 
-#: Folders of answers, beside compiled code.
+#: Folders of cached answers in the cache folder.
 Kind = Literal["choices", "texts"]
 KINDS = get_args(Kind)
 Answer = TypeVar("Answer")
-#: What a file may raise that is not there, not whole, or not what it should be.
+#: Errors of a file that is missing, incomplete or wrong.
 DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, SymsimpsonError)
 
 
-def kept(
+def load_or_make(
     kind: Kind,
     question: str,
     read: Callable[[Any], Answer],
     make: Callable[[], Answer],
     write: Callable[[Answer], Any],
 ) -> Answer:
-    """Return the answer that was kept for the same question, or make it and keep it.
+    """Return the cached answer to a question, or compute and store it.
 
-    ``kind`` is the folder of such answers, beside compiled code; ``question`` is all that the
-    answer follows from. ``read`` makes the answer of what JSON holds, and raises an error of
-    ``DAMAGE`` if that makes no sense; ``write`` returns what is to be kept, for JSON, or None if it
-    is not worth it.
+    ``kind`` is the folder of the answer in the cache folder. ``question`` has all that the answer
+    depends on. ``read`` converts JSON data to the answer, and raises an error of ``DAMAGE`` for
+    invalid data. ``make`` computes the answer. ``write`` converts it to JSON data, or returns None
+    if it is not worth storing.
     """
     place = cache_folder() / kind / f"{digest(question)}.json"
     try:
@@ -417,30 +416,31 @@ def kept(
     answer = make()
     content = write(answer)
     if content is not None:
-        with contextlib.suppress(StorageError, OSError):  # a full disk keeps nothing
+        with contextlib.suppress(StorageError, OSError):  # the disk may be full
             place.parent.mkdir(mode=0o700, exist_ok=True)
-            with written_beside(place, "answer") as whole:
+            with atomic_path(place, "answer") as whole:
                 whole.write_text(json.dumps(content), encoding="utf-8")
             LOG.info("%s: remembered in %s", kind, place)
     return answer
 
 
-#: What the generator is made of.
+#: The rooms of the generator.
 GENERATOR = ("graph", "declare", "schemes", "discrete", "text", "lower")
-#: A derivation that took less, in seconds, is as soon done again as read.
+#: A derivation that took less than this, in seconds, is not stored: reading takes as long.
 BRIEF = 0.1
 
 
-def kept_text(source: Iterable[str], derive: Callable[[], Derivation]) -> Derivation:
-    """Return the derivation that was kept for the same source, or make it and keep it.
+def load_or_derive(source: Iterable[str], derive: Callable[[], Derivation]) -> Derivation:
+    """Return the cached derivation of a source, or derive and store it.
 
-    The ``source`` is all that the text follows from, beside the generator itself. Stages of the
-    derivation took no time where it was kept.
+    The ``source`` has all that the text depends on, except the generator itself. The stages of a
+    cached derivation took 0 seconds.
     """
-    return kept("texts", "\n".join([_generator(), *source]), _derivation, derive, _written)
+    question = "\n".join([_digest_of_generator(), *source])
+    return load_or_make("texts", question, _read_derivation, derive, _write_derivation)
 
 
-def _derivation(content: Any) -> Derivation:
+def _read_derivation(content: Any) -> Derivation:
     text = content["text"]
     if digest(text) != content["sha256"]:
         raise ValueError("the text does not have the digest that it names")
@@ -448,7 +448,7 @@ def _derivation(content: Any) -> Derivation:
     return Derivation(text, seconds, content["operations"], content["unrolled"] is True)
 
 
-def _written(derivation: Derivation) -> dict[str, Any] | None:
+def _write_derivation(derivation: Derivation) -> dict[str, Any] | None:
     if sum(derivation.seconds.values()) <= BRIEF:
         return None
     return {
@@ -461,8 +461,8 @@ def _written(derivation: Derivation) -> dict[str, Any] | None:
 
 
 @cache
-def _generator() -> str:
-    """Return what tells this generator from others, which may write other texts."""
+def _digest_of_generator() -> str:
+    """Return a digest of the generator's source files."""
     package, content = resources.files("symsimpson"), hashlib.sha256()
     for name in GENERATOR:
         for file in _files(package.joinpath(name)):

@@ -1,4 +1,4 @@
-"""The machine: its threads, its lanes, the versions of libraries for reports of bugs."""
+"""Properties of the machine (vector width, threads), and versions of libraries."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ import llvmlite.binding as llvm
 from symsimpson.errors import reject
 
 VARIABLE = "SYMSIMPSON_VECTOR_BITS"
-#: The widths that machines have, by the feature that tells of them.
+#: Vector widths in bits, by the CPU feature that indicates them.
 _WIDTHS = {"avx512f": 512, "avx": 256}
 _NARROW = 128
-#: Of so many members, whose workspaces have so few rows that the nearest cache has room for them,
-#: two registers full stand side by side: what one waits for is hidden by the other, a sixth to a
-#: fourth of the time. For others that is nothing, and costs a second of compilation.
+#: Ensembles of at least MANY members and at most FEW_ROWS rows, which fit into the L1 cache, fill
+#: two vector registers. One register hides the latency of the other, which saves 1/6 to 1/4 of the
+#: time. Other ensembles gain nothing, and would compile one second longer.
 MANY, FEW_ROWS = 1024, 256
 
 
 def vector_bits() -> int:
-    """Return the bits of a vector: the most that this machine has, or fewer if that is wanted.
+    """Return the vector width in bits: the widest of this machine, or a smaller wanted width.
 
-    Raises InputError if the environment asks for what no machine has.
+    Raises InputError if the environment variable has any other value.
     """
     wanted = os.environ.get(VARIABLE)
     if wanted is None:
@@ -35,8 +35,9 @@ def vector_bits() -> int:
     widths = sorted([_NARROW, *_WIDTHS.values()])
     if wanted not in map(str, widths):
         reject(
-            f"${VARIABLE} is {wanted!r}, and vectors have {', '.join(map(str, widths))} bits.",
-            remedy="Set it to one of them, or take it away for the widest that the machine has.",
+            f"${VARIABLE} is {wanted!r}, which is no vector width in bits.",
+            remedy=f"Set it to one of {', '.join(map(str, widths))}, or unset it to use the widest "
+            "vectors of the machine.",
         )
     return min(int(wanted), _widest())
 
@@ -49,12 +50,12 @@ def _widest() -> int:
 
 @cache
 def lanes_of_machine() -> int:
-    """Return the number of lanes of a block: two vector registers where they are short."""
+    """Return the default number of lanes of a block: 8 with AVX, 4 without."""
     return 8 if llvm.get_host_cpu_features().get("avx") else 4
 
 
 def lanes_for(rows: int, members: int) -> int:
-    """Return the number of lanes of a block of an ensemble, with so many rows in a workspace."""
+    """Return the number of lanes of a block, for a number of workspace rows and of members."""
     two_registers = 2 * vector_bits() // 64
     small = members >= MANY and rows <= FEW_ROWS
     return max(lanes_of_machine(), two_registers) if small else lanes_of_machine()
@@ -67,7 +68,7 @@ def available_threads() -> int:
     return os.cpu_count() or 1
 
 
-#: What results depend on; then what is only used where it is there.
+#: Required packages, on which results depend; then optional packages.
 _NEEDED = ("symsimpson", "sympy", "numpy", "numba", "llvmlite", "mpmath")
 _OPTIONAL = ("scipy", "matplotlib", "plotly", "xarray", "zarr", "dask", "heyoka")
 
@@ -88,17 +89,17 @@ def show_config(mode: str = "stdout") -> Config | None:
     Parameters
     ----------
     mode : {"stdout", "dicts"}
-        Print it, or return it.
+        "stdout" (default) prints the configuration, and "dicts" returns it.
 
     Returns
     -------
     dict or None
-        By group: "versions", "machine", "compiled code".
+        The groups "versions", "machine" and "compiled code", each a dict. None for "stdout".
 
     Raises
     ------
     InputError
-        If there is no such mode.
+        If the mode is neither of these.
 
     Examples
     --------
@@ -107,7 +108,10 @@ def show_config(mode: str = "stdout") -> Config | None:
     ['versions', 'machine', 'compiled code']
     """
     if mode not in ("stdout", "dicts"):
-        reject(f"mode is {mode!r}.", remedy="Pass 'stdout' to print, or 'dicts' to be given it.")
+        reject(
+            f"mode is {mode!r}, which is unknown.",
+            remedy="Pass 'stdout' to print the configuration, or 'dicts' to get it as a dict.",
+        )
     from symsimpson.program.cache import cache_folder, usage
 
     folder = cache_folder()
@@ -142,7 +146,7 @@ def show_config(mode: str = "stdout") -> Config | None:
 
 
 def versions_of(names: Iterable[str]) -> dict[str, str]:
-    """Return the versions of those packages that are installed."""
+    """Return the versions of the installed packages among ``names``."""
     versions = {}
     for name in names:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):

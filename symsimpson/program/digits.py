@@ -1,7 +1,7 @@
-"""Any number of digits: the same module and the same driver, run by Python.
+"""Multiprecision: Python executes the same module and the same driver with many digits.
 
-mpmath is the reference; the balls of python-flint are faster. Both run the text of the compiled
-code; only the thresholds that name a rounding error are other ones.
+mpmath is the reference, and the balls of python-flint are faster. Both execute the text of the
+compiled code. Only the thresholds for round-off differ.
 """
 
 from __future__ import annotations
@@ -24,14 +24,15 @@ from symsimpson.program.driver import KernelSets, driver_text
 from symsimpson.program.input_values import whole_number
 from symsimpson.program.numbers import Numbers
 from symsimpson.support.array_types import Reals
-from symsimpson.support.extras import library
+from symsimpson.support.extras import import_library
 from symsimpson.targets.binding import bind, bind_arb, bind_mpmath
 from symsimpson.text.header import Header
 from symsimpson.text.interface import KERNELS
 from symsimpson.text.workspace_layout import scratch
 
 FEWEST, MOST = 15, 10_000
-#: With more digits, quadratic convergence is worth its price; with few unknowns, always.
+#: Steps iterate over stages up to this number of digits, and from this degree of the path on.
+#: Otherwise the quadratic convergence of Newton's method is faster.
 MOST_BY_STAGES, FEWEST_BY_STAGES = 64, 5
 ARITHMETICS = ("mpmath", "arb")
 
@@ -42,40 +43,42 @@ def _numbers(digits: int, arithmetic: str) -> Digits:
 
 
 def read_precision(precision: Any, arithmetic: Any) -> Digits:
-    """Return the numbers of so many decimal digits.
+    """Return the arithmetic with ``precision`` decimal digits.
 
-    Raises InputError if there is no such precision or arithmetic, or python-flint is not installed.
+    Raises InputError if the precision or the arithmetic is invalid, or if python-flint is missing.
     """
     if arithmetic not in ARITHMETICS:
         reject(
-            f"arithmetic is {arithmetic!r}.", remedy="Choose 'mpmath', or 'arb' with python-flint."
+            f"arithmetic is {arithmetic!r}, which is unknown.",
+            remedy="Choose 'mpmath', or 'arb' with python-flint.",
         )
     digits = whole_number(precision) or 0
     if not FEWEST <= digits <= MOST:
         reject(
             f"precision is {precision!r}, not a number of decimal digits from {FEWEST} to {MOST}.",
-            remedy="Pass precision=64; for double precision, neither precision= nor arithmetic=.",
+            remedy="Pass for example precision=64. For double precision, pass neither precision= "
+            "nor arithmetic=.",
         )
     if arithmetic == "arb":
-        library("flint", "arithmetic='arb' (python-flint)", "precise")
+        import_library("flint", "arithmetic='arb' (python-flint)", "precise")
     return _numbers(digits, arithmetic)
 
 
-class _Anything:
-    """Stands for the types that only a compiler asks for."""
+class _TypeStub:
+    """A placeholder for numba's types, which Python does not need."""
 
-    def __getattr__(self, name: str) -> _Anything:
+    def __getattr__(self, name: str) -> _TypeStub:
         return self
 
-    def __getitem__(self, index: Any) -> _Anything:
+    def __getitem__(self, index: Any) -> _TypeStub:
         return self
 
-    def __call__(self, *arguments: Any, **options: Any) -> _Anything:
+    def __call__(self, *arguments: Any, **options: Any) -> _TypeStub:
         return self
 
 
-class _Functions(KernelSets):
-    """Kernels as Python functions."""
+class _PythonKernels(KernelSets):
+    """Sets of kernels that are Python functions."""
 
     def __init__(self, module: SimpleNamespace, header: Header, digits: int) -> None:
         many = digits <= MOST_BY_STAGES and header.degree >= FEWEST_BY_STAGES
@@ -84,7 +87,7 @@ class _Functions(KernelSets):
 
     @property
     def location(self) -> str:
-        """Where the code of a step is, in words."""
+        """A text that says that nothing is compiled."""
         return "none: Python, with numbers of many digits"
 
     def compile_set(self, label: str, names: list[str], *, any_angle: bool) -> list[Any]:
@@ -98,12 +101,12 @@ class _Functions(KernelSets):
 
 
 def _revive(digits: int, arithmetic: str, number: Any) -> Any:
-    """Return a number as it was, at home in the context for so many digits."""
+    """Restore a pickled number in the context for its digits."""
     return read_precision(digits, arithmetic).context.make_mpf(from_pickable(number))
 
 
 class Digits(Numbers):
-    """Numbers of mpmath, in a context of their own."""
+    """Numbers of mpmath, in a separate context with a fixed number of digits."""
 
     compiled, stretch, arithmetic = False, 1, "mpmath"
 
@@ -112,7 +115,7 @@ class Digits(Numbers):
         self.context = mpmath.mp.clone()
         self.context.dps = digits
         self.epsilon = 10.0 ** (1 - min(digits, 300))
-        # numbers of a cloned context are of a class that pickle does not find by its name
+        # pickle cannot find the number class of a cloned context by its name
         copyreg.pickle(self.context.mpf, self._reduced)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -122,18 +125,18 @@ class Digits(Numbers):
         return _revive, (self.digits, self.arithmetic, to_pickable(number._mpf_))
 
     def is_one(self, value: Any) -> bool:
-        """Return whether a value needs no conversion: none is trusted to."""
+        """Return False, because every value is converted."""
         return False
 
     def make_ready(self, kernels: KernelSets) -> None:
-        """Compile nothing."""
+        """Do nothing, because Python executes the kernels."""
 
     def read(self, value: Any) -> Reals:
-        """Convert numbers, decimal strings and SymPy numbers, each to all digits."""
+        """Convert numbers, decimal strings and SymPy numbers, each to the full precision."""
         given = np.array(value, dtype=object)
         array = self.zeros(given.shape)
         for index, number in np.ndenumerate(given):
-            array[index] = self._inner(self._number(number))
+            array[index] = self._to_kernel(self._number(number))
         return array
 
     def _number(self, value: Any) -> Any:
@@ -149,27 +152,27 @@ class Digits(Numbers):
         number = context.convert(value if not hasattr(value, "as_tuple") else str(value))
         if not isinstance(number, context.mpf):
             raise TypeError(value)
-        return +number  # rounded to these digits, however many it came with
+        return +number  # rounds to the digits of this context
 
-    def _inner(self, number: Any) -> Any:
-        """Return a number as the kernels take it."""
+    def _to_kernel(self, number: Any) -> Any:
+        """Convert an mpmath number to the type that kernels compute with."""
         return number
 
     def zeros(self, shape: int | tuple[int, ...]) -> Reals:
         """Return an array of zeros."""
-        return np.full(shape, self._inner(self.context.zero), dtype=object)
+        return np.full(shape, self._to_kernel(self.context.zero), dtype=object)
 
     def finite(self, array: Reals) -> NDArray[np.bool_]:
-        """Return which numbers are finite."""
-        finite = np.frompyfunc(lambda x: bool(self.context.isfinite(self._outer(x))), 1, 1)
+        """Return a mask of the finite numbers."""
+        finite = np.frompyfunc(lambda x: bool(self.context.isfinite(self._to_user(x))), 1, 1)
         return cast(NDArray[np.bool_], np.asarray(finite(array), dtype=bool))
 
-    def _outer(self, number: Any) -> Any:
-        """Return a number as a user gets it."""
+    def _to_user(self, number: Any) -> Any:
+        """Convert a number of the kernels to an mpmath number."""
         return number
 
     def counted(self, first: int, stop: int, stride: int) -> Reals:
-        """Return whole numbers to multiply with."""
+        """Return the whole numbers of a range as an array."""
         return np.array(range(first, stop, stride), dtype=object)
 
     def solve(self, matrix: Reals, right: Reals) -> Reals:
@@ -179,12 +182,12 @@ class Digits(Numbers):
         return np.array(list(solved), dtype=object)
 
     def lambdified(self, symbols: Sequence[Any], expressions: Sequence[Any]) -> Any:
-        """Return a function that takes numbers of arrays one by one."""
+        """Return a function of arrays that evaluates SymPy expressions element by element."""
         import sympy as sp
 
         functions = {name: getattr(self.context, name) for name in dir(self.context)}
         single = sp.lambdify(symbols, expressions, [functions, "mpmath"], cse=True)
-        outer, inner = np.frompyfunc(self._outer, 1, 1), np.frompyfunc(self._inner, 1, 1)
+        outer, inner = np.frompyfunc(self._to_user, 1, 1), np.frompyfunc(self._to_kernel, 1, 1)
 
         def every(*arguments: Any) -> list[Reals]:
             given = np.broadcast_arrays(*map(outer, arguments))
@@ -195,34 +198,37 @@ class Digits(Numbers):
 
         return every
 
-    def kernels(self, text: str, header: Header, lanes: int = 1) -> _Functions:
-        """Bind the kernels of a module."""
-        return _Functions(bind_mpmath(text, self.context, checking=True), header, self.digits)
+    def kernels(self, text: str, header: Header, lanes: int = 1) -> _PythonKernels:
+        """Return the kernels of a module as Python functions of mpmath numbers."""
+        return _PythonKernels(bind_mpmath(text, self.context, checking=True), header, self.digits)
 
     def driver(
         self, name: str, lanes: int = 1, *, renewing: bool = False, iterated: bool = True
     ) -> Callable[..., Any]:
-        """Return a function of the driver, bound to these numbers."""
+        """Return a function of the driver in this arithmetic."""
         return cast(Callable[..., Any], getattr(self._driver, name))
 
     @cached_property
     def _driver(self) -> SimpleNamespace:
         replaced = {
             "njit": lambda **options: lambda function: function,
-            "types": _Anything(),
+            "types": _TypeStub(),
             "call": self._call,
-            "AT_ONCE": 1,  # balls of python-flint grow in a call
+            "AT_ONCE": 1,  # radii of python-flint's balls grow within a call
             "MOST_ITERATIONS": max(40, 5 * self.digits // 2),
             "FEW_ITERATIONS": max(16, self.digits),
-            "ROUND_OFF": self._inner(self.context.mpf(10) ** (4 - 2 * self.digits)),
+            "ROUND_OFF": self._to_kernel(self.context.mpf(10) ** (4 - 2 * self.digits)),
             "np": SimpleNamespace(
-                inf=self._inner(self.context.inf), int64=int, empty=self._room, zeros=self._room
+                inf=self._to_kernel(self.context.inf),
+                int64=int,
+                empty=self._allocate,
+                zeros=self._allocate,
             ),
         }
         return bind(driver_text(), replaced)
 
-    def _room(self, shape: int | tuple[int, ...], dtype: type | None = None) -> Reals:
-        """Return zeros as the driver asks for them: of these numbers, unless it counts."""
+    def _allocate(self, shape: int | tuple[int, ...], dtype: type | None = None) -> Reals:
+        """Return zeros of this arithmetic, or of ``dtype`` for counters of the driver."""
         return self.zeros(shape) if dtype is None else np.zeros(shape, dtype)
 
     def _call(self, kernel: Callable[..., None], h: Any, t: Any, W: Reals) -> None:
@@ -240,14 +246,14 @@ class Arb(Digits):
 
         self._arb = arb
 
-    def _inner(self, number: Any) -> Any:
+    def _to_kernel(self, number: Any) -> Any:
         sign, mantissa, exponent, _ = number._mpf_
-        if not mantissa:  # zero, or no finite number
+        if not mantissa:  # zero, or not finite
             return self._arb(str(number))
-        whole = int(mantissa)  # gmpy2 has integers of its own
+        whole = int(mantissa)  # it may be an integer of gmpy2
         return self._arb((-whole if sign else whole, exponent))
 
-    def _outer(self, number: Any) -> Any:
+    def _to_user(self, number: Any) -> Any:
         if not isinstance(number, self._arb):
             return self.context.convert(number)
         if not number.is_finite():
@@ -256,15 +262,15 @@ class Arb(Digits):
         return self.context.make_mpf(from_man_exp(int(mantissa), int(exponent)))
 
     def single(self, number: Any) -> Any:
-        """Return a number of mpmath."""
-        return self._outer(number)
+        """Return the midpoint of a ball as an mpmath number."""
+        return self._to_user(number)
 
     def result(self, array: Reals) -> Reals:
-        """Return numbers of mpmath."""
-        return cast(Reals, np.frompyfunc(self._outer, 1, 1)(array))
+        """Return the midpoints of balls as mpmath numbers."""
+        return cast(Reals, np.frompyfunc(self._to_user, 1, 1)(array))
 
-    def kernels(self, text: str, header: Header, lanes: int = 1) -> _Functions:
-        """Bind the kernels of a module."""
+    def kernels(self, text: str, header: Header, lanes: int = 1) -> _PythonKernels:
+        """Return the kernels of a module as Python functions of balls."""
         with self.working():
             module = bind_arb(text)
         passing = {row for rows in scratch(header.layout).values() for row in rows}
@@ -272,18 +278,19 @@ class Arb(Digits):
         for name in KERNELS:
             if hasattr(module, name):
                 vars(getattr(module, name))["lasting"] = lasting, slice(header.rows, None)
-        return _Functions(module, header, self.digits)
+        return _PythonKernels(module, header, self.digits)
 
     def working(self) -> AbstractContextManager[Any]:
-        """Set the precision of python-flint, which is global, for a while."""
+        """Return a context that sets the global precision of python-flint."""
         import flint
 
         return cast(AbstractContextManager[Any], flint.ctx.workprec(self.context.prec))
 
     def _call(self, kernel: Callable[..., None], h: Any, t: Any, W: Reals) -> None:
-        """Call a kernel, and forget the radii: they bound rounding, which Newton's method mends.
+        """Call a kernel, and set the radii of the balls to zero.
 
-        What no other kernel reads may keep them.
+        Radii bound round-off, which Newton's method corrects. Rows that no other kernel reads may
+        retain their radii.
         """
         kernel(h, t, W)
         ball = self._arb

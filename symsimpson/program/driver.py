@@ -1,4 +1,4 @@
-"""The driver as one text, compiled function by function, with the kernels that it takes."""
+"""The driver (the compiled loop over steps): its text and functions, and its sets of kernels."""
 
 from __future__ import annotations
 
@@ -13,11 +13,16 @@ from typing import Any
 from numba import njit
 
 from symsimpson.errors import reject
-from symsimpson.program.cache import compiled
+from symsimpson.program.cache import load_or_compile
 from symsimpson.program.configuration import vector_bits
 from symsimpson.program.recorders import Recorder
 from symsimpson.support.interpreter import compiles_late
-from symsimpson.targets.llvm.intrinsics import read_functions, stub, walker_digest, walking_function
+from symsimpson.targets.llvm.intrinsics import (
+    function_intrinsic,
+    read_functions,
+    stub,
+    walker_digest,
+)
 from symsimpson.targets.llvm.trees import Text
 from symsimpson.text.driver.steps import DRIVER_OPTIONS, SIGNATURES
 from symsimpson.text.header import Header
@@ -33,7 +38,7 @@ from symsimpson.text.interface import (
 )
 from symsimpson.text.syntax import outline, redefined
 
-#: The modules that are compiled as one text, in this order.
+#: The files of the driver, in the order of its text.
 PARTS = (
     "steps",
     "recovery",
@@ -44,8 +49,8 @@ PARTS = (
     "adjoint_loops",
     "impacts",
 )
-#: Functions that are compiled in one go, because they share others, and a run that has called one
-#: may call all of them: those of any run, and those of steps that are solved by iteration.
+#: Groups of functions that are compiled at once, because they share other functions and a run may
+#: call all of them: the functions of every run, and the functions of implicit steps.
 TOGETHER = (
     ("begin_anew", "begin", "apply", "change_to", "evaluate"),
     ("take_steps", "run_briefly", "recover"),
@@ -54,7 +59,7 @@ TOGETHER = (
 
 @cache
 def _files() -> tuple[str, ...]:
-    """Return the texts that the driver is made of, what modules and it agree on first."""
+    """Return the parts of the driver's text: first the constants that modules share with it."""
     agreed = "\n".join(f"{name} = {value}" for name, value in constants().items())
     folder = resources.files("symsimpson.text.driver")
     return agreed, *(folder.joinpath(f"{part}.py").read_text("utf-8") for part in PARTS)
@@ -66,10 +71,10 @@ def _constants(lanes: int, renewing: bool, iterated: bool) -> dict[str, object]:
 
 @cache
 def driver_text(lanes: int = 1, *, renewing: bool = False, iterated: bool = True) -> str:
-    """Return the text of the driver for a number of lanes, behind the agreement with modules.
+    """Return the text of the driver for a number of lanes.
 
-    One that is ``renewing`` makes variations orthonormal on the way; short runs of one that is
-    ``iterated`` solve their steps by iteration.
+    A ``renewing`` driver orthonormalises variations during the run. An ``iterated`` driver solves
+    the steps of short runs by iteration; otherwise the scheme is explicit.
     """
     text = "\n\n".join(map(_without_own_imports, _files()))
     values = _constants(lanes, renewing, iterated)
@@ -77,7 +82,7 @@ def driver_text(lanes: int = 1, *, renewing: bool = False, iterated: bool = True
 
 
 def _without_own_imports(text: str) -> str:
-    """Leave out imports of names that stand in the same text."""
+    """Remove imports from the package, because the text of the driver defines these names."""
     lines = text.splitlines(keepends=True)
     for node in reversed(outline(text).body):
         if isinstance(node, ast.ImportFrom) and str(node.module).startswith("symsimpson"):
@@ -89,7 +94,7 @@ def _without_own_imports(text: str) -> str:
 def driver(
     name: str, lanes: int = 1, *, renewing: bool = False, iterated: bool = True
 ) -> Callable[..., Any]:
-    """Return a function of the driver for a number of lanes, compiled with what belongs to it."""
+    """Return a compiled function of the driver for a number of lanes."""
     plain = lanes == 1 and iterated and not renewing and not compiles_late()
     names = next((group for group in TOGETHER if plain and name in group), (name,))
     bits, known = vector_bits(), signatures()
@@ -100,7 +105,7 @@ def driver(
     def build(module: ModuleType, keep: bool) -> dict[str, Callable[..., Any]]:
         functions = {}
         for function_name in names:
-            walk = walking_function(text, function_name, known[function_name], bits)
+            walk = function_intrinsic(text, function_name, known[function_name], bits)
             setattr(module, f"walk_{function_name}", walk)
             options: dict[str, Any] = {**DRIVER_OPTIONS, "cache": keep, "no_cpython_wrapper": False}
             functions[function_name] = njit(known[function_name], **options)(
@@ -112,21 +117,21 @@ def driver(
     file = "\n\n".join(
         stub(function_name, len(known[function_name].args)) for function_name in names
     )
-    return compiled("\n".join(map(str, of)), "-".join(["driver", *names]), build, file)[name]
+    return load_or_compile("\n".join(map(str, of)), "-".join(["driver", *names]), build, file)[name]
 
 
 @cache
 def signatures() -> Mapping[str, Any]:
-    """Return what is called from Python, and with what."""
-    for part in PARTS:  # each adds its own
+    """Return the signatures of the functions that Python calls, by name."""
+    for part in PARTS:  # each file adds its signatures
         import_module(f"symsimpson.text.driver.{part}")
     return SIGNATURES
 
 
 class KernelSets(ABC):
-    """Kernels in some arithmetic: addresses of compiled ones, or functions.
+    """Sets of kernels of a module in one arithmetic, as addresses or as Python functions.
 
-    They are ``by_stages`` if steps are iterated over stages first.
+    With ``by_stages``, steps first iterate over the velocities and forces at the nodes (stages).
     """
 
     def __init__(self, header: Header, *, by_stages: bool) -> None:
@@ -135,29 +140,29 @@ class KernelSets(ABC):
 
     @cached_property
     def fallbacks(self) -> tuple[str, ...]:
-        """Names of the sets to take steps with, each where the one before fails."""
+        """Names of the sets for steps. Each set is used where the previous one fails."""
         first = ("stages",) if self.by_stages else ()
         return (*first, "newton", *(("robust",) if self.header.newton_unknowns else ()))
 
     def set(self, name: str, recorders: tuple[Recorder, ...] = (), *, again: bool = False) -> Any:
-        """Return a set: its mode, then its kernels, and those of recorders.
+        """Return a set: its mode, its kernels, and the kernels of the recorders.
 
-        "robust" is Newton's method with row pivoting and sine and cosine of the C library. It takes
-        any angle and meets no singular pivot, at several times the cost. Steps that are taken
-        ``again`` were accepted once: how the energy changes is not looked at.
+        "robust" is Newton's method with row pivoting, and with the sine and cosine of the C
+        library. It accepts any angle and avoids singular pivots, at several times the cost. With
+        ``again``, steps that were accepted before are repeated without a check of the energy.
         """
         key = name, recorders, again
-        if key not in self._sets:  # finding compiled code takes the digest of the text
-            self._sets[key] = self._made(*key)
+        if key not in self._sets:  # the search for compiled code needs the digest of the text
+            self._sets[key] = self._build_set(*key)
         return self._sets[key]
 
-    def _made(self, name: str, recorders: tuple[Recorder, ...], again: bool) -> Any:
+    def _build_set(self, name: str, recorders: tuple[Recorder, ...], again: bool) -> Any:
         if name == "stages":
             mode = STAGES
         elif not self.header.newton_unknowns:
             mode = EXPLICIT
         else:
-            # forces may change the energy as they like
+            # only a conservative system has an energy to check
             watched = self.by_stages and self.header.conservative and not again
             mode = NEWTON_AFTER_STAGES if watched else NEWTON
         robust = name == "robust"
@@ -165,13 +170,13 @@ class KernelSets(ABC):
         if robust and self.header.unrolled:
             names[names.index("newton")] = PIVOTED
         kernels = self.compile_set(name, names, any_angle=robust)
-        # the energy is a kernel of its own, for whoever asks for it
+        # results use the energy kernel, too, so it is compiled separately
         measure = self.address(energy, any_angle=robust) if energy else 0
-        behind = [self._recording(recorder, robust) for recorder in recorders]
-        return self.pack(mode, [*kernels, measure, *behind])
+        recorder_kernels = [self._recorder_kernel(recorder, robust) for recorder in recorders]
+        return self.pack(mode, [*kernels, measure, *recorder_kernels])
 
-    def _recording(self, recorder: Recorder, robust: bool) -> Any:
-        """Return the kernel of a recorder."""
+    def _recorder_kernel(self, recorder: Recorder, robust: bool) -> Any:
+        """Return the kernel of a recorder; with row pivoting if ``robust`` and available."""
         if recorder.text:
             return self.compile_observer(recorder.text, recorder.room)
         pivoted = f"{recorder.kernel}{WITH_PIVOTS}"
@@ -181,27 +186,26 @@ class KernelSets(ABC):
     @property
     @abstractmethod
     def location(self) -> str:
-        """Where the code of a step is, in words."""
+        """The state of the step's code as a text: loaded, on disk, or not compiled yet."""
 
     @abstractmethod
     def compile_set(self, label: str, names: list[str], *, any_angle: bool) -> list[Any]:
-        """Return kernels that are compiled together; 0 for an empty name."""
+        """Return kernels that are compiled as one unit; 0 for an empty name."""
 
     @abstractmethod
     def pack(self, mode: int, kernels: list[Any]) -> Any:
-        """Return a set as the driver of this arithmetic takes it."""
+        """Return a set in the form that the driver of this arithmetic accepts."""
 
     @abstractmethod
     def address(self, name: str, *, any_angle: bool = False) -> Any:
-        """Return one kernel; of one that takes any angle, if that is asked for."""
+        """Return a kernel; with ``any_angle``, the variant with the C library's sine and cosine."""
 
     def compile_observer(self, text: str, rows: int) -> Any:
-        """Compile a further kernel, whose text stands behind the module's.
+        """Compile an additional kernel from its text, with ``rows`` additional rows of workspace.
 
-        The workspace has so many more rows, from what was ROWS on. Raises InputError if nothing is
-        compiled here.
+        Raises InputError for a multiprecision stepper.
         """
         reject(
             "expressions are evaluated in double precision, and this stepper has many digits.",
-            remedy="Compile without precision.",
+            remedy="Compile it without precision=.",
         )

@@ -1,4 +1,4 @@
-"""Numbers and arrays as users give them, read and checked."""
+"""Checks and conversion of numbers and arrays of the user. Invalid values raise InputError."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ import numpy as np
 
 from symsimpson.errors import reject
 from symsimpson.support.array_types import Floats, Reals
-from symsimpson.support.names import Named, is_masked, read_mapping, shortened
+from symsimpson.support.names import NameTable, is_masked, read_mapping, shortened
 
 if TYPE_CHECKING:
     from symsimpson.program.numbers import Numbers
 
 
-#: More steps than this cannot be counted exactly in a float.
+#: The largest number of steps: a float cannot count further exactly.
 MOST_STEPS = 2**53
 
 
-def read_vector(name: str, value: Any, coordinates: Named, numbers: Numbers) -> Reals:
-    """Read one finite number for each coordinate: in their order, or a mapping by name."""
+def read_vector(name: str, value: Any, coordinates: NameTable, numbers: Numbers) -> Reals:
+    """Read one finite number for each coordinate, as a sequence in order or a mapping by name."""
     vector = read_array(name, coordinates.in_order(name, value), numbers)
     n = len(coordinates)
     if vector.shape != (n,):
         reject(
             f"{name} has shape {vector.shape}, expected ({n},): one number for each of "
             f"{', '.join(coordinates.shown)}.",
-            remedy="The order is that of the coordinates in the "
-            f"declaration; or name them: {{{coordinates.shown[0]!r}: ...}}.",
+            remedy="Pass the numbers in the order of the declared coordinates, or by name: "
+            f"{{{coordinates.shown[0]!r}: ...}}.",
         )
     if not numbers.all_finite(vector):
         where = coordinates.shown[int(np.argmin(numbers.finite(vector)))]
         reject(
             f"{name} is not finite for {where}: {value!r}.",
-            remedy="A run must begin at a finite state. Look where the number comes from.",
+            remedy="A run must begin at a finite state. Check where this number comes from.",
         )
     return vector
 
@@ -59,7 +59,8 @@ def read_array(name: str, value: Any, numbers: Numbers) -> Reals:
     if is_masked(value):
         reject(
             f"{name} has masked entries, which have no value.",
-            remedy="Fill them, or leave these members out: x.compressed(), x[~x.mask.any(axis=1)].",
+            remedy="Fill them, or remove these members with x.compressed() or "
+            "x[~x.mask.any(axis=1)].",
         )
     try:
         return numbers.read(value)
@@ -71,18 +72,21 @@ def read_array(name: str, value: Any, numbers: Numbers) -> Reals:
 
 
 def read_count(name: str, value: Any, least: int) -> int:
-    """Read a whole number, which may be written as 1e6."""
+    """Read a whole number of at least ``least``. Floats such as 1e6 are allowed."""
     whole = isinstance(value, float) and value.is_integer()
     number = int(value) if whole else whole_number(value)
     if number is None:
         reject(f"{name} is {value!r}, not a whole number.", remedy="Pass an int.")
     if not least <= number <= MOST_STEPS:
-        reject(f"{name} is {number}.", remedy=f"Pass a whole number from {least} to 2**53.")
+        reject(
+            f"{name} is {number}, which is too {'small' if number < least else 'large'}.",
+            remedy=f"Pass a whole number from {least} to 2**53.",
+        )
     return number
 
 
 def whole_number(value: Any) -> int | None:
-    """Return an int, None for what is no whole number; truth values are none."""
+    """Return a value as an int; None if it is a truth value or no whole number."""
     if type(value) is int:
         return value
     try:
@@ -92,53 +96,58 @@ def whole_number(value: Any) -> int | None:
 
 
 def read_parameters(
-    names: Named,
+    names: NameTable,
     signs: tuple[str, ...],
     defaults: Reals,
     given: Mapping[Any, Any] | None,
     numbers: Numbers,
 ) -> Reals:
-    """Merge run-time values, by symbol or by name, into the defaults."""
+    """Return the values of all parameters, shape (m,): the defaults with the given values.
+
+    ``signs`` has "positive", "negative" or another text for each parameter. Raises InputError for
+    a value of the wrong sign.
+    """
     values = defaults.copy()
-    for slot, value in names.by_place(read_mapping("parameters", given, "m")).items():
+    for slot, value in names.values_by_place(read_mapping("parameters", given, "m")).items():
         name = names.shown[slot]
         number = read_number(f"parameter {name}", value, numbers)
         if (signs[slot] == "positive" and number <= 0) or (
             signs[slot] == "negative" and number >= 0
         ):
             reject(
-                f"parameter {name} is declared {signs[slot]} and given as {float(number):g}.",
-                remedy="The equations were simplified with that sign. "
-                "Change the value or the declaration.",
+                f"parameter {name} is declared {signs[slot]}, but its value is {float(number):g}.",
+                why="The equations were simplified with that sign.",
+                remedy="Change the value or the declaration.",
             )
         values[slot] = number
     return values
 
 
 def read_reals(what: str, given: Any, how: str) -> Floats:
-    """Read real numbers in an array of any shape.
+    """Read real numbers in an array of any shape; ``how`` is the remedy of the message.
 
-    Raises InputError if they are none: text, nothing, rows of unequal lengths, complex numbers, of
-    which NumPy would drop a part; ``how`` says what to do.
+    Raises InputError for text, None, rows of unequal lengths and complex numbers. NumPy would
+    discard the imaginary part.
     """
     try:
         array = np.asarray(given)
-        # NumPy makes numbers of texts, and NaN of None
+        # NumPy would convert texts to numbers, and None to NaN
         real = array.dtype.kind in "biuf" or (
             array.dtype.kind == "O" and not any(isinstance(x, str) or x is None for x in array.flat)
         )
         if real:
             return array.astype(np.float64)
-    except (TypeError, ValueError, OverflowError):  # of rows, and of objects that are no numbers
+    except (TypeError, ValueError, OverflowError):  # unequal rows, or objects that are no numbers
         array = None
     kind = "complex" if array is not None and array.dtype.kind == "c" else "not real"
-    reject(f"{what} is {shortened(given)}: {kind}, where real numbers belong.", remedy=f"{how}")
+    reject(f"{what} is {shortened(given)}: {kind}, where real numbers belong.", remedy=how)
 
 
 def values_at(what: str, function: Callable[[Any], Any], times: Reals) -> Reals:
-    """Evaluate a function at times of any shape, which it gets in one row.
+    """Evaluate a function of the user at times of any shape.
 
-    A function that takes single numbers alone is called at each time. Its errors get a note.
+    The function gets all times in a single row. If that fails, it is called for each time. An
+    exception of the function gets a note with the argument ``what`` and the time.
     """
     row, shape = times.ravel(), ()
     with contextlib.suppress(Exception):
@@ -157,7 +166,8 @@ def values_at(what: str, function: Callable[[Any], Any], times: Reals) -> Reals:
             shape = np.shape(each[-1])
         if shape:
             reject(
-                f"{what}: its function gives shape {shape} where one number for each time belongs.",
+                f"its function returns shape {shape}, not one number for each time.",
+                where=what,
                 remedy="Return a number for a time, or an array in the shape of the times.",
             )
     return np.array(each).reshape(times.shape)

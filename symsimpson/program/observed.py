@@ -1,4 +1,4 @@
-"""Quantities that follow from a state: their kernels, their values at many states."""
+"""Quantities that are functions of a state: their kernels, and their values at many states."""
 
 from __future__ import annotations
 
@@ -15,36 +15,36 @@ from symsimpson.errors import reject
 from symsimpson.program.input_values import read_array
 from symsimpson.program.numbers import NO_INPUTS, workspace
 from symsimpson.program.program import Program
-from symsimpson.program.reader import OF_MATH, Reader
+from symsimpson.program.reader import OF_MATH, ExpressionParser
 from symsimpson.program.recorders import Recorder
 from symsimpson.support.array_types import Reals
 from symsimpson.text.header import Header
 from symsimpson.text.interface import FADED, MET, WATCHED, ZERO
 from symsimpson.text.quantity import OBSERVABLE, VECTORS
 
-#: Ways to reduce values over the steps of a run, in the order of their numbers; then what
-#: variations of a motion tell, which are no values of states; then how often an event acted.
+#: Reductions over the steps of a run, in the order of their numbers: four of values at states,
+#: three of variations, and the number of times that an event acted.
 KINDS = ("min", "max", "mean", "first", "lyapunov", "megno", "sali", "count")
 OF_STATES, OF_VARIATIONS, OF_EVENTS = KINDS[:4], KINDS[4:7], "count"
-#: Functions whose slopes are at most 1: roundings of their arguments are those of their values.
+#: Functions whose slopes are at most 1. They do not amplify the round-off of their argument.
 SLOPES_TO_ONE = {"sin", "cos", "atan", "tanh", "abs", "min", "max"}
 
 
 @dataclass(frozen=True)
-class Observed:
-    """A quantity."""
+class ObservedExpression:
+    """An expression of the user that the run evaluates at states."""
 
-    expression: str  #: The quantity as it was asked for.
-    text: str  #: The quantity as a Python expression in names of the kernel.
-    #: Whether it contains the energy or velocities, which come from the kernel of the energy.
+    expression: str  #: The expression of the user.
+    text: str  #: The expression in Python, with the names of the kernel.
+    #: Whether it contains the energy or velocities, which the energy kernel computes.
     energetic: bool
-    wrapped: tuple[int, ...] = ()  #: Coordinates of which the turn between -pi and pi is meant.
-    #: Whether it is a rest alone, as ``Mod(q1, 2*pi)``, which never changes its sign.
+    wrapped: tuple[int, ...] = ()  #: Coordinates whose angle is wrapped to -pi..pi.
+    #: Whether it is a remainder such as ``Mod(q1, 2*pi)``, which never changes its sign.
     rest: bool = False
 
     @property
     def constant(self) -> bool:
-        """Whether numbers and parameters alone stand in it: it never changes."""
+        """True if the expression contains only numbers and parameters, and so never changes."""
         parts = list(ast.walk(ast.parse(self.text, mode="eval")))
         called = {id(part.func) for part in parts if isinstance(part, ast.Call)}
         names = (x.id for x in parts if isinstance(x, ast.Name) and id(x) not in called)
@@ -52,12 +52,12 @@ class Observed:
 
     @cached_property
     def size(self) -> str:
-        """The sizes of its terms, added up, as an expression: what is rounded in it."""
+        """The sum of the moduli of its terms, as an expression. Its round-off is relative to it."""
         return _size(ast.parse(self.text, mode="eval").body)
 
 
 def _size(node: ast.expr) -> str:
-    """Return the size of an expression; the size of a function includes its arguments."""
+    """Return the sum of the moduli of all terms, including terms in arguments of functions."""
     value = f"abs({ast.unparse(node)})"
     match node:
         case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
@@ -82,61 +82,58 @@ def _size(node: ast.expr) -> str:
 
 
 @dataclass(frozen=True)
-class Reduction(Observed):
-    """A quantity with a name, and what of its values is kept: one of ``KINDS``."""
+class Reduction(ObservedExpression):
+    """An expression with a name, and the kind of its reduction over a run: one of ``KINDS``."""
 
     name: str = ""
     kind: str = KINDS[0]
 
     @property
-    def asked(self) -> list[str]:
-        """The name, the kind and the expression, as files keep them."""
+    def entries(self) -> list[str]:
+        """The name, the kind and the expression, for files."""
         return [self.name, self.kind, self.expression]
 
     @property
     def of_variations(self) -> bool:
-        """Whether it tells of variations of a motion."""
+        """True if the reduction measures the growth of variations."""
         return self.kind in OF_VARIATIONS
 
     @property
     def of_states(self) -> bool:
-        """Whether it is taken over values at states."""
+        """True if the reduction is over values at states."""
         return self.kind in OF_STATES
 
 
 def read_expression(
     program: Program, expression: Any, wrapped: tuple[int, ...] = (), what: str = "the expression"
-) -> Observed:
-    """Read an expression, a text or of SymPy; an equation means the difference of its sides.
+) -> ObservedExpression:
+    """Read an expression, a text or SymPy; an equation means the difference of its sides.
 
-    Errors tell ``what`` it is. Raises InputError if it contains something else than arithmetic,
-    functions and the names of coordinates, momenta, velocities, parameters, t, energy and
-    kinetic_energy.
+    ``what`` names the expression in messages. It may contain arithmetic, functions, and the names
+    of coordinates, momenta, velocities, parameters, t, energy and kinetic_energy. Raises InputError
+    for anything else.
     """
-    reader = Reader(program, what)
-    text = reader.read_any(expression)
-    return Observed(str(expression), text, reader.energetic, wrapped, reader.rest)
+    parser = ExpressionParser(program, what)
+    text = parser.parse(expression)
+    return ObservedExpression(str(expression), text, parser.energetic, wrapped, parser.rest)
 
 
-def refuse_constant(observed: Observed, what: str) -> None:
-    """Refuse an expression that never changes its sign, as nothing that changes stands in it.
-
-    Raises InputError.
-    """
+def check_not_constant(observed: ObservedExpression, what: str) -> None:
+    """Raise InputError for an expression without coordinates, velocities and time."""
     if observed.constant:
         reject(
-            f"{what} has no coordinate, velocity or time in it: it never changes.",
-            remedy="Write what is zero where the event takes place.",
+            f"{what} contains no coordinate, velocity or time, so it never changes.",
+            remedy="Write an expression that is zero where the event takes place.",
         )
 
 
 def read_reductions(
     program: Program, given: Mapping[str, Any] | None, event_names: Sequence[str] | None = None
 ) -> tuple[Reduction, ...]:
-    """Read a mapping from names to pairs of a kind and an expression, or the name of an event.
+    """Read the argument ``reduce``: a mapping from names to pairs of a kind and an expression.
 
-    Raises InputError if a kind is unknown, if none of the ``event_names`` has the name, and for
-    expressions as :func:`read_expression`.
+    A pair ("count", name) has the name of an event. Raises InputError if a kind or an event is
+    unknown, and for the same expressions as :func:`read_expression`.
     """
     if given is None:
         return ()
@@ -151,9 +148,9 @@ def read_reductions(
         kind = kind if isinstance(kind, str) else ""
         if event_names and kind in OF_VARIATIONS:
             reject(
-                f"reduce[{name!r}] tells how variations grow, which is not measured "
-                "through events.",
-                remedy="Leave it out, or the events.",
+                f"reduce[{name!r}] is {kind!r}, the growth of variations.",
+                why="Runs with events do not measure it.",
+                remedy="Remove this reduction, or the events.",
             )
         if kind in OF_VARIATIONS and str(expression) in ("None", ""):
             reductions.append(Reduction("", "0.0", False, name=str(name), kind=kind))
@@ -161,33 +158,35 @@ def read_reductions(
         if kind == OF_EVENTS and expression is not None:
             if event_names is not None and str(expression) not in event_names:
                 reject(
-                    f"reduce[{name!r}] counts {str(expression)!r}, and no event is called so.",
-                    remedy="Events of this call are "
-                    f"{', '.join(event_names) or 'none: pass events='}.",
+                    f"reduce[{name!r}] counts {str(expression)!r}, but no event has this name.",
+                    remedy=f"The events of this call are {', '.join(event_names)}."
+                    if event_names
+                    else "This call has no events: pass events=.",
                 )
             reductions.append(Reduction(str(expression), "0.0", False, name=str(name), kind=kind))
             continue
         if kind not in OF_STATES or expression is None:
             reject(
-                f"reduce[{name!r}] is {pair!r}.",
-                remedy=f"Pass a pair of one of {', '.join(OF_STATES)} and "
-                "an expression, such as ('max', 'q1') or ('first', 'q1 - 3'); one of "
-                f"{', '.join(OF_VARIATIONS)}; or ('count', name of an event).",
+                f"reduce[{name!r}] is {pair!r}, which is no reduction.",
+                remedy=f"Pass a pair of one of {', '.join(OF_STATES)} and an expression, such as "
+                "('max', 'q1') or ('first', 'q1 - 3'). Or pass one of "
+                f"{', '.join(OF_VARIATIONS)}, or ('count', name of an event).",
             )
         if kind == "mean" and program.header.retimed:
             reject(
-                f"{program.system} is retimed: the mean over its steps is no mean over the time.",
-                remedy="Store states, every=..., and take the mean of them.",
+                f"{program.system} has a time transformation, so the mean over its steps is not "
+                "the mean over time.",
+                remedy="Store states with every=..., and compute their mean.",
             )
-        reader = Reader(program, f"reduce[{name!r}]")
-        text = reader.read_any(expression)
-        portable = reader.portable(expression, text)
-        reductions.append(Reduction(portable, text, reader.energetic, name=str(name), kind=kind))
+        parser = ExpressionParser(program, f"reduce[{name!r}]")
+        text = parser.parse(expression)
+        portable = parser.to_portable(expression, text)
+        reductions.append(Reduction(portable, text, parser.energetic, name=str(name), kind=kind))
     return tuple(reductions)
 
 
-def observing_kernel(header: Header, observed: Sequence[Observed]) -> str:
-    """Write a kernel that puts the quantities into rows behind those of the module."""
+def observing_kernel(header: Header, observed: Sequence[ObservedExpression]) -> str:
+    """Write a kernel that stores the values in rows after the rows of the module."""
     places = enumerate(observed, header.rows)
     return _kernel(
         "Quantities that are watched.",
@@ -196,11 +195,13 @@ def observing_kernel(header: Header, observed: Sequence[Observed]) -> str:
     )
 
 
-def observers(header: Header, reductions: Sequence[Reduction], first: int) -> tuple[Recorder, ...]:
-    """Return what reduces quantities over the states of a run.
+def reduction_recorders(
+    header: Header, reductions: Sequence[Reduction], first: int
+) -> tuple[Recorder, ...]:
+    """Return the recorders that reduce expressions over the states of a run.
 
-    From the ``first`` row on, which is behind all others, there are two for each: what it came to,
-    NaN at first, and the value at the state before; then how many states were looked at.
+    Each reduction has two rows from the row ``first`` on: its result, initially NaN, and the value
+    at the previous state. The last row counts the states.
     """
     watched = [
         (first + 2 * k, reduction) for k, reduction in enumerate(reductions) if reduction.of_states
@@ -223,25 +224,29 @@ def observers(header: Header, reductions: Sequence[Reduction], first: int) -> tu
     return *energy, Recorder("observe", first, room=rows, text=text, of_states=True)
 
 
-def watchers(
+def event_recorders(
     header: Header,
-    watched: Sequence[Observed],
+    watched: Sequence[ObservedExpression],
     signs: Sequence[int],
     gaps: Sequence[bool],
     first: int,
     *,
     values: bool = False,
 ) -> tuple[Recorder, ...]:
-    """Return what stops a run after a step in which an expression changes its sign.
+    """Return the recorders that stop a run after a step in which an expression changes its sign.
 
-    From the ``first`` row on there are four for each: the side of zero on which it is, NaN where
-    that is not known, a half of it while it rests at zero, twice of it at a zero; its size of late,
-    of a gap its largest (bodies that touch for long are apart by rounding of what they moved
-    before), its value, and the value before, which only gaps need; with ``values`` all have theirs.
-    ``signs`` are those that are waited for, or 0; a gap may also pass through zero and come back
-    within a step. A step that begins at a zero of another expression stops the run, too.
+    Each expression has four rows from the row ``first`` on:
+
+    - its sign; NaN if unknown, +-1/2 while it rests at zero, +-2 at a zero;
+    - its recent size, or the largest size of a gap. Bodies in long contact have a distance of the
+      round-off of their earlier motion;
+    - its value, for gaps, or for all expressions if ``values``;
+    - the value before, only for gaps.
+
+    ``signs`` are the signs after the change, or 0 for both. A gap may also pass zero and return
+    within one step. A step that begins at a zero of another expression stops the run, too.
     """
-    lines, kept = list(_names(header)), list[str]()
+    lines, updates = list(_names(header)), list[str]()
     for k, (quantity, sign, gap) in enumerate(zip(watched, signs, gaps, strict=True)):
         row = first + WATCHED * k
         side, size, before, earlier = (f"W[{row + i}, lane]" for i in range(WATCHED))
@@ -258,11 +263,11 @@ def watchers(
             f"now_{k} = 1.0 if value_{k} > small else (-1.0 if value_{k} < -small else {near})",
             f"met_{k} = 1.0 if {waited} else (1.0 if now_{k} != now_{k} else 0.0)",
         ]
-        kept += [f"{side}, {size} = now_{k}, size_{k}"]
+        updates += [f"{side}, {size} = now_{k}, size_{k}"]
         if values and not gap:
-            kept.append(f"{before} = value_{k}")
+            updates.append(f"{before} = value_{k}")
         if gap:
-            kept.append(f"{earlier}, {before} = {before}, value_{k}")
+            updates.append(f"{earlier}, {before} = {before}, value_{k}")
             lines += [
                 f"falls = {earlier} - {before}",
                 f"rises = 2.0 * (value_{k} - {before}) + falls",
@@ -274,8 +279,8 @@ def watchers(
             ]
     lines.append(f"met = {' + '.join(f'met_{k}' for k in range(len(watched)))}")
     lines += ["if met > 0.0:", f"    W[STATUS, lane] = {MET}.0", "else:"]
-    lines += [f"    {line}" for line in kept]
-    text = _kernel("Signs of expressions that are waited for.", [], _where_active(lines))
+    lines += [f"    {line}" for line in updates]
+    text = _kernel("Signs of the watched expressions.", [], _where_active(lines))
     energetic = any(x.energetic for x in watched)
     energy = (Recorder("energy", of_events=True),) if energetic else ()
     room = WATCHED * len(watched)
@@ -283,37 +288,37 @@ def watchers(
 
 
 def _where_active(lines: Sequence[str]) -> list[str]:
-    """Return lines that are done in lanes that go on."""
+    """Return lines that only active lanes execute."""
     return ["if W[ACTIVE, lane] > 0.0:", *(f"    {line}" for line in lines)]
 
 
 def _reduced(kind: str, row: int, now: str, passed: str) -> list[str]:
-    """Return lines that reduce a ``value`` into a row, where ``number`` values were before."""
-    kept, before = f"W[{row}, lane]", f"W[{row + 1}, lane]"
+    """Return lines that add a ``value`` to the reduction in a row, after ``number`` values."""
+    result, before = f"W[{row}, lane]", f"W[{row + 1}, lane]"
     if kind == "mean":
         return [
-            f"mean = {kept} + (value - {kept}) / (number + 1.0)",
-            f"{kept} = value if number == 0.0 else mean",
+            f"mean = {result} + (value - {result}) / (number + 1.0)",
+            f"{result} = value if number == 0.0 else mean",
         ]
     if kind != "first":
         sign = "<" if kind == "min" else ">"
         return [
-            f"further = value if value {sign} {kept} else {kept}",
-            f"{kept} = value if number == 0.0 else further",
+            f"further = value if value {sign} {result} else {result}",
+            f"{result} = value if number == 0.0 else further",
         ]
-    # it is NaN until the value is positive
+    # the result is NaN until the value is positive
     return [
         "if value > 0.0:",
         "    if number == 0.0:",
-        f"        {kept} = {now}",
-        f"    elif {kept} != {kept}:",
-        f"        {kept} = {now} - ({passed}) * value / (value - {before})",
+        f"        {result} = {now}",
+        f"    elif {result} != {result}:",
+        f"        {result} = {now} - ({passed}) * value / (value - {before})",
         f"{before} = value",
     ]
 
 
 def _names(header: Header) -> list[str]:
-    """Return lines that give quantities of a state the names that expressions have for them."""
+    """Return lines that assign the quantities of a state to the names in expressions."""
     rows = [(f"{x.symbol}{i}", f"{x.block} + {i}") for x in VECTORS for i in range(header.n)]
     rows += [(f"a_{i}", f"PARAMETER + {i}") for i in range(len(header.parameters))]
     rows += [(x.symbol, x.block) for x in OBSERVABLE]
@@ -321,7 +326,7 @@ def _names(header: Header) -> list[str]:
 
 
 def _kernel(doc: str, names: Sequence[str], lines: Iterable[str]) -> str:
-    """Return the text of a kernel for each lane."""
+    """Return the text of a kernel that executes the lines for each lane."""
     return "\n".join(
         [
             f"from math import {OF_MATH}",
@@ -348,10 +353,11 @@ def evaluate(
 ) -> Reals:
     """Evaluate a kernel of the state at many states (t, q, p); shape (..., count).
 
-    ``q`` and ``p`` have shape (..., n); the kernel "legendre" takes velocities in place of p.
-    Parameters have ``values`` of shape (m,), or (K, m) if the first axis of ``q`` counts members.
-    ``inputs`` have states in the places of steps; they stand in powers alone. Fast sines have no
-    value for huge angles: there the library's are taken.
+    ``q`` and ``p`` have shape (..., n). The kernel "legendre" takes velocities in place of p.
+    ``values`` of the parameters have shape (m,), or (K, m) if the first axis of ``q`` counts
+    members. The axis of ``inputs`` for steps counts states here; only powers of forces use inputs.
+    For huge angles, at which fast sines are NaN, the states are evaluated again with the sines of
+    the C library.
     """
     header, numbers, kernels = program.header, program.numbers, program.kernels
     driver, shape = numbers.driver("evaluate"), states[1].shape[:-1]
@@ -381,12 +387,12 @@ def evaluate(
     return rows.reshape(*shape, count)
 
 
-def observer(
-    program: Program, observed: Sequence[Observed], values: Reals, kernel: Any = None
+def prepare_observation(
+    program: Program, observed: Sequence[ObservedExpression], values: Reals, kernel: Any = None
 ) -> tuple[tuple[int, int, int], Reals]:
-    """Return what evaluates expressions: prepare, the energy and a kernel; and their workspace.
+    """Return the kernels that evaluate expressions (prepare, energy, observe), and a workspace.
 
-    The ``kernel`` is compiled unless it is given. Raises InputError if the stepper has many digits.
+    The ``kernel`` is compiled unless it is given. Raises InputError for a multiprecision stepper.
     """
     header, numbers, kernels = program.header, program.numbers, program.kernels
     if kernel is None:
@@ -395,18 +401,18 @@ def observer(
     return (kernels.address("prepare"), kernels.address("energy"), kernel), W
 
 
-def watching(
-    program: Program, observed: Sequence[Observed], values: Reals, kernel: Any = None
+def make_evaluator(
+    program: Program, observed: Sequence[ObservedExpression], values: Reals, kernel: Any = None
 ) -> Callable[[Reals, Reals, Reals], Reals]:
-    """Return what evaluates expressions at many states (t, q, p); shape (len(q), len(observed)).
+    """Return a function of states (t, q, p) that evaluates expressions.
 
-    Parameters have ``values`` of shape (m,), or (K, m) if equally many states of K members follow
-    one another. The ``kernel`` is compiled unless it is given. Raises InputError if the stepper has
-    many digits.
+    Its result has shape (len(q), len(observed)). ``values`` of the parameters have shape (m,), or
+    (K, m) for equally many states of each of K members, one member after another. The ``kernel`` is
+    compiled unless it is given. Raises InputError for a multiprecision stepper.
     """
     header, numbers = program.header, program.numbers
-    (prepare, energy, kernel), W = observer(program, observed, values, kernel)
-    # asked for one state often: all but the states is found once
+    (prepare, energy, kernel), W = prepare_observation(program, observed, values, kernel)
+    # callers often pass a single state, so everything else is prepared once
     addresses = prepare, energy if any(quantity.energetic for quantity in observed) else 0, kernel
     driver = numbers.driver("evaluate")
     first, about, count = header.rows, header.driver_layout, len(observed)
@@ -414,7 +420,7 @@ def watching(
 
     def watch(t: Reals, q: Reals, p: Reals) -> Reals:
         out = numbers.zeros((len(q), count))
-        # copies: what came from a file, or from another process, may be read-only
+        # copies, because arrays from files and from other processes may be read-only
         states = tuple(np.array(x, dtype=out.dtype, order="C") for x in (t, q, p))
         driver(addresses, 1.0, W, about, states, first, out, given)
         return out
@@ -429,7 +435,7 @@ def evaluate_energy(
     parameters: Mapping[Any, Any] | None,
     t: ArrayLike,
 ) -> Reals:
-    """Evaluate the Hamiltonian at states of any origin."""
+    """Evaluate the Hamiltonian at given states; shape (N,)."""
     numbers, n = program.numbers, program.n
     with numbers.working():
         states = [read_array(name, x, numbers) for name, x in (("q", given_q), ("p", given_p))]
@@ -437,7 +443,7 @@ def evaluate_energy(
             if state.ndim != 2 or state.shape != (len(states[0]), n):
                 reject(
                     f"{name} has shape {state.shape}, expected (N, {n}).",
-                    remedy="Pass one row for each state; q and p of equal length.",
+                    remedy="Pass one row for each state, and as many rows in q as in p.",
                 )
         values = program.values(parameters)
         times = np.broadcast_to(read_array("t", t, numbers), len(states[0]))

@@ -1,4 +1,4 @@
-"""A module, compiled, with its names and the values of its parameters."""
+"""A module with its compiled kernels, its names, and the values of its parameters."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from symsimpson.program.numbers import FLOAT64, Numbers
 from symsimpson.support.array_types import Reals
 from symsimpson.support.calling import warn
 from symsimpson.support.derivation import Derivation, Report
-from symsimpson.support.names import Named, spelled
+from symsimpson.support.names import NameTable, spelled
 from symsimpson.text.header import Header, read_header
 from symsimpson.text.syntax import check_structure
 
 
 class Names:
-    """Names of all that a module has; a user's own names come before those of the module.
+    """Tables of the names of coordinates, parameters, inputs, constraints, forces and invariants.
 
-    A module writes names as identifiers alone. Those that a user gave are known where the system is
-    that it was made of; a module from a file has none but its own.
+    The names in a module are identifiers. The user's own names come from the declared system, or
+    from a file next to the module. Without either, a module has only its own names.
     """
 
     def __init__(
@@ -41,15 +41,15 @@ class Names:
         if declared is not None:
             plain = declared.plain
             given = {"coordinates": declared.coordinates, "inputs": declared.inputs}
-            given |= {"constraints": plain.held, "forces": plain.forces}
+            given |= {"constraints": plain.constraint_names, "forces": plain.forces}
             given |= {"invariants": plain.invariants, "units": getattr(declared, "units", {})}
         if defaults is not None:
             given["parameters"] = defaults
 
-        def named(attribute: str, identifiers: tuple[str, ...]) -> Named:
+        def named(attribute: str, identifiers: tuple[str, ...]) -> NameTable:
             users = [spelled(key) for key in given.get(attribute, ())]
             fits = len(users) == len(identifiers)
-            return Named(attribute.removesuffix("s"), identifiers, users if fits else None)
+            return NameTable(attribute.removesuffix("s"), identifiers, users if fits else None)
 
         self.coordinates = named("coordinates", header.coordinates)
         self.parameters = named("parameters", header.parameters)
@@ -61,18 +61,18 @@ class Names:
 
     @property
     def users(self) -> dict[str, Any]:
-        """Units, and the names that a user gave where they are not the module's; for files."""
-        tables = {name: x for name, x in vars(self).items() if isinstance(x, Named)}
+        """Units, and the user's names that differ from the module's, for files."""
+        tables = {name: x for name, x in vars(self).items() if isinstance(x, NameTable)}
         names = {name: [*x.shown] for name, x in tables.items() if x.shown != x.own}
         return names | ({"units": self.units} if self.units else {})
 
     @cached_property
     def idle(self) -> frozenset[int]:
-        """Places of parameters that stand in no expression, as far as the system is known."""
+        """Places of parameters that no expression contains; empty for an unknown system."""
         if self._declared is None:
             return frozenset()
         plain = self._declared.plain
-        rows = (plain.a, *plain.forces.values(), plain.held_values)
+        rows = (plain.a, *plain.forces.values(), plain.constraint_values)
         values = [plain.T, plain.V, *plain.M.values(), *plain.invariants.values(), *chain(*rows)]
         used = {n for _, node in values for n in plain.graph.nodes[node].symbols}
         drawn: set[Any] = set()
@@ -85,9 +85,10 @@ class Names:
         )
 
     def warn_of_idle(self, system: str, changed: Iterable[int], beside: Any = None) -> None:
-        """Warn where values are given to parameters that stand in no expression.
+        """Warn if parameters that no expression contains have changed values.
 
-        They may stand ``beside`` the system, in events of a run or in what is observed of it.
+        ``beside`` has the other expressions of a run, such as events and reductions. They may
+        contain the parameters.
         """
         idle = [self.parameters.shown[i] for i in sorted(self.idle.intersection(changed))]
         pattern = re.compile(
@@ -97,14 +98,13 @@ class Names:
         if idle:
             verb = "stand" if len(idle) > 1 else "stands"
             warn(
-                f"{system}: {', '.join(idle)} {verb} in no expression of the system, so that other "
-                "values have no effect.\nA term that was forgotten in T, V or the forces is the "
-                "usual cause.",
+                f"{system}: {', '.join(idle)} {verb} in no expression of the system, so other "
+                "values have no effect.\nUsually a term is missing in T, V or the forces.",
                 ModelWarning,
             )
 
     def varied(self, names: Iterable[str]) -> tuple[str, ...]:
-        """Return what a user calls parameters and inputs that have these names in the module."""
+        """Return the user's names of parameters and inputs, from the names in the module."""
         parameters, inputs = self.parameters, self.inputs
         known = dict(zip(parameters.own + inputs.own, parameters.shown + inputs.shown, strict=True))
         return tuple(known.get(name, name) for name in names)
@@ -112,86 +112,87 @@ class Names:
 
 @dataclass(frozen=True)
 class Tools:
-    """Functions of layers above a program; it gets them from whoever makes it."""
+    """Functions of higher layers that a program calls. The layer that creates it passes them."""
 
-    certify: Callable[..., Any]  #: Measures whether a stepper is what it should be.
+    certify: Callable[..., Any]  #: Measures the properties of a stepper.
     #: Takes a program, its system, q0, parameters and h, and warns of steps that are too large.
     check_step: Callable[..., None]
-    #: Takes a system, q, the values of parameters and inputs, and t; returns how large the terms of
-    #: each force are, which may cancel.
+    #: Takes a system, q, the values of parameters and inputs, and t. Returns the sum of the moduli
+    #: of the terms of each force, which may cancel.
     force_terms: Callable[..., Any]
-    #: Takes a system, times, positions and values of parameters; returns how far V is from where it
-    #: was first, as if it were not rounded, or None.
+    #: Takes a system, times, positions and values of parameters. Returns the changes of V from the
+    #: first state without round-off, or None.
     changes_of_potential: Callable[..., Any]
-    #: Takes a system and a run; returns at which singular point of the coordinates that ended.
+    #: Takes a system and a run. Returns the singular point of the coordinates at which it ended.
     at_pole: Callable[..., tuple[str, bool]]
-    #: Takes a program, its system, a run, and how its steps are to be taken again; returns when and
-    #: where that passed a small det M unresolved, and whether such a point is there.
+    #: Takes a program, its system, a run, and a way to repeat its steps. Returns the time and the
+    #: place of an unresolved passage with a small det M, and whether it is a singular point.
     unresolved_pole: Callable[..., Any]
-    #: Takes a program, its system, where a run began and where it is, h, values of parameters and
-    #: the inputs of a step; returns the same of the steps that follow.
+    #: Takes a program, its system, the first and the present state of a run, h, values of
+    #: parameters and the inputs of a step. Returns the same for the steps that follow.
     unresolved_step: Callable[..., Any]
-    #: Takes a system, times, positions and values; returns when a force jumped at which root.
+    #: Takes a system, times, positions and values. Returns the time and the root of a force jump.
     kink_passed: Callable[..., Any]
-    #: Takes a system, values, two corners and a time; returns a box without either.
+    #: Takes a system, values, two corners of a box and a time. Returns the box if it contains no
+    #: singular points and the system has no kinks, else None.
     regular_box: Callable[..., Any]
-    #: Takes a system, times, positions and values; returns where its points are, by name.
+    #: Takes a system, times, positions and values. Returns the positions of its points by name.
     points_of: Callable[..., dict[str, Any]]
 
 
 @dataclass
-class Findings:
-    """Knowledge of a program that its runs have gathered, so that later ones need not."""
+class RunCache:
+    """Results that the runs of a program share, so that later runs need not compute them."""
 
-    #: Programs that differentiate by these parameters and inputs, and a running cost.
+    #: Programs that also differentiate, by parameters and inputs, running cost, and whether twice.
     variants: dict[tuple[tuple[str, ...], Any, bool], Program] = field(default_factory=dict)
-    #: Steps and values of parameters for which the limit of stability was looked at.
+    #: Step sizes and parameter values for which the stability limit was checked.
     checked_steps: set[tuple[Any, bytes]] = field(default_factory=set)
-    #: By values of parameters: a box of positions without singular points of the coordinates.
+    #: A box of positions without singular points of the coordinates, by parameter values.
     regular: dict[bytes, tuple[Any, Any]] = field(default_factory=dict)
-    #: How often such a box was not found.
+    #: The number of failed searches for such a box, by parameter values.
     irregular: dict[bytes, int] = field(default_factory=dict)
-    #: Workspaces for short runs; None where states have to be looked at one by one.
+    #: Workspaces for short runs. None if each state needs a check.
     prepared: list[Any] | None = None
-    #: Steps and lengths of runs that are not short, though it did not seem so.
+    #: Step sizes and durations of transformed-time runs with too many steps for a short run.
     long: set[tuple[float, float]] = field(default_factory=set)
-    #: By numbers of lanes: kernels for so many trajectories at a time.
+    #: Kernels by their number of lanes.
     wide: dict[int, KernelSets] = field(default_factory=dict)
-    #: By texts of modules with expressions of events: kernels in many digits.
+    #: Multiprecision kernels, by the text of a module with expressions of events.
     many_digits: dict[str, KernelSets] = field(default_factory=dict)
-    events: dict[Any, Any] = field(default_factory=dict)  #: Events of runs, as they were read.
-    #: By lanes that stand side by side: how many members of an ensemble are faster.
+    events: dict[Any, Any] = field(default_factory=dict)  #: Events of runs, after their checks.
+    #: The faster number of lanes for members of an ensemble, by the number of lanes of a block.
     lanes: dict[int, int] = field(default_factory=dict)
 
     def regular_between(self, values: Reals, low: Reals, high: Reals) -> bool:
-        """Return whether positions are known to be in a box without singular points."""
+        """Return whether all positions from ``low`` to ``high`` are known to be regular."""
         box = self.regular.get(values.tobytes())
         return box is not None and bool((box[0] <= low).all() and (high <= box[1]).all())
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Program:
-    """A module that is ready to run: what runs, ensembles, derivatives and results take."""
+    """A module that is ready to run. Runs, ensembles, derivatives and results use it."""
 
-    #: Text of the module, and its name in messages.
+    #: The text of the module, and its name in messages.
     source: str
     where: str
     header: Header
-    numbers: Numbers  #: What is computed with.
+    numbers: Numbers  #: The arithmetic.
     kernels: KernelSets
-    names: Names  #: What users call things.
-    defaults: Reals  #: Values of the parameters, unless others are given, shape (m,).
-    #: The same as they were given, by names that users may pass.
+    names: Names  #: The names of the user and of the module.
+    defaults: Reals  #: Default values of the parameters, shape (m,).
+    #: The default values by the names of the user.
     given_defaults: Mapping[str, float] | None = None
-    #: Values of the inputs in runs that are given none.
+    #: Default values of the inputs, by name.
     default_inputs: Mapping[str, float] | None = None
-    declared: Any = None  #: The system that the module was generated from.
-    derivation: Derivation | None = None  #: Record of its generation.
+    declared: Any = None  #: The system from which the module was generated.
+    derivation: Derivation | None = None  #: The record of the generation.
     tools: Tools | None = None
-    reference_state: Mapping[str, Any] | None = None  #: A state to start from: q0, and v0 or p0.
+    reference_state: Mapping[str, Any] | None = None  #: An initial state: q0, and v0 or p0.
     #: Returns a program that also differentiates its steps by the named parameters and inputs.
     differentiate: Callable[..., Program] | None = None
-    findings: Findings
+    findings: RunCache
 
     @property
     def n(self) -> int:
@@ -215,27 +216,27 @@ class Program:
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Names of the coordinates, as users know them."""
+        """The user's names of the coordinates."""
         return self.names.coordinates.shown
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Names of the parameters, as users know them."""
+        """The user's names of the parameters."""
         return self.names.parameters.shown
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Names of the inputs, as users know them."""
+        """The user's names of the inputs."""
         return self.names.inputs.shown
 
     @property
     def invariants(self) -> tuple[str, ...]:
-        """Names of the quantities to watch, as users know them."""
+        """The user's names of the invariants."""
         return self.names.invariants.shown
 
     @property
     def units(self) -> dict[str, str]:
-        """Units of quantities by name, as they were declared with the system."""
+        """The declared units of quantities, by name."""
         return dict(self.names.units)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -256,17 +257,17 @@ class Program:
         return f"Program({self.system}, {self.scheme})"
 
     def kernels_for(self, lanes: int) -> KernelSets:
-        """Return the kernels for so many trajectories at a time."""
+        """Return the kernels for a number of lanes."""
         wide = self.findings.wide
         if lanes not in wide:
             wide[lanes] = self.numbers.kernels(self.source, self.header, lanes)
         return wide[lanes]
 
     def values(self, given: Mapping[Any, Any] | None = None, beside: Any = None) -> Reals:
-        """Return values of all parameters, the defaults but for those that are given.
+        """Return the values of all parameters, shape (m,): the defaults with the given values.
 
-        They are of use to the system, or to what is asked for ``beside`` it. Raises InputError if
-        one is unknown, or not as it was declared.
+        The other expressions of a run, ``beside``, may contain parameters that the system does not
+        contain. Raises InputError for an unknown name or for a value of the wrong sign.
         """
         if given is None:
             return self.defaults.copy()
@@ -279,22 +280,22 @@ class Program:
         return values
 
     def named_values(self, given: Mapping[Any, Any] | None = None) -> dict[str, Any]:
-        """Return values of all parameters by name."""
+        """Return the values of all parameters by name."""
         return dict(zip(self.parameters, self.values(given).tolist(), strict=True))
 
     def free_values(self, given: Mapping[Any, Any] | None = None) -> dict[str, Any]:
-        """Return the values of those parameters that do not follow from the start."""
+        """Return the values of the parameters that do not follow from the initial state."""
         values, from_start = self.named_values(given), self.header.from_start
         return {name: value for name, value in values.items() if name not in from_start}
 
     def check_given(self, given: Mapping[Any, Any] | None) -> None:
-        """Refuse values of parameters that follow from the start of a run; raises InputError."""
+        """Raise InputError for values of parameters that follow from the initial state."""
         keys = self.header.from_start
         if keys and isinstance(given, Mapping) and not keys.isdisjoint(map(spelled, given)):
             reject(
-                f"parameters give {', '.join(sorted(keys))}, or one of them, which follow from the "
-                "start of a run.",
-                remedy="Leave them out: E0 is the energy there.",
+                f"parameters contain values for {', '.join(sorted(keys))}, or for one of them.",
+                why="These values follow from the initial state, and E0 is its energy.",
+                remedy="Remove them from parameters.",
             )
 
 
@@ -308,18 +309,18 @@ def new_program(
     declared: Any = None,
     **more: Any,
 ) -> Program:
-    """Return the program of a module's text; nothing is compiled or executed yet.
+    """Return the program of a module's text. It compiles and executes nothing yet.
 
     Parameters
     ----------
     source, where, declared, **more
-        As attributes of :class:`Program`.
+        The attributes of :class:`StraightLineCode`.
     defaults : mapping from str to float, optional
-        Default parameter values in the module's order, by the names that users may pass.
+        The default values of the parameters in the module's order, by the user's names.
     numbers : Numbers, optional
-        Double precision unless given.
+        The arithmetic; double precision by default.
     names : Names, optional
-        What users call things, if another program knows.
+        The names of another program for the same module.
 
     Raises
     ------
@@ -339,7 +340,7 @@ def new_program(
         defaults=numbers.read(header.defaults if defaults is None else list(defaults.values())),
         given_defaults=defaults,
         declared=declared,
-        findings=Findings(prepared=[] if free and numbers.compiled else None),
+        findings=RunCache(prepared=[] if free and numbers.compiled else None),
         **more,
     )
 
@@ -347,10 +348,10 @@ def new_program(
 def read_program(
     text: str, where: str, tools: Tools | None = None, users: Mapping[str, Any] | None = None
 ) -> Program:
-    """Return the program of a module from a file, once digest and structure are checked.
+    """Return the program of a module from a file, after checks of its digest and structure.
 
-    ``users`` are the names that stand beside it there: those that a user gave. Raises
-    StaleKernelError if it is not a module that this version generated.
+    ``users`` has the names of the user from the file. Raises StaleKernelError if the text is not a
+    module that this version generated.
     """
     header = read_header(text, where)  # compares the digest, executes nothing
     check_structure(text, where)
@@ -359,7 +360,7 @@ def read_program(
 
 
 def report_of(program: Program) -> Report:
-    """Return how long deriving and compiling took, and how long the result is."""
+    """Return the times of derivation and compilation, and the size of the module."""
     derived, lines = program.derivation, len(program.source.splitlines())
     seconds = {"compilation": float(getattr(program.kernels, "seconds", 0.0))}
     if derived is None:

@@ -1,4 +1,4 @@
-"""Expressions of a user, texts or of SymPy, written in names of a kernel."""
+"""Parser for expressions of the user, texts or SymPy, into Python code of a kernel."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import re
 from collections.abc import Callable
 from itertools import chain
 from keyword import iskeyword
-from typing import Any
+from typing import Any, NoReturn
 
-from symsimpson.errors import InputError
+from symsimpson.errors import reject
 from symsimpson.program.program import Program
 from symsimpson.support.names import counted, did_you_mean, spelled
 from symsimpson.text.quantity import OBSERVABLE, QUANTITIES, VECTORS
 
-#: Functions of ``math`` that an expression may have in it.
+#: Functions of ``math`` that an expression may contain.
 OF_MATH = "acos, asin, atan, atan2, cos, cosh, exp, log, sin, sinh, sqrt, tan, tanh"
-#: All functions, and how many arguments they take at least and at most.
+#: All functions, with the smallest and the largest number of their arguments.
 _FUNCTIONS = dict.fromkeys([*OF_MATH.split(", "), "abs"], (1, 1))
 _FUNCTIONS |= {"atan2": (2, 2), "min": (1, 50), "max": (1, 50)}
 _SPELLED = {"Abs": "abs", "Min": "min", "Max": "max"}
@@ -26,21 +26,21 @@ _SIGNS: dict[type[ast.AST], str] = {
     **{ast.Add: "+", ast.Sub: "-", ast.Mult: "*"},
     **{ast.Div: "/", ast.Pow: "**", ast.Mod: "%"},
 }
-#: What the text of an expression is made of, beside names.
+#: The characters of expressions. Names may contain other characters.
 SYNTAX = re.compile(r"[\w\s.+\-*/%(),]*")
 OPERATORS = re.compile(r"[.+\-*/%(),]")
-#: Symbols of what a kernel computes before an expression is evaluated.
+#: Symbols of the quantities that the energy kernel computes before it evaluates an expression.
 COMPUTED = tuple(
     quantity.symbol for quantity in QUANTITIES.values() if quantity.symbol and quantity.kernel
 )
-#: Characters of a text that users write, and of one that SymPy writes for them.
+#: Most characters of a text of the user, and of a text that SymPy writes.
 LONGEST, LONGEST_OF_SYMPY = 2000, 100_000
 LARGEST = 10**300
-#: Signs of one rank, which Python reads from the left to the right.
+#: Operators of equal precedence, which Python evaluates from left to right.
 _RANKS: tuple[tuple[type[ast.AST], ...], ...] = ((ast.Add, ast.Sub), (ast.Mult, ast.Div, ast.Mod))
-#: So many terms of a sum stand in one row: what walks through them goes as deep as a row is long.
+#: Most terms of a sum in one row, because the depth of recursion is the length of a row.
 _ROW = 100
-#: What signs and functions do to numbers.
+#: Operators and functions for constant folding.
 _NUMBERS: dict[type[ast.AST] | str, Callable[..., Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -55,12 +55,13 @@ _NUMBERS: dict[type[ast.AST] | str, Callable[..., Any]] = {
 }
 
 
-class Reader:
-    """Writes an expression anew from its syntax tree; what is not on the list is refused.
+class ExpressionParser:
+    """A parser that translates an expression through its syntax tree, from a list of known nodes.
 
-    Names in it are those of a user, which Python need not take as names, or of the module. It is
-    ``energetic`` if it contains the energy or velocities, and ``rest`` if it is a rest alone, as
-    ``Mod(q1, 2*pi)``.
+    Names are names of the user, which need not be identifiers of Python, or names of the module.
+    ``energetic`` tells whether the expression contains the energy or velocities. ``rest`` tells
+    whether it is a remainder such as ``Mod(q1, 2*pi)``. Every method raises InputError for an
+    invalid expression.
     """
 
     def __init__(self, program: Program, where: str) -> None:
@@ -69,41 +70,42 @@ class Reader:
         coordinates, parameters = program.names.coordinates, program.names.parameters
         self._known = {"t": "t", "pi": "3.141592653589793"}
         self._known |= {scalar.name: scalar.symbol for scalar in OBSERVABLE}
-        alone = set(self._known) - {"pi"}
+        reserved = set(self._known) - {"pi"}
         self._known |= {a: f"a_{i}" for a, i in parameters.places.items()}
         of_state = {
             f"{vector.prefix}{q}": f"{vector.symbol}{i}"
             for vector in reversed(VECTORS)  # names of coordinates come first
             for q, i in coordinates.places.items()
         }
-        self._double = set(parameters.places) & (alone | (of_state.keys() - coordinates.places))
+        self._double = set(parameters.places) & (reserved | (of_state.keys() - coordinates.places))
         self._known |= of_state
         self._moving = set(coordinates.places)
         shown = [vector.shown(program.names) for vector in VECTORS]
         self._listed = [*chain(*shown), *parameters.shown]
         self._listed += ["t", *(scalar.name for scalar in OBSERVABLE), "pi"]
         self._used: set[str] = set()
-        #: What stands for names that no text can have in it, and these names.
-        self._standing: dict[str, str] = {}
+        #: Plain identifiers, and the names of the user that they replace in a text.
+        self._replaced: dict[str, str] = {}
 
-    def read_any(self, expression: Any) -> str:
-        """Read a text, an expression of SymPy, or an equation."""
+    def parse(self, expression: Any) -> str:
+        """Parse a text, an expression of SymPy, or an equation, which means left minus right."""
         most = LONGEST
-        if isinstance(expression, type):  # as sympy.Function("f"), or a function of SymPy
-            raise self._refuse(f"{expression} is a function of nothing; write {expression}(...)")
+        if isinstance(expression, type):  # such as sympy.Function("f"), or a function of SymPy
+            self._reject(f"{expression} is a function without arguments: write {expression}(...)")
         if hasattr(expression, "free_symbols") and hasattr(expression, "xreplace"):
             if hasattr(expression, "shape"):
-                raise self._refuse("it is a matrix, not one expression")
-            expression, most = self._named_plainly(expression), LONGEST_OF_SYMPY
+                self._reject("it is a matrix, not one expression")
+            expression, most = self._with_plain_symbols(expression), LONGEST_OF_SYMPY
         if hasattr(expression, "lhs") and hasattr(expression, "rhs"):
             left, right = expression.lhs, expression.rhs
-            return self.read(f"({left})" if right == 0 else f"({left}) - ({right})", most)
-        return self.read(str(expression), most)
+            return self.parse_text(f"({left})" if right == 0 else f"({left}) - ({right})", most)
+        return self.parse_text(str(expression), most)
 
-    def portable(self, expression: Any, text: str) -> str:
-        """Return an expression as it was given, or where only a user knows its names in others.
+    def to_portable(self, expression: Any, text: str) -> str:
+        """Return the expression for a file: as given, or with the names of the module.
 
-        Those are the module's own; ``text`` is what was written of the expression.
+        ``text`` is the parsed expression. The expression stays as given if the module alone can
+        parse it.
         """
         coordinates = [*enumerate(self._header.coordinates)]
         parameters = enumerate(self._header.parameters)
@@ -117,9 +119,9 @@ class Reader:
             return str(expression)
         return re.sub(r"\b[qpva]_\d+\b", lambda match: written[match[0]], text)
 
-    def _named_plainly(self, expression: Any) -> Any:
-        """Let plain symbols stand for all symbols, coordinates and velocities of an expression."""
-        import sympy as sp  # which whoever has such an expression has loaded
+    def _with_plain_symbols(self, expression: Any) -> Any:
+        """Replace symbols, coordinates and velocities of a SymPy expression by plain symbols."""
+        import sympy as sp  # the caller has loaded it already
         from sympy.core.function import AppliedUndef
 
         rules, work, seen = {}, [expression], set()
@@ -137,26 +139,26 @@ class Reader:
                 work += node.args
                 continue
             name = spelled(node)
-            if name not in self._known:  # a text with it could be read as something else
-                raise self._refuse(f"it contains the unknown name {name!r}", name)
+            if name not in self._known:  # the text of such a name could mean something else
+                self._reject(f"it contains the unknown name {name!r}", name)
             moving = node.expr if velocity else node
             if not isinstance(moving, sp.Symbol) and [*map(type, moving.args)] != [sp.Symbol]:
-                raise self._refuse(f"it contains {moving}, which is not of the time of a state")
+                self._reject(f"it contains {moving}, which is not a value at the time of a state")
             if not _plain(name) or velocity or isinstance(node, AppliedUndef):
                 rules[node] = sp.Symbol(self._stand_in(name))
         return expression.xreplace(rules)
 
     def _stand_in(self, name: str) -> str:
-        """Return a plain name that stands for a known one."""
+        """Return a plain identifier that replaces a known name."""
         if _plain(name):
             return name
-        for plain, original in self._standing.items():
+        for plain, original in self._replaced.items():
             if original == name:
                 return plain
-        plain = f"symbol_{len(self._standing)}_"
+        plain = f"symbol_{len(self._replaced)}_"
         while plain in self._known:
             plain += "_"
-        self._standing[plain] = name
+        self._replaced[plain] = name
         self._known[plain] = self._known[name]
         for names in (self._moving, self._double):
             if name in names:
@@ -164,59 +166,60 @@ class Reader:
         return plain
 
     def _with_stand_ins(self, text: str) -> str:
-        """Let plain names stand for those in a text that are none, the longest first."""
-        strange = sorted(filter(_strange, self._known), key=len, reverse=True)
+        """Replace names in a text that are no identifiers, the longest names first."""
+        strange = sorted(filter(_needs_replacement, self._known), key=len, reverse=True)
         if not strange:
             return text
 
-        def whole(name: str) -> str:  # one that begins or ends with a letter is no part of a word
+        def whole(name: str) -> str:  # a letter at its end must not continue in a longer word
             first, last = (r"\b" if re.match(r"\w", x) else "" for x in (name[0], name[-1]))
             return first + re.escape(name) + last
 
         pattern = "|".join(map(whole, strange))
         return re.sub(pattern, lambda match: f" {self._stand_in(match[0])} ", text)
 
-    def read(self, text: str, most: int = LONGEST) -> str:
-        """Read a text of no more than so many characters."""
+    def parse_text(self, text: str, most: int = LONGEST) -> str:
+        """Parse a text of at most ``most`` characters."""
         if len(text) > most:
-            raise self._refuse(f"it has {len(text)} characters, more than {most}")
+            self._reject(f"it has {len(text)} characters, more than {most}")
         try:
             body = ast.parse(self._with_stand_ins(text).strip(), mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError):
-            raise self._refuse("it is no expression") from None
+            self._reject("it is no expression")
         try:
             written = self._write(body)
-            _value(ast.parse(written, mode="eval").body)
+            _evaluate_constant(ast.parse(written, mode="eval").body)
         except (RecursionError, MemoryError, SyntaxError):  # Python's parser has limits of its own
-            raise self._refuse("it is nested too deeply") from None
+            self._reject("it is nested too deeply")
         except ArithmeticError as error:
-            raise self._refuse(f"{error} in it has no value") from None
+            self._reject(f"{error} in it has no value")
         self.rest = isinstance(body, ast.BinOp) and isinstance(body.op, ast.Mod)
         self.rest |= isinstance(body, ast.Call) and ast.unparse(body.func) == "Mod"
         return written
 
-    def _refuse(self, why: str, name: str = "") -> InputError:
-        for plain, original in self._standing.items():
-            why = why.replace(plain, original)
+    def _reject(self, what: str, name: str = "") -> NoReturn:
+        """Raise InputError; ``name`` is an unknown name for which the message suggests another."""
+        for plain, original in self._replaced.items():
+            what = what.replace(plain, original)
         hint = did_you_mean(name, self._listed) if name else ""
-        return InputError(
-            f"{self._where}: {why}.{hint}\nUse numbers, + - * / ** %, "
-            f"{', '.join(sorted(_FUNCTIONS))}, Mod, and the names {', '.join(self._listed)}."
+        reject(
+            f"{what}.{hint}",
+            where=self._where,
+            remedy=f"Use numbers, + - * / ** %, {', '.join(sorted(_FUNCTIONS))}, Mod, and the "
+            f"names {', '.join(self._listed)}.",
         )
 
     def _write(self, node: ast.expr) -> str:
         match node:
             case ast.Constant(value=bool()):
-                raise self._refuse("it contains a truth value")
+                self._reject("it contains a truth value")
             case ast.Constant(value=int() | float() as number):
                 if not -LARGEST < number < LARGEST:
-                    raise self._refuse("it contains a number that is too large")
+                    self._reject("it contains a number that is too large")
                 return repr(float(number))
             case ast.Name(id=name) if name in self._known:
                 if name in self._double:
-                    raise self._refuse(
-                        f"{name!r} is a parameter, and the name of another quantity, too"
-                    )
+                    self._reject(f"{name!r} is a parameter, and the name of another quantity, too")
                 self._used.add(name)
                 self.energetic |= self._known[name].startswith(COMPUTED)
                 return self._known[name]
@@ -234,13 +237,13 @@ class Reader:
             ):
                 least, most = _FUNCTIONS[_SPELLED.get(name, name)]
                 if not least <= len(arguments) <= most:
-                    raise self._refuse(f"{name} is given {counted(len(arguments), 'argument')}")
+                    self._reject(f"{name} cannot take {counted(len(arguments), 'argument')}")
                 inner = ", ".join(map(self._write, arguments))
                 return f"{_SPELLED.get(name, name)}({inner})"
             case ast.Call(func=ast.Name(id="Mod"), args=[left, right], keywords=[]):
                 return self._write(ast.BinOp(left, ast.Mod(), right))
             case ast.Name(id=name):
-                raise self._refuse(f"it contains {name[:60]!r}", name)
+                self._reject(f"it contains the unknown name {name[:60]!r}", name)
             case ast.UnaryOp(op=op, operand=operand) if isinstance(op, (ast.USub, ast.UAdd)):
                 sign = "-" if isinstance(op, ast.USub) else "+"
                 return f"({sign}{self._write(operand)})"
@@ -252,10 +255,10 @@ class Reader:
                 return f"({self._write(left)} ** {self._write(right)})"
             case ast.BinOp(op=op) if type(op) in _SIGNS:
                 return self._write_row(node, next(rank for rank in _RANKS if type(op) in rank))
-        raise self._refuse(f"it contains {ast.unparse(node)[:60]!r}")
+        self._reject(f"it contains {ast.unparse(node)[:60]!r}, which is not allowed")
 
     def _write_row(self, node: ast.expr, rank: tuple[type[ast.AST], ...]) -> str:
-        """Write a sum or a product, of which each part stands in the one before."""
+        """Write a sum or a product without recursion over its terms; long sums become rows."""
         parts: list[tuple[str, str]] = []
         while isinstance(node, ast.BinOp) and type(node.op) in rank:
             parts.append((_SIGNS[type(node.op)], self._write(node.right)))
@@ -271,10 +274,10 @@ class Reader:
         return rows[0] if len(rows) == 1 else f"({' + '.join(rows)})"
 
 
-def _value(node: ast.expr) -> Any:
-    """Return the value of what is written of numbers alone; None where a name stands in it.
+def _evaluate_constant(node: ast.expr) -> Any:
+    """Evaluate an expression of numbers; return None if it contains a name.
 
-    Raises ArithmeticError if numbers in it have no value, as 1/0; with the text of these.
+    Raises ArithmeticError with the text of a part that has no value, such as 1/0.
     """
     key: type[ast.AST] | str
     match node:
@@ -288,7 +291,7 @@ def _value(node: ast.expr) -> Any:
             key = name
         case _:
             return None
-    values = [_value(part) for part in inner]
+    values = [_evaluate_constant(part) for part in inner]
     if None in values:
         return None
     try:
@@ -301,12 +304,12 @@ def _value(node: ast.expr) -> Any:
 
 
 def _plain(name: str) -> bool:
-    """Return whether Python takes a name as it is: other letters are another name's for it."""
+    """Return whether a name is an ASCII identifier. Python normalises other letters."""
     return name.isascii() and name.isidentifier() and not iskeyword(name)
 
 
-def _strange(name: str) -> bool:
-    """Return whether a text can have a name in it that is no plain one, without being mistaken."""
+def _needs_replacement(name: str) -> bool:
+    """Return whether a name is no plain identifier, but can be recognised in a text."""
     if _plain(name) or not name.strip():
         return False
     if not SYNTAX.fullmatch(name) or iskeyword(name):

@@ -1,4 +1,4 @@
-"""Recorders: kernels that are called behind each step, rows that they leave beside states."""
+"""Recorders: kernels that run after each step and store rows with the states."""
 
 from __future__ import annotations
 
@@ -15,38 +15,39 @@ from symsimpson.text.workspace_layout import DRIVER_LAYOUT
 
 @dataclass(frozen=True)
 class Recorder:
-    """A kernel that is called behind each step."""
+    """A kernel that runs after each step, and the rows that it stores with the states."""
 
     kernel: str
-    first: int = 0  #: The first row that it leaves to be stored with states.
-    rows: int = 0  #: Number of these rows.
-    room: int = 0  #: Rows of the workspace that it needs behind those of the module.
-    text: str = ""  #: The text of the kernel, where it is none of the module's.
-    #: Whether it gets the time of the state, not that of the step that led there.
+    first: int = 0  #: The first row to store with the states.
+    rows: int = 0  #: Number of rows to store.
+    room: int = 0  #: Rows of the workspace that the kernel needs in addition to the module's.
+    text: str = ""  #: The text of the kernel, if the module does not contain it.
+    #: Whether the kernel gets the time of the state, not the time at the start of the step.
     of_states: bool = False
-    #: Whether it looks for events before all others are called, and may stop the run.
+    #: Whether the kernel detects events. It runs before all others, and may stop the run.
     of_events: bool = False
-    #: How many variations are made orthonormal, and after how many steps.
+    #: Number of variations to orthonormalise, and number of steps between two times.
     renewed: int = 0
     renewal: int = 1
-    name: str = ""  #: What users call what it leaves, as in ``run.recorded[name]``.
+    name: str = ""  #: The user's name of the rows, as in ``run.recorded[name]``.
 
 
 def clock(header: Header) -> Recorder:
-    """Return the recorder of the physical time, for steps that are uniform in another time."""
+    """Return the recorder of physical time, for steps of a time transformation."""
     return Recorder("clock", header.layout["TIME"], rows=1)
 
 
 def tangents(header: Header, count: int) -> Recorder:
-    """Return the recorder of so many variations, columns of the derivative of the state."""
+    """Return the recorder of ``count`` variations, the columns of the state's derivative."""
     room = count * (3 * header.n + header.layout["UNKNOWNS"])
     return Recorder("tangent", header.rows, 2 * header.n * count, room)
 
 
 def growth(header: Header, count: int, every: int) -> Recorder:
-    """Return the recorder of Lyapunov exponents: variations made orthonormal after ``every`` steps.
+    """Return the recorder of Lyapunov exponents, which orthonormalises variations periodically.
 
-    It leaves how often that was done, MEGNO, SALI, the sums of ln R_jj, and GALI of two and more.
+    ``every`` is the number of steps between two QR factorisations. The rows are the number of
+    factorisations, MEGNO, SALI, the sums of ln R_jj, and GALI of two and more variations.
     """
     room, rows = tangents(header, count).room, 2 * count + 2
     whole = room + rows + 2 + 2 * count**2 + 2 * header.n
@@ -54,34 +55,36 @@ def growth(header: Header, count: int, every: int) -> Recorder:
 
 
 def tape(header: Header) -> Recorder:
-    """Return the recorder of whole steps, states and control points, for the adjoint."""
+    """Return the recorder of states and control points of each step, for the adjoint."""
     rows = 4 * header.n + header.layout["UNKNOWNS"]
     return Recorder("record", header.rows, rows, rows)
 
 
-def work(header: Header, first: int = 0) -> Recorder | None:
+def work(header: Header) -> Recorder | None:
     """Return the recorder of the work of forces; None for a conservative system.
 
-    The module has rows for it: the ``first`` free row is not used. Raises InputError if the scheme
-    is explicit: its steps have no nodes.
+    Raises InputError if the scheme is explicit, because its steps have no nodes.
     """
     if header.conservative:
         return None
     if "work" not in header.functions:
         reject(
             f"{header.scheme} is explicit: its steps have no nodes at which forces do work.",
-            remedy="Integrate with a scheme of the family, as 'simpson' or 'gauss8'.",
+            remedy="Integrate with a scheme of the family, such as 'simpson' or 'gauss8'.",
         )
     return Recorder("work", header.layout["WORK"], header.powers, name="work")
 
 
-#: What users may ask for by name; made of a header and the first row that is free. All rows are 0
-#: at the start: they hold sums, and behind them what rounding has taken from each sum.
-NAMED: dict[str, Callable[[Header, int], Recorder | None]] = {"work": work}
+#: Recorders by the names of the user. All rows are 0 at the start. They contain sums, and then the
+#: round-off error of each sum.
+RECORDERS: dict[str, Callable[[Header], Recorder | None]] = {"work": work}
 
 
 def with_clock(header: Header, recorders: Sequence[Recorder]) -> tuple[Recorder, ...]:
-    """Add the clock of retimed steps, and return all in their order: first events, last states."""
+    """Return the recorders in the order of their calls, with the clock of a time transformation.
+
+    Recorders of events come first, and recorders of states last.
+    """
     first = (clock(header),) if header.retimed else ()
     return tuple(
         sorted((*first, *recorders), key=lambda recorder: recorder.of_states - recorder.of_events)
@@ -91,9 +94,10 @@ def with_clock(header: Header, recorders: Sequence[Recorder]) -> tuple[Recorder,
 def split(
     recorders: Sequence[Recorder], recorded: Reals, n: int
 ) -> tuple[Reals | None, dict[str, Reals]]:
-    """Split what was recorded at states: variations, shape (..., 2 n, k), and rows by their names.
+    """Split the recorded rows into variations, shape (..., 2 n, k), and rows by name.
 
-    The variations are None unless :func:`tangents` recorded them; rows without a name are left out.
+    The variations are None unless the recorder :func:`tangents` was active. Rows without a name are
+    not returned.
     """
     variations, named, first = None, dict[str, Reals](), 0
     for recorder in recorders:
@@ -107,9 +111,10 @@ def split(
 
 
 def driver_layout(header: Header, recorders: Sequence[Recorder]) -> Ints:
-    """Return the layout for the driver, of a module and of the recorders of a run.
+    """Return the layout of the workspace for the driver, with the recorders of a run.
 
-    Behind the places of DRIVER_LAYOUT stand the first row and the number of rows of each recorder.
+    The entries of DRIVER_LAYOUT come first. The first row and the number of rows of each recorder
+    follow.
     """
     numbers = header.driver_layout.copy()
     numbers[DRIVER_LAYOUT["OF_EVENTS"]] = sum(recorder.of_events for recorder in recorders)

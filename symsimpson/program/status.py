@@ -1,4 +1,4 @@
-"""How a run ended."""
+"""The outcome of a run."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from symsimpson.text import interface
 
 
 class Status(IntEnum):
-    """How a run ended; 0 is success. ``message`` says it in a sentence, with what to do.
+    """The outcome of a run; 0 is success. ``message`` explains it and names a remedy.
 
     Examples
     --------
@@ -35,38 +35,38 @@ class Status(IntEnum):
 
     @property
     def message(self) -> str:
-        """The outcome as a sentence."""
+        """The explanation of the outcome, with a remedy."""
         return _MESSAGES[self]
 
 
-#: What else may end a run, whatever h: no smaller step helps there.
+#: The other usual cause of failed steps, against which a smaller h does not help.
 _TO_INFINITY = (
-    "Where smaller steps end at the same time, the motion runs to infinity: look at the sign of "
-    "the potential."
+    "If runs with smaller steps end at the same time, the motion runs to infinity: look at the "
+    "sign of the potential."
 )
-#: What to do about a singular point of the coordinates.
+#: The remedy for a singular point of the coordinates.
 REGULAR = (
-    "Use coordinates that are regular there, such as Cartesian ones held by a constraint (see the "
-    "guide to constraints); a smaller h helps only where the passage is wide enough."
+    "Use coordinates that are regular there, such as Cartesian coordinates with a constraint (see "
+    "the guide to constraints). A smaller h helps only if the motion does not pass too close."
 )
 _MESSAGES = {
     Status.SUCCESS: "The run reached its end.",
-    Status.INTERRUPTED: "The run was interrupted; what was computed is kept.",
+    Status.INTERRUPTED: "The run was interrupted. The states before are kept.",
     Status.NOT_CONVERGED: (
         "Newton's method did not converge. The step is too large for this motion, or the mass "
         f"matrix is nearly singular there: try a smaller h. {_TO_INFINITY}"
     ),
     Status.DIVERGED: (
-        "Newton's method diverged: the increments grew to many times what was expected. The step "
+        "Newton's method diverged: the increments became many times larger than expected. The step "
         f"is far too large for this motion: try a smaller h. {_TO_INFINITY}"
     ),
     Status.SINGULAR_JACOBIAN: (
-        "The equations of the step do not determine it: their Jacobian is singular, as for a step "
-        "at which stiffness and inertia just cancel. Try another h."
+        "The Jacobian of the step's equations is singular, so they have no unique solution. This "
+        "happens at a step size for which stiffness and inertia cancel. Try another h."
     ),
     Status.NOT_FINITE: (
         "A NaN or an infinity occurred. The motion left the domain of T or V or reached a singular "
-        "point, or the step is far too large: check the state before the step, or try a smaller h. "
+        "point, or the step is far too large. Check the state before the step, or try a smaller h. "
         f"{_TO_INFINITY}"
     ),
     Status.STEP_TOO_LARGE: (
@@ -75,35 +75,36 @@ _MESSAGES = {
         f"{_TO_INFINITY}"
     ),
     Status.COORDINATE_SINGULARITY: (
-        "The motion passes a singular point of the coordinates (a pole of spherical angles, say) "
-        f"faster than the step resolves: its direction behind that point would be lost. {REGULAR}"
+        "The motion passes a singular point of the coordinates, such as a pole of spherical "
+        "angles. The step does not resolve this passage, so the direction after it would be wrong. "
+        f"{REGULAR}"
     ),
     Status.SINGULAR_CONSTRAINTS: (
-        "One of them follows from the others there, so the constraint forces are not determined, "
-        "and a linkage may continue along either branch. The states before are kept: end the run "
-        "there, or choose lengths at which the linkage does not fold."
+        "One constraint follows from the others there, so the constraint forces are not "
+        "determined. A linkage may continue along either branch. The states before are kept. End "
+        "the run there, or choose lengths at which the linkage does not fold."
     ),
     Status.RATE_NOT_POSITIVE: (
         "The rate dt/dtau is not a positive number there, so time would not advance. Give a rate "
-        "that is positive along the whole motion, or take smaller steps if one jumped too far."
+        "that is positive along the whole motion. If a step jumped too far, take smaller steps."
     ),
     Status.EVENTS_ACCUMULATE: (
         "Impacts follow each other ever faster, or at rest: the bodies stay in contact from there. "
-        "What was computed is kept, up to the last impact. Replace the contact by a constraint "
-        "there, or end the run by a terminal event."
+        "The states up to the last impact are kept. Replace the contact by a constraint there, or "
+        "end the run with a terminal event."
     ),
     Status.TOLERANCE_NOT_MET: (
-        "The run reached its end, but its error is larger than the one asked for, or is not known. "
-        "The motion may be chaotic, or pass a kink: ask for a larger error, or a shorter time."
+        "The run reached its end, but its error is unknown or larger than the wanted error. The "
+        "motion may be chaotic, or pass a kink. Allow a larger error, or choose a shorter time."
     ),
     Status.SINGULAR_LEGENDRE: (
         "The mass matrix is singular or indefinite at the end of that step, so velocities do not "
-        "follow from momenta. The states before are kept. End the run before, or look for masses "
-        "that vanish; if the motion does not come there, try a smaller h."
+        "follow from momenta. The states before are kept. End the run earlier, or look for masses "
+        "that vanish. If the motion does not reach such a point, try a smaller h."
     ),
     Status.FILE_ERROR: (
-        "The checkpoint could not be written; what was computed is kept. Make room, or choose "
-        "another file."
+        "The checkpoint could not be written. The states before are kept. Free space on the disk, "
+        "or choose another file."
     ),
     Status.BAD_INPUT: (
         "The run could not begin: the mass matrix is not positive definite there, or the velocity "

@@ -1,7 +1,9 @@
-"""References to compare results with; none of them uses the generator.
+"""Reference solutions that do not use the code generator.
 
-The exact motion of the Lagrange top, systems in first-order form, the classical Runge-Kutta
-method, compiled, and an accurate solution of any system with an estimate of its error.
+- The exact motion of the Lagrange top.
+- Systems in first-order form.
+- The classical Runge-Kutta method, compiled.
+- Accurate solutions of any system, with an estimate of their error.
 """
 
 from symsimpson.reference.extrapolation import Truth as Truth

@@ -1,4 +1,4 @@
-"""A mechanical system as y' = f(y), written down from its energies in the textbook way."""
+"""First-order differential equations y' = f(y) of a mechanical system, as in textbooks."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import sympy as sp
 from symsimpson.declare.constraints import accelerations
 from symsimpson.declare.plain import Plain
 from symsimpson.declare.system import MechanicalSystem
-from symsimpson.graph.lines import Program
+from symsimpson.graph.lines import StraightLineCode
 from symsimpson.graph.nodes import UNIT, ZERO, Value
-from symsimpson.graph.read import line_written, number
+from symsimpson.graph.read import line_to_sympy, number
 from symsimpson.graph.share import share
 from symsimpson.support.literals import float_literals
 
@@ -25,19 +25,31 @@ Key = tuple[Hashable, ...]
 class FirstOrder:
     """Ordinary differential equations y' = f(y).
 
+    :func:`canonical`, :func:`second_order` and :func:`reduced_top` return it.
+
     Attributes
     ----------
     name : str
-    unknowns : tuple of sympy symbols
+        The name of the system and of its form.
+    unknowns : tuple of sympy symbols, length m
         The components of y.
     definitions : tuple of (symbol, expression)
-        Values that the rates use, each made of those before it.
-    rates : tuple of sympy expressions
-        f, in unknowns, parameters and definitions.
+        Intermediate values. Each may contain unknowns, parameters and earlier definitions.
+    rates : tuple of sympy expressions, length m
+        The components of f. They may contain unknowns, parameters and definitions.
     parameters : mapping from sympy symbol to float
-        With the values used unless others are given.
+        The parameters with their default values.
     names : tuple of str
-        The parameters' names, in the same order.
+        The names of the parameters, in the same order.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> from symsimpson.reference import canonical
+    >>> equations = canonical(ss.systems.harmonic_oscillator())
+    >>> f = equations.function("math")
+    >>> [float(x) for x in f(2.0, 3.0, *equations.parameters.values())]
+    [3.0, -2.0]
     """
 
     name: str
@@ -48,22 +60,28 @@ class FirstOrder:
     names: tuple[str, ...]
 
     def function(self, modules: str) -> Callable[..., Any]:
-        """Make f as a Python function of the unknowns and the parameters, one argument each.
+        """Return f as a Python function of the unknowns and the parameters.
 
-        The functions that it calls are those of ``modules``: "math", "mpmath" or "jax".
+        Each unknown and each parameter is one positional argument. The result is a list of length
+        m.
+
+        Parameters
+        ----------
+        modules : {"math", "mpmath", "jax"}
+            The library whose functions f calls.
         """
         arguments = [*self.unknowns, *self.parameters]
-        return line_function(arguments, self.definitions, self.rates, modules)
+        return lambdify_definitions(arguments, self.definitions, self.rates, modules)
 
     def state(self, *parts: Any) -> list[Any]:
-        """Join the parts of a state at t = 0; where t is an unknown, it stands last."""
+        """Join q and p, or q and v, to a state y at t = 0; append the time if y contains it."""
         joined = [x for part in parts for x in part]
         return joined + [0 * joined[0]] * (len(self.unknowns) - len(joined))
 
-    def values(self, given: Mapping[Any, Any] | None) -> list[Any]:
-        """Merge parameter values, by name, into the defaults."""
+    def values(self, parameters: Mapping[Any, Any] | None) -> list[Any]:
+        """Return the values of all parameters: ``parameters`` by name, and defaults otherwise."""
         values = dict(zip(self.names, self.parameters.values(), strict=True))
-        for key, value in (given or {}).items():
+        for key, value in (parameters or {}).items():
             if str(key) not in values:
                 raise ValueError(
                     f"{self.name} has no parameter {str(key)!r}. It has {', '.join(values)}."
@@ -73,84 +91,123 @@ class FirstOrder:
 
 
 def canonical(system: MechanicalSystem) -> FirstOrder:
-    """Write Hamilton's equations in (q, p).
+    """Return Hamilton's equations of a system in (q, p).
 
-    q' = v with M v = p - a, and p' = dL/dq + f at (t, q, v). Where something depends on t, it is
-    the last unknown, of the rate 1. With constraints M v + Phi^T nu = p - a and Phi v = 0, A v = b
-    where they are those of velocities, and p' = dL/dq + f - Phi^T lambda.
+    They are q' = v with M v = p - a, and p' = dL/dq + f at (t, q, v). With constraints they are
+    M v + Phi^T nu = p - a, Phi v = 0, and p' = dL/dq + f - Phi^T lambda. A velocity constraint
+    replaces Phi v = 0 by A v = b. If L or f depends on t, the last unknown is t with the rate 1.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+        The system. Its inputs become parameters with the default 0.
+
+    Returns
+    -------
+    FirstOrder
+        The equations of the 2 n unknowns (q, p), or of the 2 n + 1 unknowns (q, p, t).
     """
     plain = system.plain
     n = len(plain.q)
     p = sp.symbols(f"p_:{n}", real=True)
-    outputs = _mass_and_a(plain) | {("F", i): f for i, f in enumerate(plain.right_sides)}
-    held = len(plain.held)
-    if held:
-        outputs |= _accelerating(plain)
-    lines = Lines(plain, outputs)
+    outputs = _momentum_outputs(plain) | {("F", i): f for i, f in enumerate(plain.right_sides)}
+    m = len(plain.constraint_names)
+    if m:
+        outputs |= _acceleration_outputs(plain)
+    lines = SystemOutputs(plain, outputs)
     momenta = [x - lines.value("a", i) for i, x in enumerate(p)]
-    carried = [lines.value("b", c) for c in range(held)]
-    solution, unknowns = _solve(lines.held_mass(), [*momenta, *carried], "v")
+    b = [lines.value("b", c) for c in range(m)]
+    solution, unknowns = _solve_symmetric(lines.bordered_mass(), [*momenta, *b], "v")
     v = unknowns[:n]
-    known = dict(zip(plain.v, v, strict=True))
-    rates = [lines.value("F", i).xreplace(known) for i in range(n)]
-    later = [(name, value.xreplace(known)) for name, value in lines.later]
-    definitions = (*lines.early, *solution, *later)
-    if held:
-        right = [value.xreplace(known) for value in lines.right()]
-        solution, unknowns = _solve(lines.held_mass(), right, "a")
+    velocities = dict(zip(plain.v, v, strict=True))
+    rates = [lines.value("F", i).xreplace(velocities) for i in range(n)]
+    of_velocities = [(name, value.xreplace(velocities)) for name, value in lines.of_velocities]
+    definitions = (*lines.of_positions, *solution, *of_velocities)
+    if m:
+        right = [value.xreplace(velocities) for value in lines.right_sides()]
+        solution, unknowns = _solve_symmetric(lines.bordered_mass(), right, "a")
         definitions = (*definitions, *solution)
         rates = [
-            rate - sp.Add(*(lines.value("Phi", c, i) * unknowns[n + c] for c in range(held)))
+            rate - sp.Add(*(lines.value("Phi", c, i) * unknowns[n + c] for c in range(m)))
             for i, rate in enumerate(rates)
         ]
-    return _system(system, "canonical", (*plain.q, *p), definitions, (*v, *rates))
+    return _first_order(system, "canonical", (*plain.q, *p), definitions, (*v, *rates))
 
 
 def second_order(system: MechanicalSystem) -> FirstOrder:
-    """Write the Euler-Lagrange equations in (q, v): M v' = dL/dq + f - (d p/d q) v - d p/d t.
+    """Return the Euler-Lagrange equations of a system in (q, v).
 
-    Where something depends on t, it is the last unknown, of the rate 1.
+    They are q' = v and M v' = dL/dq + f - (dp/dq) v - dp/dt. With constraints, -Phi^T lambda is
+    added, and lambda satisfies the second derivative of the constraints. If L or f depends on t,
+    the last unknown is t with the rate 1.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+        The system. Its inputs become parameters with the default 0.
+
+    Returns
+    -------
+    FirstOrder
+        The equations of the 2 n unknowns (q, v), or of the 2 n + 1 unknowns (q, v, t).
     """
     plain = system.plain
-    lines = Lines(plain, {**_mass_and_a(plain), **_accelerating(plain)})
-    solution, unknowns = _solve(lines.held_mass(), lines.right(), "a")
-    definitions = (*lines.early, *lines.later, *solution)
+    lines = SystemOutputs(plain, {**_momentum_outputs(plain), **_acceleration_outputs(plain)})
+    solution, unknowns = _solve_symmetric(lines.bordered_mass(), lines.right_sides(), "a")
+    definitions = (*lines.of_positions, *lines.of_velocities, *solution)
     rates = (*plain.v, *unknowns[: system.n])
-    return _system(system, "second order", (*plain.q, *plain.v), definitions, rates)
+    return _first_order(system, "second order", (*plain.q, *plain.v), definitions, rates)
 
 
 def reduced_top(p_phi: Any, p_psi: Any, *, inertia: float = 1.0, A: Any = None) -> FirstOrder:
-    """Write the nutation and precession of a Lagrange top whose momenta are known.
+    """Return the equations of the nutation and precession of a Lagrange top with known momenta.
 
-    y = (phi, theta, xi) with theta' = xi, xi' = (A + phi'^2 cos theta - p_psi phi'/I) sin theta
-    and phi' = (p_phi - p_psi cos theta)/(I sin^2 theta); A = m g l/I, (2 pi)^2 unless given.
+    The unknowns are y = (phi, theta, xi). The equations are
+    phi' = (p_phi - p_psi cos theta)/(I sin^2 theta), theta' = xi and
+    xi' = (A + phi'^2 cos theta - p_psi phi'/I) sin theta.
+
+    Parameters
+    ----------
+    p_phi, p_psi : number
+        The constant momenta, in kg m^2/s.
+    inertia : float, default 1.0
+        The moment of inertia I about an axis through the tip perpendicular to the symmetry axis, in
+        kg m^2.
+    A : number, optional
+        The constant m g l/I, in 1/s^2. The default is (2 pi)^2.
+
+    Returns
+    -------
+    FirstOrder
+        The equations of three unknowns.
     """
     phi, theta, xi = sp.symbols("phi theta xi", real=True)
     symbols = sp.symbols("p_phi p_psi I A", real=True)
-    first, second, moment, square = symbols
+    P_phi, P_psi, moment, constant = symbols
     turn = sp.Symbol("turn", real=True)
-    precession = (first - second * sp.cos(theta)) / (moment * sp.sin(theta) ** 2)
-    bend = (square + turn**2 * sp.cos(theta) - second / moment * turn) * sp.sin(theta)
+    precession = (P_phi - P_psi * sp.cos(theta)) / (moment * sp.sin(theta) ** 2)
+    acceleration = (constant + turn**2 * sp.cos(theta) - P_psi / moment * turn) * sp.sin(theta)
     values = (p_phi, p_psi, inertia, float(4 * sp.pi**2) if A is None else A)
     return FirstOrder(
         "reduced_top",
         (phi, theta, xi),
         ((turn, precession),),
-        (turn, xi, bend),
+        (turn, xi, acceleration),
         dict(zip(symbols, values, strict=True)),
         ("p_phi", "p_psi", "I", "A"),
     )
 
 
-def _system(
+def _first_order(
     system: MechanicalSystem,
     form: str,
     unknowns: tuple[sp.Symbol, ...],
     definitions: Sequence[Definition],
     rates: Sequence[sp.Expr],
 ) -> FirstOrder:
+    """Return the equations with the parameters of a system, and with t' = 1 if they depend on t."""
     values = dict(zip(system.plain.parameters, system.parameters.values(), strict=True))
-    values |= dict.fromkeys(system.plain.u, 0.0)  # inputs are constants here
+    values |= dict.fromkeys(system.plain.u, 0.0)  # inputs become constant parameters
     names = tuple(map(str, (*system.parameters, *system.inputs)))
     if not system.plain.autonomous:
         unknowns, rates = (*unknowns, system.plain.t), (*rates, sp.S.One)
@@ -159,14 +216,14 @@ def _system(
     )
 
 
-def line_function(
+def lambdify_definitions(
     arguments: Sequence[sp.Symbol],
     definitions: Sequence[Definition],
     results: Sequence[sp.Expr],
     modules: str,
 ) -> Callable[..., Any]:
-    """Return a function of numbers for results that are made of definitions."""
-    if modules != "mpmath":  # whole numbers are exact there, however large
+    """Return a Python function of ``arguments`` that evaluates definitions and then results."""
+    if modules != "mpmath":  # mpmath evaluates integers of any size exactly
         results = float_literals(list(results))
         definitions = [(name, float_literals(value)) for name, value in definitions]
     function: Callable[..., Any] = sp.lambdify(
@@ -178,41 +235,48 @@ def line_function(
     return function
 
 
-class Lines:
-    """Outputs as definitions, a line each: those of q alone, and those of v behind them."""
+class SystemOutputs:
+    """Outputs of a system as SymPy definitions with shared subexpressions.
+
+    ``of_positions`` are the definitions that depend on q, t and parameters only. ``of_velocities``
+    are those that also depend on v, and may contain the others.
+    """
 
     def __init__(self, plain: Plain, outputs: Mapping[Key, Value]) -> None:
         level = plain.level(plain.graph)
-        program = share(Program.of(plain.graph, outputs, level))
+        program = share(StraightLineCode.of(plain.graph, outputs, level))
         self._plain, self._keys, self._outputs = plain, list(outputs), program.outputs
-        self._n, self._held = len(plain.q), len(plain.held)
-        self.early: list[Definition] = []
-        self.later: list[Definition] = []
+        self._n, self._m = len(plain.q), len(plain.constraint_names)
+        self.of_positions: list[Definition] = []
+        self.of_velocities: list[Definition] = []
         symbols = plain.symbols
-        self._done: dict[int, sp.Expr] = dict(zip(plain.numbers(symbols), symbols, strict=True))
-        self._done[UNIT] = sp.S.One
+        #: The expression of each node: a symbol, or the name of its definition.
+        self._nodes: dict[int, sp.Expr] = dict(zip(plain.numbers(symbols), symbols, strict=True))
+        self._nodes[UNIT] = sp.S.One
         for n in program.order():
-            if n not in self._done:
+            if n not in self._nodes:
                 line = program.lines[n]
                 name = sp.Symbol(f"x_{n}", real=True)
-                value = line_written(line.kind, line.parts, self._done)
-                (self.later if line.level > 1 else self.early).append((name, value))
-                self._done[n] = name
+                value = line_to_sympy(line.kind, line.parts, self._nodes)
+                definitions = self.of_velocities if line.level > 1 else self.of_positions
+                definitions.append((name, value))
+                self._nodes[n] = name
 
     def value(self, *key: Hashable) -> sp.Expr:
-        """Return an output."""
+        """Return an output in terms of the definitions; 0 if there is no output with this key."""
         coefficient, n = self._outputs.get(key, ZERO)
-        return number(coefficient) * self._done[n] if coefficient else sp.S.Zero
+        return number(coefficient) * self._nodes[n] if coefficient else sp.S.Zero
 
     def function(self, state: Sequence[sp.Symbol], modules: str) -> Callable[..., Any]:
-        """Return a function of a state, parameters, inputs and t for all outputs in their order."""
+        """Return a function of state, parameters, inputs and t for all outputs, in their order."""
         arguments = [*state, *self._plain.parameters, *self._plain.u, self._plain.t]
         results = [self.value(*key) for key in self._keys]
-        return line_function(arguments, [*self.early, *self.later], results, modules)
+        definitions = [*self.of_positions, *self.of_velocities]
+        return lambdify_definitions(arguments, definitions, results, modules)
 
-    def held_mass(self) -> sp.ImmutableDenseMatrix:
-        """Return M, bordered by Phi where there are constraints."""
-        n, size = self._n, self._n + self._held
+    def bordered_mass(self) -> sp.ImmutableDenseMatrix:
+        """Return [[M, Phi^T], [Phi, 0]], shape (n + m, n + m); M without constraints."""
+        n, size = self._n, self._n + self._m
 
         def entry(i: int, j: int) -> sp.Expr:
             low, high = min(i, j), max(i, j)
@@ -222,34 +286,38 @@ class Lines:
 
         return sp.ImmutableDenseMatrix(size, size, entry)
 
-    def right(self) -> list[sp.Expr]:
-        """Return M v' + Phi^T lambda, then Phi v'."""
-        pushes = [self.value("push", i) for i in range(self._n)]
-        return [*pushes, *(-self.value("curve", c) for c in range(self._held))]
+    def right_sides(self) -> list[sp.Expr]:
+        """Return the values of M v' + Phi^T lambda and of Phi v', length n + m."""
+        forces = [self.value("force", i) for i in range(self._n)]
+        return [*forces, *(-self.value("curvature", c) for c in range(self._m))]
 
 
-def _mass_and_a(plain: Plain) -> dict[Key, Value]:
+def _momentum_outputs(plain: Plain) -> dict[Key, Value]:
+    """Return the entries of M and a in p = M v + a."""
     outputs: dict[Key, Value] = {("M", i, j): value for (i, j), value in plain.M.items()}
     return outputs | {("a", i): value for i, value in enumerate(plain.a)}
 
 
-def _accelerating(plain: Plain) -> dict[Key, Value]:
-    """Return what determines accelerations, and Phi."""
+def _acceleration_outputs(plain: Plain) -> dict[Key, Value]:
+    """Return the right-hand sides of the equations for v' and lambda, and the entries of Phi."""
     places = plain.numbers(plain.q), plain.numbers(plain.v), plain.time
-    graph, held = plain.graph, plain.held_rows(plain.graph)
-    slopes, push, curve, _ = accelerations(graph, plain.L, held, plain.f, places)
+    graph, constraints = plain.graph, plain.write_constraints(plain.graph)
+    slopes, forces, curvatures, _ = accelerations(graph, plain.L, constraints, plain.f, places)
     outputs: dict[Key, Value] = {
         ("Phi", c, i): x for c, row in enumerate(slopes) for i, x in enumerate(row)
     }
-    outputs |= {("push", i): value for i, value in enumerate(push)}
-    outputs |= {("b", c): row[-1] for c, row in enumerate(held.rows, len(held.phi))}
-    return outputs | {("curve", c): value for c, value in enumerate(curve)}
+    outputs |= {("force", i): value for i, value in enumerate(forces)}
+    outputs |= {("b", c): row[-1] for c, row in enumerate(constraints.rows, len(constraints.phi))}
+    return outputs | {("curvature", c): value for c, value in enumerate(curvatures)}
 
 
-def _solve(
+def _solve_symmetric(
     matrix: sp.ImmutableDenseMatrix, right: list[sp.Expr], name: str
 ) -> tuple[tuple[Definition, ...], tuple[sp.Symbol, ...]]:
-    """Solve by L D L^T, every entry under a name of its own."""
+    """Solve a symmetric linear system by L D L^T; return definitions, and the unknowns' symbols.
+
+    Each nonzero entry of L, D and of the solution is a definition.
+    """
     n = matrix.rows
     definitions: list[Definition] = []
 

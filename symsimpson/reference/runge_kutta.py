@@ -1,4 +1,4 @@
-"""The classical Runge-Kutta method, compiled."""
+"""The compiled classical Runge-Kutta method of order four."""
 
 from __future__ import annotations
 
@@ -22,23 +22,29 @@ def rk4(
     every: int = 1,
     parameters: Mapping[Any, float] | None = None,
 ) -> tuple[Floats, Floats]:
-    """Integrate with the classical method of order four and a fixed step.
+    """Integrate with the classical Runge-Kutta method of order four and a fixed step size.
 
     Parameters
     ----------
     equations : FirstOrder
+        The differential equations.
     y0 : array_like, shape (m,)
+        The state at t = 0.
     h : float
+        The step size.
     steps : int
-    every : int
-        Store each so-many-th state.
+        The number of steps.
+    every : int, default 1
+        Store the states 0, every, 2 * every, ...
     parameters : mapping, optional
-        Values by name, in place of the defaults.
+        Values of parameters by name that differ from the defaults of ``equations``.
 
     Returns
     -------
-    t : ndarray, shape (N + 1,)
-    y : ndarray, shape (N + 1, m)
+    t : ndarray, shape (steps // every + 1,)
+        The times of the stored states.
+    y : ndarray, shape (steps // every + 1, m)
+        The stored states.
 
     Examples
     --------
@@ -53,58 +59,62 @@ def rk4(
     if start.shape != (m,):
         raise ValueError(f"y0 has shape {start.shape}, expected ({m},).")
     if steps < 0 or every < 1:
-        raise ValueError(f"steps is {steps} and every is {every}: steps >= 0, every >= 1.")
+        raise ValueError(f"steps is {steps} and every is {every}. Pass steps >= 0 and every >= 1.")
     values = np.array([float(x) for x in equations.values(parameters)])
     out = np.empty((steps // every + 1, m))
     compiled_rk4(equations)(start, values, float(h), steps, every, out)
     return h * np.arange(0, steps + 1, every, dtype=np.float64), out
 
 
-#: Compiled functions by what they were made of.
-_MADE: dict[tuple[Any, ...], Callable[..., Any]] = {}
+#: Compiled functions by the equations that define them.
+_COMPILED: dict[tuple[Any, ...], Callable[..., Any]] = {}
 
 
 def compiled_rates(equations: FirstOrder) -> Callable[..., Any]:
-    """Compile f as a function (y, parameters, out)."""
+    """Compile f as a numba function (y, parameters, out) that writes f(y) to ``out``."""
     key = (equations.unknowns, equations.definitions, equations.rates, *equations.parameters)
-    if key not in _MADE:
+    if key not in _COMPILED:
         from numba import njit
 
         names = {"rates": njit(equations.function("math"))}
         arguments = [f"y[{i}]" for i in range(len(equations.unknowns))]
         arguments += [f"p[{i}]" for i in range(len(equations.parameters))]
-        text = f"def f(y, p, out):\n    found = rates({', '.join(arguments)})\n"
-        text += "".join(f"    out[{i}] = found[{i}]\n" for i in range(len(equations.rates)))
-        exec(text, names)  # made of indices alone
-        _MADE[key] = njit(names["f"])
-    return _MADE[key]
+        text = f"def f(y, p, out):\n    values = rates({', '.join(arguments)})\n"
+        text += "".join(f"    out[{i}] = values[{i}]\n" for i in range(len(equations.rates)))
+        exec(text, names)  # safe: the text contains only indices
+        _COMPILED[key] = njit(names["f"])
+    return _COMPILED[key]
 
 
 def compiled_rk4(equations: FirstOrder) -> Callable[..., Any]:
-    """Compile the method as a function (y, parameters, h, steps, every, out)."""
+    """Compile the method as a numba function (y, parameters, h, steps, every, out).
+
+    It writes the stored states to ``out``, shape (steps // every + 1, m), and changes y.
+    """
     return _make_rk4(compiled_rates(equations))
 
 
 @cache
 def _make_rk4(f: Callable[..., None]) -> Callable[..., Any]:
+    """Return the compiled loop over steps for a compiled f."""
     from numba import njit
 
     @njit
     def loop(y, p, h, steps, every, out):  # type: ignore[no-untyped-def]
         k1, k2, k3, k4 = np.empty_like(y), np.empty_like(y), np.empty_like(y), np.empty_like(y)
-        between = np.empty_like(y)
+        stage = np.empty_like(y)
         out[0] = y
         for step in range(1, steps + 1):
             f(y, p, k1)
             for i in range(y.size):
-                between[i] = y[i] + 0.5 * h * k1[i]
-            f(between, p, k2)
+                stage[i] = y[i] + 0.5 * h * k1[i]
+            f(stage, p, k2)
             for i in range(y.size):
-                between[i] = y[i] + 0.5 * h * k2[i]
-            f(between, p, k3)
+                stage[i] = y[i] + 0.5 * h * k2[i]
+            f(stage, p, k3)
             for i in range(y.size):
-                between[i] = y[i] + h * k3[i]
-            f(between, p, k4)
+                stage[i] = y[i] + h * k3[i]
+            f(stage, p, k4)
             for i in range(y.size):
                 y[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
             if step % every == 0:

@@ -1,8 +1,8 @@
 r"""The exact motion of the Lagrange top, in any number of digits.
 
-With u = cos theta, G = m_top g l and the constants p_phi, p_psi and
-c = I theta'^2/2 + (p_phi - p_psi u)^2/(2 I sin^2 theta) + G u the nutation obeys
-u'^2 = (2 G/I)(u - u1)(u - u2)(u - u3), u1 <= u <= u2 <= 1 <= u3, so that
+Let u = cos theta and G = m_top g l. The constants of the motion are p_phi, p_psi and
+c = I theta'^2/2 + (p_phi - p_psi u)^2/(2 I sin^2 theta) + G u. The nutation satisfies
+u'^2 = (2 G/I)(u - u1)(u - u2)(u - u3) with u1 <= u <= u2 <= 1 <= u3. Its solution is
 
 .. math:: u(t) = u_1 + (u_2 - u_1)\,\mathrm{sn}^2(\lambda t + F_0 \mid k^2), \quad
           \lambda^2 = \frac{G}{2I}(u_3 - u_1), \quad k^2 = \frac{u_2 - u_1}{u_3 - u_1}
@@ -21,30 +21,38 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from symsimpson.support.array_types import Floats
-from symsimpson.support.extras import library
+from symsimpson.support.extras import import_library
 
-#: Digits computed with beyond those asked for.
+#: Number of guard digits: digits of the computation beyond those of the results.
 GUARD = 15
 
 
 class ExactTop:
-    """A Lagrange top with given initial state.
+    """The exact motion of a Lagrange top from an initial state.
 
     Parameters
     ----------
-    q0, v0 : sequence of three numbers or decimal strings
-        phi, theta, psi in rad, and their velocities in rad/s.
+    q0 : sequence of three numbers or decimal strings
+        The initial angles phi, theta and psi, in rad, with 0 < theta < pi.
+    v0 : sequence of three numbers or decimal strings
+        The initial velocities of these angles, in rad/s.
     parameters : mapping
-        m_top in kg, g in m/s^2, l in m, I and I3 in kg m^2; numbers or decimal strings.
-    digits : int
-        Significant digits of the results.
+        The values of m_top in kg, g in m/s^2, l in m, I and I3 in kg m^2, as numbers or decimal
+        strings.
+    digits : int, default 15
+        The number of significant digits of the results.
 
     Attributes
     ----------
-    roots : tuple
-        u1, u2, u3.
+    roots : tuple of three numbers
+        The roots u1, u2 and u3 of the equation of nutation.
     p_phi, p_psi : number
-        The constant momenta.
+        The constant momenta, in kg m^2/s.
+
+    Raises
+    ------
+    ValueError
+        If the parameters have other names, or theta is out of range.
 
     Examples
     --------
@@ -63,13 +71,15 @@ class ExactTop:
         *,
         digits: int = 15,
     ) -> None:
-        self._shown = mpmath.mp.clone()
-        self._shown.dps = digits
+        self._result_context = mpmath.mp.clone()
+        self._result_context.dps = digits
         self._context = context = mpmath.mp.clone()
         context.dps = digits + GUARD
         names = ("m_top", "g", "l", "I", "I3")
         if set(map(str, parameters)) != set(names):
-            raise ValueError(f"a top has the parameters {', '.join(names)}, given {parameters}.")
+            raise ValueError(
+                f"parameters is {parameters}. The top has the parameters {', '.join(names)}."
+            )
         value = {str(key): context.mpf(x) for key, x in parameters.items()}
         self._G = value["m_top"] * value["g"] * value["l"]
         self._I, self._I3 = value["I"], value["I3"]
@@ -78,7 +88,9 @@ class ExactTop:
         theta = self._q0[1]
         self._u0, sine = context.cos(theta), context.sin(theta)
         if not 0 < theta < context.pi:
-            raise ValueError(f"theta0 is {theta}: this solution needs 0 < theta0 < pi.")
+            raise ValueError(
+                f"theta0 is {theta}. The exact solution is valid only for 0 < theta0 < pi."
+            )
         self.p_psi = self._I3 * (v_psi + v_phi * self._u0)
         self.p_phi = self.p_psi * self._u0 + self._I * v_phi * sine**2
         self.roots = u1, u2, u3 = self._roots(v_phi)
@@ -87,7 +99,7 @@ class ExactTop:
         self._quarter = context.ellipk(self._modulus)
 
     def _roots(self, v_phi: Any) -> tuple[Any, ...]:
-        """Find u1, u2, u3; the start is a root itself if theta' = 0."""
+        """Return u1 <= u2 <= u3. If theta' = 0, the initial value of u is one of them."""
         context, G, I = self._context, self._G, self._I
         p_phi, p_psi, u0 = self.p_phi, self.p_psi, self._u0
         c = I * (self._v_theta**2 + v_phi**2 * (1 - u0**2)) / 2 + G * u0
@@ -96,45 +108,46 @@ class ExactTop:
         cubic = [2 * G * I, -2 * c * I - p_psi**2, linear, constant]
         if self._v_theta == 0:
             a, b = cubic[0], cubic[1] + cubic[0] * u0
-            rest = cubic[2] + b * u0
-            root = context.sqrt(max(b**2 - 4 * a * rest, context.zero))
+            free_term = cubic[2] + b * u0
+            root = context.sqrt(max(b**2 - 4 * a * free_term, context.zero))
             return tuple(sorted([u0, (-b - root) / (2 * a), (-b + root) / (2 * a)]))
         roots = context.polyroots(cubic, maxsteps=200, extraprec=4 * context.prec)
         return tuple(sorted(context.re(x) for x in roots))
 
     @cached_property
     def _phase(self) -> Any:
-        """F0: where the nutation stands at t = 0."""
+        """The phase F0 of the nutation at t = 0."""
         context = self._context
         u1, u2, _ = self.roots
         if u2 == u1:
             return context.zero
-        share = min(max((self._u0 - u1) / (u2 - u1), context.zero), context.one)
-        phase = context.ellipf(context.asin(context.sqrt(share)), self._modulus)
+        square = min(max((self._u0 - u1) / (u2 - u1), context.zero), context.one)
+        phase = context.ellipf(context.asin(context.sqrt(square)), self._modulus)
         return -phase if self._v_theta > 0 else phase
 
     @property
     def period(self) -> Any:
         """The period of nutation, in s."""
-        return self._give(2 * self._quarter / self._rate)
+        return self._round(2 * self._quarter / self._rate)
 
     @cached_property
-    def _advance(self) -> tuple[Any, Any]:
+    def _changes(self) -> tuple[Any, Any]:
+        """The changes of phi and psi in one period of nutation."""
         end = self._angles(2 * self._quarter / self._rate)
         return end[0] - self._q0[0], end[2] - self._q0[2]
 
     @property
     def precession(self) -> Any:
-        """By how much phi changes in one period of nutation."""
-        return self._give(self._advance[0])
+        """The change of phi in one period of nutation, in rad."""
+        return self._round(self._changes[0])
 
     @property
     def spin(self) -> Any:
-        """By how much psi changes in one period of nutation."""
-        return self._give(self._advance[1])
+        """The change of psi in one period of nutation, in rad."""
+        return self._round(self._changes[1])
 
     def state(self, t: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-        """Return q = (phi, theta, psi) and p at a time."""
+        """Return q = (phi, theta, psi) and p = (p_phi, p_theta, p_psi) at the time t."""
         t = self._context.mpf(t)
         q = self._angles(t)
         sn, cn, dn = (self._elliptic(name, t) for name in ("sn", "cn", "dn"))
@@ -142,20 +155,20 @@ class ExactTop:
         slope = 2 * (u2 - u1) * self._rate * sn * cn * dn
         p_theta = -self._I * slope / self._context.sin(q[1])
         p = (self.p_phi, p_theta, self.p_psi)
-        return tuple(map(self._give, q)), tuple(map(self._give, p))
+        return tuple(map(self._round, q)), tuple(map(self._round, p))
 
     def theta(self, t: Any) -> Any:
-        """Return the nutation at a time."""
+        """Return theta at the time t, in rad."""
         u1, u2, _ = self.roots
         u = u1 + (u2 - u1) * self._elliptic("sn", self._context.mpf(t)) ** 2
-        return self._give(self._context.acos(u))
+        return self._round(self._context.acos(u))
 
     def theta_weierstrass(self, t: Any) -> Any:
-        """Return the nutation at a time by Weierstrass's function.
+        """Return theta at the time t, in rad, by Weierstrass's elliptic function P.
 
-        cos theta = (2 I/G) P(t + shift) + (2 I c + p_psi^2)/(6 I G), with
-        P(z) = e3 + (e1 - e3)/sn^2; the shift is a half-period or, in general, any number for
-        which this holds at t = 0.
+        The formula is cos theta = (2 I/G) P(t + shift) + (2 I c + p_psi^2)/(6 I G) with
+        P(z) = e3 + (e1 - e3)/sn^2. The shift makes the formula correct at t = 0. If theta is
+        extremal at t = 0, it is a half-period.
         """
         context = self._context
         scale = self._G / (2 * self._I)
@@ -166,27 +179,32 @@ class ExactTop:
         z = context.mpf(t) + self._phase / self._rate + omega3
         sn = context.ellipfun("sn", z * context.sqrt(e1 - e3), m=modulus)
         P = e3 + (e1 - e3) / sn**2
-        return self._give(context.acos(context.re(P / scale + mean)))
+        return self._round(context.acos(context.re(P / scale + mean)))
 
     def nutation(self, t: ArrayLike) -> Floats:
-        """Return theta at many times in double precision.
+        """Return theta at the times t in double precision, in rad, with the shape of t.
 
-        Raises InputError if SciPy is not installed (the extra ``notebooks``).
+        Raises
+        ------
+        InputError
+            If SciPy is not installed (the extra ``notebooks``).
         """
-        ellipj = library("scipy.special", "the nutation at many times", "notebooks").ellipj
+        ellipj = import_library("scipy.special", "the nutation at many times", "notebooks").ellipj
         u1, u2, _ = self.roots
         turns = np.asarray(t) / float(2 * self._quarter / self._rate)
-        within = turns - np.round(turns)
-        angle = within * float(2 * self._quarter) + float(self._phase)
+        fraction = turns - np.round(turns)
+        angle = fraction * float(2 * self._quarter) + float(self._phase)
         sn = ellipj(angle, float(self._modulus))[0]
-        # theta by half angles, which keep the digits near the vertical
+        # half angles avoid cancellation near the vertical
         sine = np.sqrt((float(1 - u2) + float(u2 - u1) * (1 - sn**2)) / 2)
         return np.asarray(2 * np.arcsin(sine))
 
     def _elliptic(self, name: str, t: Any) -> Any:
+        """Return sn, cn or dn of the nutation at the time t."""
         return self._context.ellipfun(name, self._rate * t + self._phase, m=self._modulus)
 
     def _angles(self, t: Any) -> tuple[Any, Any, Any]:
+        """Return phi, theta and psi at the time t with all guard digits."""
         context, rate = self._context, self._rate
         u1, u2, _ = self.roots
         u = u1 + (u2 - u1) * self._elliptic("sn", t) ** 2
@@ -205,12 +223,13 @@ class ExactTop:
         return phi0 + above + below, context.acos(u), psi0 + spin + above - below
 
     def _amplitude(self, z: Any) -> Any:
-        """Return am(z), which grows without bound."""
+        """Return the Jacobi amplitude am(z), continuous and monotonic."""
         context = self._context
         halves = context.nint(z / (2 * self._quarter))
-        rest = z - 2 * self._quarter * halves  # cn >= 0 there
-        sn, cn = (context.ellipfun(name, rest, m=self._modulus) for name in ("sn", "cn"))
+        remainder = z - 2 * self._quarter * halves  # cn >= 0 here
+        sn, cn = (context.ellipfun(name, remainder, m=self._modulus) for name in ("sn", "cn"))
         return context.pi * halves + context.atan2(sn, cn)
 
-    def _give(self, number: Any) -> Any:
-        return self._shown.mpf(number)
+    def _round(self, number: Any) -> Any:
+        """Return a number with the digits of the results."""
+        return self._result_context.mpf(number)

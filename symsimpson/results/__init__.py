@@ -1,1 +1,1 @@
-"""Results: states, what follows from them, and files."""
+"""Results of runs: states, the quantities computed from them, and files."""

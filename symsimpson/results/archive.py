@@ -1,4 +1,4 @@
-"""Trajectories from files: netCDF and Zarr, by way of xarray."""
+"""Read trajectories from netCDF and Zarr files with xarray."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ import numpy as np
 from symsimpson.errors import InputError, StaleKernelError, StorageError, SymsimpsonError, reject
 from symsimpson.program.numbers import NO_INPUTS
 from symsimpson.program.program import Program, read_program
-from symsimpson.program.recorders import NAMED
+from symsimpson.program.recorders import RECORDERS
 from symsimpson.program.status import Status
-from symsimpson.results.events import Record
+from symsimpson.results.events import EventRecord
 from symsimpson.results.tables import TABLES, check_kind
-from symsimpson.results.trajectory import EVENTS, RECORDED, Trajectory, digest_of
-from symsimpson.stepping.driving import driven
-from symsimpson.support.extras import library
+from symsimpson.results.trajectory import EVENTS, RECORDED, Trajectory, trajectory_digest
+from symsimpson.stepping.driving import make_input_history
+from symsimpson.support.extras import import_library
 from symsimpson.support.files import read_path
 
-#: What reads tables again.
-READERS = {".npz": "numpy.load", ".csv": "pandas.read_csv", ".parquet": "pandas.read_parquet"}
-#: What a file must hold: variables, and attributes beside the dataset's own.
+#: Functions of other libraries that read tables.
+TABLE_READERS = {".npz": "numpy.load", ".csv": "pandas.read_csv", ".parquet": "pandas.read_parquet"}
+#: Variables and attributes that the file of a trajectory must have.
 VARIABLES = ("q", "p", "newton_iterations", "module")
 ATTRIBUTES = ("h", "steps", "every", "status", "message", "parameter_values", "sha256")
-#: Attributes that every result of a run has, also one that is no trajectory.
+#: Attributes that the file of every result has, including results that are not trajectories.
 RESULT = ("system", "scheme", "message")
 
 
 def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     """Open a trajectory that ``run.save`` wrote.
 
-    The module in the file is checked, as by :func:`symsimpson.load`, before anything of it runs.
+    Like :func:`symsimpson.load`, the function checks the module in the file before it executes it.
 
     Parameters
     ----------
@@ -42,14 +42,14 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     Returns
     -------
     Trajectory
-        With all that it had: energies, dense output, events.
+        The saved trajectory, with its energies, dense output and events.
 
     Raises
     ------
     InputError
-        If the name ends otherwise, or a library is missing.
+        If the extension is not supported, or a library is missing.
     StorageError
-        If the file cannot be read, or holds no trajectory.
+        If the file cannot be read, or does not contain a trajectory.
 
     Examples
     --------
@@ -65,17 +65,19 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     kind = check_kind(where)
     if kind in TABLES:
         reject(
-            f"{where}: a {kind} file is a table, and holds no run that could go on.",
-            remedy="Read it with "
-            f"{READERS[kind]}; run.save('run.nc') or 'run.zarr' keeps all of a run.",
+            f"a {kind} file is a table and does not contain a whole run.",
+            where=str(where),
+            remedy=f"Read it with {TABLE_READERS[kind]}. "
+            "run.save('run.nc') or run.save('run.zarr') saves a whole run.",
         )
     if not where.exists():
         reject(
-            f"{where}: there is no such file.",
-            remedy="run.save(path) makes one.",
+            "there is no such file.",
+            where=str(where),
+            remedy="run.save(path) writes one.",
             error=StorageError,
         )
-    xarray = library("xarray", "a trajectory in a file", "data")
+    xarray = import_library("xarray", "a trajectory in a file", "data")
     try:
         if kind == ".nc":
             with xarray.open_dataset(where, engine="netcdf4", decode_times=False) as opened:
@@ -85,47 +87,52 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
             dataset = xarray.open_zarr(where, **how).load()
     except Exception as error:  # whatever a damaged file makes the libraries raise
         reject(
-            f"{where}: the file cannot be read: {str(error)[:200]}.",
-            remedy="It is damaged, or no trajectory.",
+            f"the file cannot be read: {str(error)[:200]}.",
+            where=str(where),
+            why="It is damaged, or it is not a trajectory.",
+            remedy="Save the run again with run.save(path).",
             error=StorageError,
         )
     missing = [name for name in VARIABLES if name not in dataset]
     missing += [name for name in ATTRIBUTES if name not in dataset.attrs]
     if missing and all(name in dataset.attrs for name in RESULT):
         reject(
-            f"{where}: this is a result of symsimpson, but no run that could go on: states at "
-            f"chosen times, chosen quantities or zeros. It has no {missing[0]!r}.",
-            remedy="Read it with "
-            f"xarray.open_{'zarr' if kind == '.zarr' else 'dataset'}. To open a run again, "
-            "integrate without t_eval= and save=, and save that.",
+            f"this result of symsimpson is not a whole run: it has no {missing[0]!r}.",
+            where=str(where),
+            why="It has only states at chosen times, chosen quantities or zeros.",
+            remedy=f"Read it with xarray.open_{'zarr' if kind == '.zarr' else 'dataset'}. "
+            "To save a whole run, integrate without t_eval= and save=.",
             error=StorageError,
         )
     if missing:
         reject(
-            f"{where}: this is no trajectory that symsimpson saved: it has no {missing[0]!r}.",
-            remedy="Open it with xarray to see what it holds.",
+            f"symsimpson did not save this file as a trajectory: it has no {missing[0]!r}.",
+            where=str(where),
+            remedy="Open it with xarray to see its contents.",
             error=StorageError,
         )
     try:
         text = np.asarray(dataset["module"], dtype=np.uint8).tobytes().decode()
         users = json.loads(str(dataset.attrs.get("names", "{}")))
         program = read_program(text, os.fspath(where), users=users)
-        run = _trajectory(dataset, program)
-        if digest_of(run) != dataset.attrs["sha256"]:
-            raise ValueError("its content does not have the digest that it names")
+        run = _build_trajectory(dataset, program)
+        if trajectory_digest(run) != dataset.attrs["sha256"]:
+            raise ValueError("its content does not match its digest")
         return run
     except (StaleKernelError, InputError):
         raise
     except (SymsimpsonError, ValueError, TypeError, KeyError, OverflowError) as error:
         reject(
-            f"{where}: the file contradicts itself: {error}.",
-            remedy="It is damaged, or was edited.",
+            f"the file contradicts itself: {error}.",
+            where=str(where),
+            why="It is damaged, or it was edited.",
+            remedy="Save the run again with run.save(path).",
             error=StorageError,
         )
 
 
-def _trajectory(dataset: Any, program: Program) -> Trajectory:
-    """Put a trajectory together, of which all parts must fit."""
+def _build_trajectory(dataset: Any, program: Program) -> Trajectory:
+    """Build a trajectory from a dataset; raise ValueError if its arrays do not fit together."""
     about = dataset.attrs
     t = np.asarray(dataset["time"], dtype=np.float64)
     q, p = (np.ascontiguousarray(dataset[name], dtype=np.float64) for name in "qp")
@@ -141,40 +148,40 @@ def _trajectory(dataset: Any, program: Program) -> Trajectory:
         stored += int(every > 0 and len(t) == stored + 1)
     if retimed:
         tau = np.asarray(dataset["tau"], dtype=np.float64)
-        stored += int(every > 0 and len(tau) == stored + 1)  # the end, behind part of a step
+        stored += int(every > 0 and len(tau) == stored + 1)  # the end, after part of a step
     shapes = (t.shape, q.shape, p.shape, iterations.shape, values.shape)
-    many = stored, program.n
-    wanted = (stored,), many, many, (stored,), (len(program.parameters),)
-    if shapes != wanted or not np.isfinite(h) or h == 0:
-        raise ValueError(f"arrays have shapes {shapes}, not {wanted}")
+    of_states = stored, program.n
+    expected = (stored,), of_states, of_states, (stored,), (len(program.parameters),)
+    if shapes != expected or not np.isfinite(h) or h == 0:
+        raise ValueError(f"arrays have shapes {shapes}, not {expected}")
     whole = steps // every + 1 if every > 0 else 0
     exact = t[0] * (not retimed) + h * every * np.arange(whole)
     grid = (tau if retimed else t)[:whole]
     rounding = 16 * np.finfo(float).eps * np.abs(exact).max(initial=0)
     if not np.abs(grid - exact).max(initial=0) <= rounding:
-        raise ValueError("times are not steps apart")
+        raise ValueError("its times are not a uniform time grid")
     if retimed and not (np.diff(t) * h > 0).all():
-        raise ValueError("times do not go on")
+        raise ValueError("its times are not monotonic")
     inputs = NO_INPUTS
     if program.inputs:
         inputs = np.ascontiguousarray(dataset["inputs"], dtype=np.float64)[None]
-        given = inputs.shape[1]  # more than steps where the run ended before
-        if 1 != given < max(steps, 1) or inputs.shape[3] != len(program.inputs):
-            raise ValueError(f"inputs have shape {inputs.shape[1:]}")
+        count = inputs.shape[1]  # more than ``steps`` if the run ended early
+        if 1 != count < max(steps, 1) or inputs.shape[3] != len(program.inputs):
+            raise ValueError(f"its inputs have shape {inputs.shape[1:]}")
         if inputs.shape[2] not in (1, len(program.header.input_places)):
-            raise ValueError(f"inputs have {inputs.shape[2]} nodes")
-    ways = varied = None
+            raise ValueError(f"its inputs have {inputs.shape[2]} nodes")
+    variations = varied = None
     if "variations" in dataset:
-        ways = np.ascontiguousarray(dataset["variations"], dtype=np.float64)
-        if ways.ndim != 3 or ways.shape[:2] != (stored, 2 * program.n):
-            raise ValueError(f"variations have shape {ways.shape}")
+        variations = np.ascontiguousarray(dataset["variations"], dtype=np.float64)
+        if variations.ndim != 3 or variations.shape[:2] != (stored, 2 * program.n):
+            raise ValueError(f"its variations have shape {variations.shape}")
         if "varied_by" in about:
             varied = tuple(x for x in np.atleast_1d(about["varied_by"]).tolist() if x)
     begun = None
     if "begun" in about:
         first, *numbers = map(float, about["begun"])
         if every or len(numbers) != 2 * program.n:
-            raise ValueError(f"the start has {len(numbers)} numbers")
+            raise ValueError(f"its initial state has {len(numbers)} numbers")
         begun = first, np.array(numbers).reshape(2, program.n)
     reduced = json.loads(str(about.get("reduced", "[]")))
     recorded = [
@@ -183,8 +190,8 @@ def _trajectory(dataset: Any, program: Program) -> Trajectory:
         if name.startswith(RECORDED)
     ]
     for name, rows in recorded:
-        if name not in NAMED or rows.ndim != 2 or len(rows) != stored:
-            raise ValueError(f"{name} is not recorded, or has shape {rows.shape}")
+        if name not in RECORDERS or rows.ndim != 2 or len(rows) != stored:
+            raise ValueError(f"{name!r} is an unknown record, or has shape {rows.shape}")
     ended = acted["ended_by"]
     begin = t[0] if every else t[0] - h * steps
     return Trajectory(
@@ -200,14 +207,16 @@ def _trajectory(dataset: Any, program: Program) -> Trajectory:
         program=program,
         parameter_values=values,
         input_values=inputs,
-        driven=driven(inputs, begin, h, steps, ended) if every or ended is None else None,
+        driven=make_input_history(inputs, begin, h, steps, ended)
+        if every or ended is None
+        else None,
         tau_values=tau if retimed else None,
         begun=begun,
-        variations=ways,
+        variations=variations,
         varied_by=varied,
         recorded_values=tuple(recorded),
         reduced_values=tuple((str(k), float(x)) for k, x in reduced),
-        records=tuple(Record.read(entry) for entry in acted["records"]),
+        records=tuple(EventRecord.read(entry) for entry in acted["records"]),
         event_names=tuple(acted["names"]),
         ended_by=acted["ended_by"],
         error_estimate=float(about["error_estimate"]) if "error_estimate" in about else None,

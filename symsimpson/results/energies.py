@@ -1,4 +1,4 @@
-"""The energy along a run: its error, the work of forces on it, what the scheme keeps of it."""
+"""The energy during a run: its error, the work of forces, and the shadow energy."""
 
 from __future__ import annotations
 
@@ -14,37 +14,38 @@ from symsimpson.program.numbers import workspace
 from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder, driver_layout, work
-from symsimpson.results.states import States, Stored
-from symsimpson.stepping.driving import inputs_there, since
-from symsimpson.stepping.inputs import varied_program
+from symsimpson.results.states import FinishedRun, States
+from symsimpson.stepping.driving import inputs_at_times, inputs_from_step
+from symsimpson.stepping.inputs import program_with_derivatives
 from symsimpson.stepping.run import FALLBACK_STRETCH
 from symsimpson.support.array_types import Reals
 from symsimpson.support.derivation import LAGRANGIAN
 
-#: The name of the sum of all forces, and of what a run may record.
+#: The key of the sum over all forces, and the name that ``record`` takes.
 TOTAL, WORK = "total", "work"
-#: The name of what velocity constraints that move do.
+#: The key of the work that moving velocity constraints do.
 CONSTRAINTS = "constraints"
 
 
-class Energies(Stored):
-    """Energies along a run; :class:`Trajectory` is one."""
+class Energies(FinishedRun):
+    """The energies of a run; :class:`Trajectory` inherits them."""
 
     @cached_property
     def energy_scale(self) -> Any:
-        """The scale of ``energy_error``: the size of H0 or the median kinetic energy.
+        """The scale of ``energy_error``: the larger of abs(H0) and the median kinetic energy.
 
-        The median is taken over the stored states. H0 alone says nothing where the zero of the
-        potential happens to lie near it, as for a pendulum released at 90 degrees. A system at
-        rest with H0 = 0 has the scale 1.
+        The median is taken over the stored states. The kinetic energy matters if H0 is near zero,
+        as for a pendulum released at 90 degrees. A system at rest with H0 = 0 has the scale 1.
         """
         kinetic = np.sort(self._energies[:, 1])[len(self) // 2]
-        scale = max(abs(self._first_energy), kinetic)
+        scale = max(abs(self._initial_energy), kinetic)
         return scale if scale > 0 else scale * 0 + 1
 
     @cached_property
     def energy_error(self) -> NDArray[Any]:
-        """(H - H0) / :attr:`energy_scale`, shape (N + 1,), without what events gave or took.
+        """The relative energy error (H - H0) / :attr:`energy_scale`, shape (N + 1,).
+
+        Energy that events add or dissipate is subtracted.
 
         Raises
         ------
@@ -53,71 +54,76 @@ class Energies(Stored):
         """
         header = self.program.header
         if not header.conservative:
-            why = (
-                "forces do work on it"
+            cause = (
+                "forces do work"
                 if header.forces
-                else "constraints that move do work on it"
+                else "moving constraints do work"
                 if header.carried
                 else "it depends on the time"
             )
             reject(
-                f"{self.program.system}: the energy is not constant, {why}, so its change does "
-                "not measure the error.",
-                remedy="Use run.energy_balance, the change of the energy minus "
-                "the work done; run.energy and run.work are its parts.",
+                f"the energy is not constant: {cause}.",
+                where=self.program.system,
+                why="Its change therefore does not measure the error.",
+                remedy="Use run.energy_balance, the change of the energy minus the work done. "
+                "run.energy and run.work are its parts.",
             )
-        return (self.energy - self._first_energy - self._given) / self.energy_scale
+        return (self.energy - self._initial_energy - self._energy_from_events) / self.energy_scale
 
     @property
-    def _first_energy(self) -> Any:
-        """The energy at the start."""
+    def _initial_energy(self) -> Any:
+        """The initial energy H0."""
         if self.every is not None:
             return self.energy[0]
         if self.program.header.retimed:
             return self.parameters["E0"]
-        return self._beginning.energy[0]
+        return self._initial_state.energy[0]
 
     @cached_property
-    def _beginning(self) -> States:
-        """The state at the start, where the last one alone is stored.
+    def _initial_state(self) -> States:
+        """The initial state of a run that stores only its final state.
 
-        Raises InputError if a file does not hold it.
+        Raises InputError if a file does not contain the initial state.
         """
         if self.begun is None:
             reject(
-                "this file holds the last state of a run alone, and not how it began, as files did "
-                "before version 0.3.",
-                remedy="Take the run again, or store states on the way: every=100.",
+                "this file has the final state of a run, but not the initial state.",
+                why="Files written before version 0.3 do not have it.",
+                remedy="Repeat the run, or store states during the run: every=100.",
             )
         t, (q, p) = self.begun
         return self.with_states(np.array([t]), q[None], p[None])
 
     @cached_property
-    def _given(self) -> Any:
-        """The energy that events gave up to stored states, which impacts take; 0 without any."""
+    def _energy_from_events(self) -> Any:
+        """The energy that events added up to each stored state; negative after impacts."""
         if not self.records:
             return 0
-        from symsimpson.results.events import energies_given
+        from symsimpson.results.events import event_energies
 
-        return energies_given(self)
+        return event_energies(self)
 
     @cached_property
-    def _integrals(self) -> tuple[dict[str, NDArray[Any]], NDArray[Any]]:
-        return integrals(self)
+    def _work_integrals(self) -> tuple[dict[str, NDArray[Any]], NDArray[Any]]:
+        """The work of the forces, and the integral of dL/dt."""
+        return integrate_powers(self)
 
     @property
     def work(self) -> dict[str, NDArray[Any]]:
-        """The work of each force since the start, and of all under "total", shape (N + 1,) each.
+        """The work of each force since the initial time, by name, shape (N + 1,) each.
 
-        It is h sum_i b_i f_i.v_i over the nodes of all steps, and is accurate to the order of the
-        scheme; under "constraints" it is that of velocity constraints A v = b that move. Steps are
-        taken again for it, unless the run was asked to ``record`` it; after one that cannot be, as
-        in a passage that was not resolved, it is NaN.
+        The key "total" has the sum over all forces. The key "constraints" has the work of moving
+        velocity constraints A v = b. The work is h sum_i b_i f_i.v_i over the nodes of all steps,
+        and has the order of the scheme.
+
+        The first access repeats the steps, unless the run has ``record="work"``. If a step cannot
+        be repeated, as in an unresolved passage of a singular point, later values are NaN.
 
         Raises
         ------
         InputError
-            If only the last state is stored and work was not recorded, or the scheme is explicit.
+            If the run stores only its final state and did not record the work, or the scheme is
+            explicit.
 
         Examples
         --------
@@ -129,48 +135,52 @@ class Energies(Stored):
         >>> float(run.work["total"][-1].round(6))  # (exp(-2) - 1)/2
         -0.432332
         """
-        return self._integrals[0]
+        return self._work_integrals[0]
 
     @cached_property
     def power(self) -> dict[str, NDArray[Any]]:
-        """The power f.v of each force at the stored states, and of all under "total".
+        """The power f.v of each force at the stored states, by name, shape (N + 1,) each.
 
-        Inputs are those of the step that begins at a state; at the last, of the step before it.
+        The key "total" has the sum over all forces. The inputs at a state are those of the step
+        that begins there. The inputs at the final state are those of the last step.
         """
         if self.program.header.conservative:
             return {TOTAL: 0 * self.t}
-        return named_parts(self.program, _powers_at(self))
+        return name_columns(self.program, _evaluate_powers(self))
 
     @cached_property
     def energy_balance(self) -> NDArray[Any]:
         """H - H0 minus the work of the forces plus the integral of dL/dt, shape (N + 1,).
 
-        Zero for the exact motion, and of the order of the scheme.
+        The balance is zero for the exact motion. Its error has the order of the scheme.
 
         Raises
         ------
         InputError
-            As for :attr:`work`.
+            For the same reasons as :attr:`work`.
         """
-        work, lost = self._integrals
-        return self.energy - self._first_energy - self._given - work["total"] + lost
+        work, by_time = self._work_integrals
+        change = self.energy - self._initial_energy - self._energy_from_events
+        return change - work["total"] + by_time
 
     @cached_property
     def shadow_energy(self) -> NDArray[Any]:
-        """The modified energy that the scheme conserves, to leading order, shape (N + 1,).
+        """The modified energy H + dH that the scheme conserves, to leading order, shape (N + 1,).
 
-        Up to exponentially small terms the scheme is the flow of a modified Hamiltonian H + dH
-        (backward error analysis). The mean of dH over a step is -(L_d - S)/h: L_d is the discrete
-        Lagrangian, and S the action along a more accurate path with the same ends. For schemes of
-        order 2 and 4, H oscillates by h^2 and h^4, but H + dH only by h^4 and h^8. So a drift, a
-        force that is not conservative or equations that were not solved show at once. Above order
-        6 it tells no more than the energy.
+        Up to exponentially small terms, the scheme is the exact flow of a modified Hamiltonian
+        H + dH (Hairer, Lubich and Wanner, IX, backward error analysis). The mean of dH over a step
+        is -(L_d - S)/h. L_d is the discrete Lagrangian, and S is the action along a more accurate
+        path with the same ends.
+
+        For schemes of order 2 and 4, H oscillates with amplitude O(h^2) and O(h^4), but H + dH only
+        with O(h^4) and O(h^8). A drift, a nonconservative force or an unsolved equation is
+        therefore visible at once. Above order 6, the shadow energy shows no more than the energy.
 
         Raises
         ------
         InputError
-            If not all states are stored, the energy is not constant, there are constraints, or
-            fewer than four steps, or these are fixed in another time.
+            If not all states are stored, the energy is not constant, or the run has fewer than four
+            steps. Also if the system has constraints or a time transformation.
 
         Examples
         --------
@@ -182,15 +192,27 @@ class Energies(Stored):
         return shadow_energy(self)
 
     def plot_energy(self, *, shadow: bool = False, ax: Any = None) -> Any:
-        """Draw the error of the energy over time, into ``ax`` if given; returns the axes.
+        """Draw the energy error over time.
 
-        Where forces do work, or the energy depends on the time, :attr:`energy_balance` is drawn;
-        with ``shadow`` the change of :attr:`shadow_energy`, too.
+        If forces do work, or the energy depends on the time, the method draws
+        :attr:`energy_balance`.
+
+        Parameters
+        ----------
+        shadow : bool, default False
+            True also draws the change of :attr:`shadow_energy`.
+        ax : matplotlib axes, optional
+            Axes to draw in. By default, the method creates new axes.
+
+        Returns
+        -------
+        matplotlib axes
+            The axes of the figure.
 
         Raises
         ------
         InputError
-            If matplotlib is not installed, or there is no shadow energy.
+            If matplotlib is not installed, or the run has no shadow energy.
 
         Examples
         --------
@@ -204,84 +226,88 @@ class Energies(Stored):
         return plot_energy(self, shadow=shadow, ax=ax)
 
 
-def _powers_at(run: Stored, *, arriving: bool = False) -> Reals:
-    """Evaluate the power of each force, then dL/dt where something depends on t.
+def _evaluate_powers(run: FinishedRun, *, arriving: bool = False) -> Reals:
+    """Evaluate the power of each force at the stored states, then dL/dt if L depends on t.
 
-    With the inputs of the step that begins at a state, or of the one that arrives there.
+    The inputs are those of the step that begins at a state, or of the ``arriving`` step.
     """
     program, states, values = run.program, (run.t, run.q, run.p), run.parameter_values
-    inputs = inputs_there(program, run.driven, run.t, arriving=arriving)
+    inputs = inputs_at_times(program, run.driven, run.t, arriving=arriving)
     return evaluate(program, "power", "POWER", program.header.powers, states, values, inputs)
 
 
-def named_parts(program: Program, parts: Reals) -> dict[str, Reals]:
-    """Name the columns of forces, and add them up."""
+def name_columns(program: Program, parts: Reals) -> dict[str, Reals]:
+    """Return the columns of the forces by name, and their sum as "total"."""
     names = [*program.names.forces.shown, *([CONSTRAINTS] if program.header.carried else [])]
     by_force = {name: parts[..., k] for k, name in enumerate(names)}
     return by_force | {TOTAL: sum(by_force.values(), np.zeros(parts.shape[:-1], dtype=parts.dtype))}
 
 
-def integrals(run: Stored) -> tuple[dict[str, Reals], Reals]:
-    """Return the work of each force and of all, and the integral of dL/dt, up to stored states.
+def integrate_powers(run: FinishedRun) -> tuple[dict[str, Reals], Reals]:
+    """Return the work of each force by name, and the integral of dL/dt, at the stored states.
 
-    Each step is taken again: work is the integral h sum_i b_i f_i.v_i of the scheme, of its order.
-    Behind a step that cannot be taken again they are NaN. Raises InputError if only the last state
-    is stored, or the scheme is explicit.
+    The function repeats each step, and sums h sum_i b_i f_i.v_i over its nodes. If a step cannot
+    be repeated, later values are NaN. Raises InputError if the run stores only its final state, or
+    the scheme is explicit.
     """
     program, header = run.program, run.program.header
     if header.conservative:
         return {TOTAL: 0 * run.t}, 0 * run.t
     if run.records and WORK not in run.recorded:
         reject(
-            "the work of a run in which events acted is not known: its steps are not taken again "
-            "with their parts.",
+            "the work is unknown, because events acted on this run.",
+            why="Steps that an event divides are not repeated.",
             remedy="Record it: record='work'.",
         )
     if run.every is None and WORK not in run.recorded:
         reject(
-            "a run that keeps its last state alone (every=None) does not tell what work was done.",
-            remedy="Record it: record='work'; or store states on the way: every=1, or every=100.",
+            "the work is unknown, because this run stored only its final state (every=None).",
+            remedy="Record it: record='work'; or store states during the run: every=1, or "
+            "every=100.",
         )
-    work(header)  # refuses explicit steps
-    parts = _integrated(run)
-    lost = 0 * run.t if header.autonomous else parts[:, -1]
-    return named_parts(program, parts), lost
+    work(header)  # raises InputError if the steps are explicit
+    parts = _power_integrals(run)
+    return name_columns(program, parts), 0 * run.t if header.autonomous else parts[:, -1]
 
 
-def rough_parts(run: Stored) -> Reals:
-    """Integrate the powers at stored states by the trapezoidal rule: of forces, then of -dL/dt."""
-    begins = _powers_at(run)
-    ends = _powers_at(run, arriving=True) if run.input_values.size else begins
+def approximate_work(run: FinishedRun) -> Reals:
+    """Integrate the powers of the forces, then -dL/dt, by the trapezoidal rule over stored states.
+
+    The result has a column for each force, and one for -dL/dt if L depends on t.
+    """
+    begins = _evaluate_powers(run)
+    ends = _evaluate_powers(run, arriving=True) if run.input_values.size else begins
     spans = np.diff(np.asarray(run.t, dtype=np.float64))[:, None]
     means = np.asarray(begins[:-1] + ends[1:], dtype=np.float64) / 2
-    return _signed(run, np.concatenate([0 * means[:1], (spans * means).cumsum(axis=0)]))
+    return _negate_time_part(run, np.concatenate([0 * means[:1], (spans * means).cumsum(axis=0)]))
 
 
-def parts_of_work(run: Stored) -> Reals:
-    """Return what each force did up to stored states, then the integral of -dL/dt."""
-    return _signed(run, np.asarray(_integrated(run), dtype=np.float64))
+def exact_work(run: FinishedRun) -> Reals:
+    """Return the work of each force at the stored states, then the integral of -dL/dt."""
+    return _negate_time_part(run, np.asarray(_power_integrals(run), dtype=np.float64))
 
 
-def _signed(run: Stored, parts: Reals) -> Reals:
-    """Give dL/dt, the last of powers, the sign by which H follows it."""
+def _negate_time_part(run: FinishedRun, parts: Reals) -> Reals:
+    """Negate the last column, the integral of dL/dt, in place: dH/dt = -dL/dt."""
     if not run.program.header.autonomous:
         parts[:, -1] *= -1
     return parts
 
 
-def _integrated(run: Stored) -> Reals:
-    """Return the integrals of powers up to stored states, by steps taken again unless recorded."""
+def _power_integrals(run: FinishedRun) -> Reals:
+    """Return the recorded integrals of the powers at the stored states, or repeat the steps."""
     if WORK in run.recorded:
         return run.recorded[WORK]
     numbers, header = run.program.numbers, run.program.header
     with numbers.working():
-        return np.asarray(numbers.result(_added_up(run, header.powers)))
+        return np.asarray(numbers.result(_replay_work(run, header.powers)))
 
 
-def _added_up(run: Stored, count: int) -> Reals:
-    """Take steps again, and add up so many integrals; NaN behind one that cannot be taken so.
+def _replay_work(run: FinishedRun, count: int) -> Reals:
+    """Repeat the steps and sum ``count`` integrals, shape (N + 1, count).
 
-    Steps that the run took with more robust kernels are taken with these.
+    Like the run, the function tries the next set of kernels if a step fails. If all sets fail,
+    later values are NaN.
     """
     program, every = run.program, run.every
     assert every is not None
@@ -303,7 +329,7 @@ def _added_up(run: Stored, count: int) -> Reals:
             every,
             False,
             out[some],
-            since(inputs, done * every),
+            inputs_from_step(inputs, done * every),
         )
         if reached > 1:
             done, number = done + reached - 1, int(done + reached < last)
@@ -315,55 +341,57 @@ def _added_up(run: Stored, count: int) -> Reals:
     return out
 
 
-#: What is summed of H and of its error at four steps: around a state, and at the first two states.
+#: Weights of dH in four consecutive steps, for a state between them and for the first two states.
 AROUND = np.array([-1, 7, 7, -1]) / 12
 FIRST, SECOND = np.array([25, -23, 13, -3]) / 12, np.array([3, 13, -5, 1]) / 12
-#: Nodes of the quadrature along the better path, by its degree.
+#: Number of Gauss nodes for the action of a Hermite polynomial, by its degree.
 NODES = {3: 5, 5: 7}
 
 
-def shadow_energy(run: Stored) -> Reals:
-    """Return H + dH at all states: to h^8 for schemes of order 4, to h^4 for those of order 2.
+def shadow_energy(run: FinishedRun) -> Reals:
+    """Return H + dH at all states, up to h^8 for schemes of order 4 and h^4 for order 2.
 
-    If the scheme is the flow of H + dH, then L_d - S = -(integral of dH over the step), where S is
-    the action of the exact path between the same ends. Action is stationary there, so that a path
-    with small errors gives it: a Hermite polynomial through positions and velocities at both ends,
-    of degree three for schemes up to order 4, and five, with accelerations, for order 6.
-    Raises InputError if there is none, or states are missing.
+    If the scheme is the flow of H + dH, then L_d - S = -(integral of dH over the step). S is the
+    action of the exact path between the same ends. The action is stationary there, so an
+    approximate path is sufficient: a Hermite polynomial through positions and velocities at both
+    ends. Its degree is three for schemes up to order 4. For order 6 its degree is five, and it
+    matches accelerations, too. Raises InputError if the run has no shadow energy.
     """
-    change = changes(run)
+    change = mean_corrections(run)
     inner = [weight * change[k : len(change) - 3 + k] for k, weight in enumerate(AROUND)]
     ends = [side[:4] @ weights for side in (change, change[::-1]) for weights in (FIRST, SECOND)]
     at_states = np.concatenate([ends[:2], sum(inner), ends[:1:-1]])
     return np.asarray(run.energy + at_states)
 
 
-def changes(run: Stored) -> Reals:
-    """Return dH in the mean over each step, -(L_d - S)/h, shape (N,)."""
+def mean_corrections(run: FinishedRun) -> Reals:
+    """Return the mean of dH over each step, -(L_d - S)/h, shape (N,)."""
     _check_shadow(run)
-    program = varied_program(run.program, (), LAGRANGIAN)
+    program = program_with_derivatives(run.program, (), LAGRANGIAN)
     return (_actions(program, run) - _discrete_actions(program, run)) / run.h
 
 
-def _check_shadow(run: Stored) -> None:
+def _check_shadow(run: FinishedRun) -> None:
     """Raise InputError unless a run has a shadow energy."""
     header = run.program.header
     reasons = {
-        "its energy is not constant: look at run.energy_balance": not header.conservative,
-        "its steps are fixed in another time": header.retimed,
-        "events acted on it": run.records,
-        "its paths are held by constraints": header.constraints,
-        "not all states are stored: integrate with every=1": run.every != 1,
-        "it takes four steps to tell": run.steps < 4,
-        "it is found in double precision: compile without precision": run.p.dtype != np.float64,
+        "Its energy is not constant.\nUse run.energy_balance.": not header.conservative,
+        "Its steps are constant in transformed time.": header.retimed,
+        "Events acted on it.": run.records,
+        "The system has constraints.": header.constraints,
+        "Not all states are stored.\nIntegrate with every=1.": run.every != 1,
+        "It has fewer than four steps.": run.steps < 4,
+        "The shadow energy needs double precision.\nCompile without precision.": (
+            run.p.dtype != np.float64
+        ),
     }
-    why = next((reason for reason, applies in reasons.items() if applies), None)
-    if why is not None:
-        reject(f"{header.system}: there is no shadow energy of this run, {why}.")
+    reason = next((text for text, applies in reasons.items() if applies), None)
+    if reason is not None:
+        reject("this run has no shadow energy.", where=header.system, why=reason)
 
 
-def _discrete_actions(program: Program, run: Stored) -> Reals:
-    """Return L_d of all steps, which are taken again."""
+def _discrete_actions(program: Program, run: FinishedRun) -> Reals:
+    """Return L_d of all steps, shape (steps,), by repeating the steps."""
     numbers, header = program.numbers, program.header
     recorder = Recorder("step_cost", header.layout["COST"], rows=1)
     kernels, out = program.kernels, numbers.zeros((run.steps + 1, 1))
@@ -380,15 +408,15 @@ def _discrete_actions(program: Program, run: Stored) -> Reals:
     )
     if reached < len(run):
         reject(
-            f"{program.system}: the step to t = {float(run.t[reached]):g} could not be "
-            "taken again.",
-            remedy="Take a smaller step.",
+            f"the step to t = {float(run.t[reached]):g} cannot be repeated.",
+            where=program.system,
+            remedy="Reduce the step size h.",
         )
     return out[1:, 0]
 
 
-def _actions(program: Program, run: Stored) -> Reals:
-    """Return the actions of Hermite polynomials through the states, by Gauss quadrature."""
+def _actions(program: Program, run: FinishedRun) -> Reals:
+    """Return the actions of Hermite polynomials between the states, by Gauss quadrature."""
     degree = 3 if program.order <= 4 else 5
     places, weights = np.polynomial.legendre.leggauss(NODES[degree])
     h, q, v = run.h, run.q, run.v
@@ -409,7 +437,7 @@ def _actions(program: Program, run: Stored) -> Reals:
 
 
 def _accelerations(q: Reals, v: Reals, h: Any) -> Reals:
-    """Return accelerations at states, of fourth order, from those before and behind."""
+    """Return accelerations at the states, of fourth order, by finite differences of q and v."""
     inner = 2 * (q[2:] - 2 * q[1:-1] + q[:-2]) / h**2 - (v[2:] - v[:-2]) / (2 * h)
     one_sided = np.array([-25, 48, -36, 16, -3]) / (12 * h)
     first, last = one_sided @ v[:5], -one_sided @ v[:-6:-1]
@@ -417,7 +445,7 @@ def _accelerations(q: Reals, v: Reals, h: Any) -> Reals:
 
 
 def _hermite(degree: int) -> list[Polynomial]:
-    """Return the polynomials for value, slope (and second derivative) at 0, then at 1."""
+    """Return the Hermite basis for value, slope (and second derivative) at 0, then at 1."""
     count = (degree + 1) // 2
     rows = [
         [Polynomial.basis(k).deriv(m)(place) for k in range(degree + 1)]

@@ -1,4 +1,4 @@
-"""Events: zeros of expressions along a run, records of what acted on it."""
+"""Events: zeros of expressions during a run, and the records of events that acted."""
 
 from __future__ import annotations
 
@@ -11,49 +11,57 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import reject
 from symsimpson.program.input_values import whole_number
-from symsimpson.program.observed import Observed, read_expression, refuse_constant, watching
+from symsimpson.program.observed import (
+    ObservedExpression,
+    check_not_constant,
+    make_evaluator,
+    read_expression,
+)
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.interpolate import DenseOutput
-from symsimpson.results.states import States, Stored
+from symsimpson.results.states import FinishedRun, States
 from symsimpson.results.tables import Variable
 from symsimpson.support.array_types import Floats
 from symsimpson.support.names import did_you_mean, spelled
 from symsimpson.text.interface import ZERO
 
-Zeros = tuple[Observed, int]
-#: Angles that differ by this are one.
+ZeroQuery = tuple[ObservedExpression, int]
+#: Period of angles.
 TURN = 2 * np.pi
-#: Zeros are located to so much of the time between two states: rounding.
+#: Tolerance of the time of a zero, relative to the time between two states: round-off.
 RESOLUTION = 4 * np.finfo(float).eps
-#: A change of sign where the value stays above this part of the values around is no zero, but a
-#: jump or a pole.
+#: A change of sign is a jump or a pole if the value there exceeds this part of values around it.
 JUMP = 1e-6
-#: Zeros so near to where an angle is wrapped lie there.
+#: Relative tolerance within which a zero lies where the wrapping of an angle jumps.
 SEAM = 1e-9
 MOST_ITERATIONS, TINY = 100, 1e-300
-#: So near to a zero, relative to a step, an expression is looked at to know its sign beside it.
+#: Distances from a zero, relative to a step, at which the sign of an expression is evaluated.
 BESIDE = (1e-6, 1e-3, 2.0**-5)
-#: Weights of four values, from 0 to 1, whose sum is the slope at 0 of a cubic through them.
+#: Weights of the values at 0, 1/3, 2/3 and 1 that give the slope at 0 of a cubic through them.
 SLOPE = (-5.5, 9.0, -4.5, 1.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Events(States):
-    """The states in which an expression is zero.
+    """The states of a run at which an expression is zero.
+
+    The class inherits the attributes of :class:`States`, such as ``v`` and ``energy``.
 
     Attributes
     ----------
     t : ndarray, shape (N,)
+        Times of the zeros, in the order of the run.
     q, p : ndarray, shape (N, n)
-        Angles that were to be wrapped lie between -pi and pi.
+        Positions and conjugate momenta. Angles in ``wrap`` lie between -pi and pi.
     direction : ndarray of int, shape (N,)
-        1 where the expression goes up with the run, -1 where it goes down.
+        1 if the expression increases along the run, -1 if it decreases.
     expression : str
+        The expression, as text.
     status : Status
-        How the run ended that was looked through.
+        The outcome of the run.
     message : str
-        The same in words.
+        The outcome of the run, as text.
 
     Examples
     --------
@@ -73,27 +81,28 @@ class Events(States):
         return False
 
     def plot(self, names: str | Sequence[str] | None = None, *more: str, ax: Any = None) -> Any:
-        """Draw the section: one quantity over another, at the zeros.
+        """Draw the Poincaré section: one quantity over another, at the zeros.
 
         Parameters
         ----------
         names : str or sequence of str, optional
-            Two names, as in ``run["q1"]``: the second is drawn over the first. By default these
-            are the first coordinate that the section does not fix, and its momentum. One name, or
-            more than two, are drawn over time.
+            Two names, as in ``run["q1"]``: the method draws the second quantity over the first. By
+            default, these are the first coordinate that the section does not fix, and its
+            momentum. If you pass one name, or more than two, the method draws them over time.
         *more : str
-            Further names.
+            More names.
         ax : matplotlib axes, optional
-            Axes to draw in; new ones unless given.
+            Axes to draw in. By default, the method creates new axes.
 
         Returns
         -------
         matplotlib axes
+            The axes of the figure.
 
         Raises
         ------
         InputError
-            If matplotlib is not installed, or there is no such quantity.
+            If matplotlib is not installed, or a name is unknown.
 
         Examples
         --------
@@ -113,52 +122,53 @@ class Events(States):
 
         return events(self)
 
-    def _further(self) -> list[Variable]:
-        return [of_event("direction", self.direction)]
+    def _extra_variables(self) -> list[Variable]:
+        return [event_variable("direction", self.direction)]
 
-    def _about(self) -> dict[str, Any]:
-        return super()._about() | {"zeros of": self.expression, "message": self.message}
+    def _attributes(self) -> dict[str, Any]:
+        return super()._attributes() | {"zeros of": self.expression, "message": self.message}
 
 
-def of_event(name: str, values: Any) -> Variable:
-    """Return a variable that only events have."""
+def event_variable(name: str, values: Any) -> Variable:
+    """Return a variable of events; its column has the prefix ``event_`` if the name is taken."""
     return Variable(name, values, ("time",), columns=(name,), prefix="event_")
 
 
-def read_zeros(program: Program, expression: Any, direction: int, wrap: Any) -> Zeros:
-    """Read which zeros are wanted; raises InputError."""
+def read_zeros(program: Program, expression: Any, direction: int, wrap: Any) -> ZeroQuery:
+    """Read the arguments of ``run.events``; raise InputError if they are invalid."""
     if whole_number(direction) not in (-1, 0, 1):
         reject(
             f"direction is {direction!r}.",
-            remedy="Pass 1 for zeros on the way up, -1 for those on the way down, or 0 for both.",
+            remedy="Pass 1 for increasing values, -1 for decreasing values, or 0 for both.",
         )
     names = program.names.coordinates
     wrap = wrap.tolist() if hasattr(wrap, "tolist") else wrap
     several = isinstance(wrap, (tuple, list, set, frozenset))
-    given = program.coordinates if wrap is True else wrap if several else [wrap] if wrap else []
-    places = [names.place(coordinate) for coordinate in given]
+    angles = program.coordinates if wrap is True else wrap if several else [wrap] if wrap else []
+    places = [names.place(coordinate) for coordinate in angles]
     if None in places:
-        unknown = spelled(list(given)[places.index(None)])
+        unknown = spelled(list(angles)[places.index(None)])
         reject(
-            f"wrap names {unknown!r}, which is no coordinate.{did_you_mean(unknown, names.shown)}",
-            remedy=f"The system has {', '.join(names.shown)}; True wraps all.",
+            f"wrap has {unknown!r}, which is not a coordinate.{did_you_mean(unknown, names.shown)}",
+            remedy=f"The coordinates are {', '.join(names.shown)}. wrap=True wraps all of them.",
         )
     wrapped = tuple(place for place in places if place is not None)
     query = read_expression(program, expression, wrapped)
-    refuse_constant(query, query.expression)
+    check_not_constant(query, query.expression)
     if query.rest:
         reject(
-            f"{query.expression} is a rest alone, which jumps back to 0 and never changes "
-            "its sign.",
-            remedy="Write where it is to be: Mod(q1, 2*pi) - pi has a zero in each turn "
-            "at q1 = pi, "
-            "Mod(q1 + pi, 2*pi) - pi at q1 = 0.",
+            f"{query.expression} never changes its sign.",
+            why="Mod gives a remainder, which jumps back to 0.",
+            remedy="Subtract a value: Mod(q1, 2*pi) - pi has a zero in each turn at q1 = pi. "
+            "Mod(q1 + pi, 2*pi) - pi has its zeros at q1 = 0.",
         )
     return query, int(direction)
 
 
-def gather(run: Stored, wanted: Zeros, crossings: Sequence[tuple[Floats, ...]]) -> Events:
-    """Put zeros together that were found one after the other."""
+def merge_zeros(
+    run: FinishedRun, wanted: ZeroQuery, crossings: Sequence[tuple[Floats, ...]]
+) -> Events:
+    """Join the zeros of consecutive pieces of a run, and wrap their angles."""
     n = run.program.n
     none = np.zeros(0), np.zeros((0, n)), np.zeros((0, n)), np.zeros(0)
     t, q, p, direction = (np.concatenate(parts) for parts in zip(none, *crossings, strict=True))
@@ -170,35 +180,36 @@ def gather(run: Stored, wanted: Zeros, crossings: Sequence[tuple[Floats, ...]]) 
         p=p,
         direction=direction.astype(np.int64),
         expression=wanted[0].expression,
-        **of_run(run),
+        **run_fields(run),
     )
 
 
-def of_run(run: Any) -> dict[str, Any]:
-    """Return how a run ended and with what it ran, for states that were found in it."""
+def run_fields(run: Any) -> dict[str, Any]:
+    """Return the fields of a run that states found in it share."""
     names = ("status", "message", "program", "parameter_values", "driven")
     return {name: getattr(run, name) for name in names}
 
 
-@np.errstate(over="ignore", invalid="ignore")  # where there is no finite value, there is no zero
-def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
-    """Find times, positions, momenta and directions of the zeros at and between stored states.
+@np.errstate(over="ignore", invalid="ignore")  # values that are not finite are not zeros
+def find_zeros(run: FinishedRun, sought: ZeroQuery) -> tuple[Floats, ...]:
+    """Return times, positions, momenta and directions of the zeros at and between stored states.
 
-    A zero at the first state is none; at the last one it is, unless the motion turns back there.
+    A zero at the first state does not count. A zero at the last state counts, unless the motion
+    turns back there.
     """
     wanted, direction = sought
     dense, wrapped = DenseOutput(run), list(wanted.wrapped)
-    times, positions, momenta = _with_end(run, dense)
-    asked = [wanted, replace(wanted, text=wanted.size)]
-    watched = watching(run.program, asked, run.parameter_values)
+    times, positions, momenta = _append_end(run, dense)
+    pair = [wanted, replace(wanted, text=wanted.size)]
+    watched = make_evaluator(run.program, pair, run.parameter_values)
 
     def value(t: Floats, q: Floats, p: Floats, turns: Floats) -> Floats:
         q = q.copy()
         q[:, wrapped] -= TURN * turns
         return watched(t, q, p).T
 
-    # an angle stays in the turn in which the interval begins; where it ends in another, that is
-    # looked at as well
+    # an interval has the turn of each angle at its beginning; if it ends in another turn, it is
+    # searched a second time, in that turn
     turns = np.floor(positions[:, wrapped] / TURN + 0.5)
     passing = np.flatnonzero((turns[1:] != turns[:-1]).any(axis=1))
     values, sizes_at = value(times, positions, momenta, turns)  # each state in its own turn
@@ -206,7 +217,7 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
     distance, up = np.abs(values), values > 0
     limit = np.fmax(small, ZERO * np.max(distance, initial=0.0, where=np.isfinite(distance)))
     far = distance > limit
-    plain = far[1:] & far[:-1] & (up[1:] == up[:-1])  # no zero is to be looked for
+    plain = far[1:] & far[:-1] & (up[1:] == up[:-1])  # intervals without a zero
     plain[passing] = False
     begin = np.flatnonzero(~plain)
     count, start = len(begin), np.append(begin, passing)
@@ -226,16 +237,16 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
         state[0][which], state[1][which] = q, p
         return value(times[start[which]] + later, q, p, turn[which])
 
-    def looked_at(end: int, way: int) -> tuple[Floats, Floats, Floats]:
+    def examine_end(end: int, way: int) -> tuple[Floats, Floats, Floats]:
         """Return signs at one end of all intervals, places near it, and values there."""
         at_ends, sizes, places = (first, last)[end].copy(), small[start + end], end * span
         signs, which = np.sign(at_ends), np.flatnonzero(np.abs(at_ends) <= limit[start + end])
-        if which.size:  # only against what is beside it is it known to be zero
+        if which.size:  # compared with the values beside it, the value is zero or is not
             near = at(which, places[which] + way * BESIDE[1] * span[which])[0]
             least = np.fmax(sizes[which], ZERO / BESIDE[1] * np.abs(near))
             which = which[np.abs(at_ends[which]) <= least]
             place, ahead = places[which], way * span[which]
-            beside = signs_beside(lambda part: at(which, place + part * ahead), sizes[which])
+            beside = signs_near(lambda part: at(which, place + part * ahead), sizes[which])
             clear = np.where(np.abs(at_ends[which]) > sizes[which], signs[which], 0)
             signs[which] = np.where(beside == 0, clear, beside)
             places[which] += BESIDE[1] * ahead
@@ -244,16 +255,16 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
             at_ends[lost] = TINY * signs[lost]
         return signs, places, at_ends
 
-    (left, low, first), (right, high, last) = looked_at(0, 1), looked_at(1, -1)
+    (left, low, first), (right, high, last) = examine_end(0, 1), examine_end(1, -1)
     known = np.stack([left[:count], right[:count]], axis=1)
     known[passing, 1] = right[count:]  # in the turn of the next interval
-    flat = known.ravel()  # what rests at zero stays on the side on which it was
+    flat = known.ravel()  # a value that stays at zero keeps its last sign
     flat = flat[np.maximum.accumulate(np.where(flat == 0, 0, np.arange(flat.size)))]
     left[:count], alone = flat[::2], np.delete(np.arange(count), passing)
     right[alone] = flat[2 * alone + 1]
     behind = np.append(flat[2::2], 0.0)
     at_end = count and start[count - 1] == len(times) - 2
-    if at_end and high[count - 1] != span[count - 1]:  # zero at the end: if unknown, it goes on
+    if at_end and high[count - 1] != span[count - 1]:  # zero at the end: look beyond it
         end = np.array([min(len(times), len(run.t)) - 1])
 
         def beyond(part: float) -> Floats:
@@ -261,7 +272,7 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
             q[codes != 0] = np.nan
             return value(times[-1:] + part * span[count - 1], q, p, turns[-1:])
 
-        (sign,) = signs_beside(beyond, small[-1:])
+        (sign,) = signs_near(beyond, small[-1:])
         behind[-1] = sign or -flat[-1]
     within = np.where(left * right < 0, right, 0)
     at_states = np.where(flat[1::2] * behind < 0, behind, 0)
@@ -286,7 +297,7 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
     signs, start = np.append(within[here], at_states[states]), np.append(start[here], start[states])
     span = times[start + 1] - times[start]
     order = np.lexsort((later * np.sign(span), start))
-    if passing.size:  # what lies on the seam was found on both of its sides
+    if passing.size:  # a zero where wrapping jumps was found on both sides
         same = (np.diff(start[order]) == 0) & (
             np.abs(np.diff(later[order])) <= SEAM * np.abs(span[order[1:]])
         )
@@ -294,11 +305,11 @@ def zeros(run: Stored, sought: Zeros) -> tuple[Floats, ...]:
     return (times[start] + later)[order], q[order], p[order], signs[order]
 
 
-def signs_beside(values: Callable[[float], Floats], small: Floats) -> Floats:
-    """Return signs of expressions a little beside a zero, 0 where they are not known.
+def signs_near(values: Callable[[float], Floats], small: Floats) -> Floats:
+    """Return the signs of expressions beside a zero; 0 means that the sign is unknown.
 
-    ``values`` gives them, and their sizes, at a part of a step from it. Slopes at the zero tell the
-    sign, as the motion may come back at once; values themselves do where slopes are zero.
+    ``values(part)`` returns values and their sizes ``part`` steps from the zero. The slope there
+    decides, because the motion may return at once. If the slope is zero, the value decides.
     """
     signs = np.zeros_like(small)
     for part in BESIDE:
@@ -310,11 +321,11 @@ def signs_beside(values: Callable[[float], Floats], small: Floats) -> Floats:
     return np.where((signs == 0) & (np.abs(there[-1, 0]) > least), np.sign(there[-1, 0]), signs)
 
 
-def _with_end(run: Stored, dense: DenseOutput) -> tuple[Floats, Floats, Floats]:
-    """Return the stored states, and the last one of the run where that was not stored."""
+def _append_end(run: FinishedRun, dense: DenseOutput) -> tuple[Floats, Floats, Floats]:
+    """Return the stored states, and the final state of the run if it was not stored."""
     times, positions, momenta = run.t, run.q, run.p
-    left_out = run.every and run.steps % run.every
-    if left_out and run.tau_values is None and run.ended_by is None:
+    missing = run.every and run.steps % run.every
+    if missing and run.tau_values is None and run.ended_by is None:
         end = np.array([run.t[0] + run.h * run.steps])
         q, p, codes = dense.after(np.array([len(times) - 1]), end - times[-1])
         if not codes.any():
@@ -329,10 +340,11 @@ def chandrupatla(
     first: Floats,
     last: Floats,
 ) -> Floats:
-    """Find a zero in each of many intervals from 0 to ``span``, with the values at their ends.
+    """Find a zero in each of many intervals from 0 to ``span`` by Chandrupatla's method.
 
-    Inverse quadratic interpolation where that can be trusted, else bisection (T. R. Chandrupatla,
-    Adv. Eng. Softw. 28 (1997), 145-149). ``function`` takes numbers of intervals, and places.
+    The method interpolates by an inverse quadratic polynomial if this is reliable, else it bisects
+    (T. R. Chandrupatla, Adv. Eng. Softw. 28 (1997), 145-149). ``first`` and ``last`` are the values
+    at the ends. ``function`` takes the numbers of intervals and a place in each.
     """
     a, b, c = np.zeros_like(span), span.copy(), np.zeros_like(span)
     fa, fb, fc = first.copy(), last.copy(), first.copy()
@@ -367,8 +379,8 @@ def chandrupatla(
     return best
 
 
-class Record(NamedTuple):
-    """One event that acted: its number, the time, the step, and the states on both sides."""
+class EventRecord(NamedTuple):
+    """One event that acted: its number, time and step, and the states before and after it."""
 
     event: int
     t: float
@@ -383,32 +395,35 @@ class Record(NamedTuple):
 
     @property
     def as_json(self) -> list[Any]:
-        """The record in values of JSON."""
+        """The record as a list of JSON values."""
         return [x.tolist() if isinstance(x, np.ndarray) else x for x in self]
 
-    def since(self, step: int) -> Record:
-        """Return the record in a run that begins at a step of this one."""
+    def since(self, step: int) -> EventRecord:
+        """Return the record with its step counted from another step of the run."""
         return self._replace(step=self.step - step)
 
     @classmethod
-    def read(cls, values: list[Any]) -> Record:
-        """Return the record with these values of JSON."""
+    def read(cls, values: list[Any]) -> EventRecord:
+        """Return the record from the values that ``as_json`` returns."""
         numbers: list[Any] = [np.array(x) if isinstance(x, list) else x for x in values]
         return cls(*numbers)
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Actions(Events):
-    """The states in which an event acted on a run; those of :class:`Events` are before it.
+    """The states at which an event acted on a run, before and after its action.
+
+    The class inherits the attributes of :class:`Events`: ``t``, ``q``, ``p`` and quantities such as
+    ``energy`` describe the states before the action.
 
     Attributes
     ----------
     q_after, p_after : ndarray, shape (N, n)
-        The states after it.
+        Positions and conjugate momenta after the action.
     impulse : ndarray, shape (N,)
-        Of impacts, along the slope of the gap; 0 for others.
+        Impulse of an impact along the gradient of the gap. It is 0 for other actions.
     simultaneous : ndarray of bool, shape (N,)
-        Whether another impact acted at the same time.
+        True if another impact acted at the same time.
 
     Examples
     --------
@@ -429,20 +444,20 @@ class Actions(Events):
 
     @property
     def after(self) -> States:
-        """The states after the actions."""
+        """The states after the actions, with quantities such as ``energy``."""
         return self.with_states(self.t, self.q_after, self.p_after)
 
-    def _further(self) -> list[Variable]:
+    def _extra_variables(self) -> list[Variable]:
         further = {
             "direction": self.direction,
             "impulse": self.impulse,
             "simultaneous": self.simultaneous.astype(int),
         }
-        return [of_event(name, values) for name, values in further.items()]
+        return [event_variable(name, values) for name, values in further.items()]
 
 
-def actions_of(run: Any, name: str) -> Actions:
-    """Return what an event of a run did, by its name."""
+def read_actions(run: Any, name: str) -> Actions:
+    """Return the record of an event of a run, by the name of the event."""
     number = run.event_names.index(name)
     records = [record for record in run.records if record.event == number]
 
@@ -456,7 +471,7 @@ def actions_of(run: Any, name: str) -> Actions:
         p=rows("p"),
         direction=np.array([record.direction for record in records], dtype=np.int64),
         expression=name,
-        **of_run(run),
+        **run_fields(run),
         q_after=rows("q_after"),
         p_after=rows("p_after"),
         impulse=np.array([record.impulse for record in records]),
@@ -464,14 +479,18 @@ def actions_of(run: Any, name: str) -> Actions:
     )
 
 
-def energies_given(run: Any) -> Floats:
-    """Return the energy that events gave up to each stored state of a run."""
+def event_energies(run: Any) -> Floats:
+    """Return the energy that events added to a run up to each stored state, shape (N + 1,)."""
     _, t, step, q, p, q_after, p_after, *_ = map(np.array, zip(*run.records, strict=True))
-    before, behind = run.with_states(t, q, p), run.with_states(t, q_after, p_after)
-    stays = (before.q == behind.q).all(axis=1)  # and V, which may be NaN at the zero of a root
-    moved, pushed = behind.energy - before.energy, behind.kinetic_energy - before.kinetic_energy
-    total = np.concatenate([[0.0], np.cumsum(np.where(stays, pushed, moved))])
-    # a step has in it what acts where it begins, but for the start and the end of a run
+    before, after = run.with_states(t, q, p), run.with_states(t, q_after, p_after)
+    # V is equal if q is; it may be NaN at the zero of a root
+    same_q = (before.q == after.q).all(axis=1)
+    change, kinetic_change = (
+        after.energy - before.energy,
+        after.kinetic_energy - before.kinetic_energy,
+    )
+    total = np.concatenate([[0.0], np.cumsum(np.where(same_q, kinetic_change, change))])
+    # an event at the beginning of a step belongs to that step, except at both ends of the run
     states = (run.every or 1) * np.arange(len(run))
     acted = np.searchsorted(step, states, side="left")
     acted[0] = np.sum((step == 0) & (t == run.t[0]))

@@ -1,4 +1,4 @@
-"""Steppers and what they give, in HTML."""
+"""HTML representations of steppers and results, for notebooks."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from symsimpson.program.status import Status
 from symsimpson.support.markup import Markup, box, curves, facts, scatter
 from symsimpson.support.names import counted
 
-#: More coordinates than this are no picture each.
+#: The largest number of coordinates that have a picture each.
 DRAWN = 6
 GOOD, BAD = "#3a9e6b", "#d1495b"
 
 
 def stepper(program: Program) -> str:
-    """Show what was generated, and how a step is solved."""
+    """Show the system, scheme and module of a stepper, and how it solves a step."""
     values = ", ".join(f"{k} = {float(v):g}" for k, v in program.named_values().items())
     solved = "explicit, or one matrix for all"
     unknowns = program.header.newton_unknowns
@@ -41,12 +41,12 @@ def stepper(program: Program) -> str:
 
 
 def states(some: Any) -> str:
-    """Show states with a picture of each coordinate."""
-    return box(repr(some), facts(_drawn(some)))
+    """Show states, with a picture of each coordinate."""
+    return box(repr(some), facts(_coordinate_pictures(some)))
 
 
 def events(crossings: Any) -> str:
-    """Show the states in which something happens."""
+    """Show the zeros of an expression, with a phase portrait of each coordinate."""
     rows: list[tuple[str, Any]] = [("zeros of", crossings.expression)]
     if crossings.status is not Status.SUCCESS:
         rows.append(("the run", verdict(crossings.message, False)))
@@ -59,7 +59,7 @@ def events(crossings: Any) -> str:
 
 
 def trajectory(run: Any) -> str:
-    """Show how a run ended, with pictures."""
+    """Show the outcome of a run, with pictures of its coordinates and its energy."""
     rows: list[tuple[str, Any]] = [
         ("scheme", f"{run.program.scheme}, order {run.program.order}"),
         ("steps", f"{run.steps} of h = {float(run.h):g}, {counted(len(run), 'state')} stored"),
@@ -77,18 +77,19 @@ def trajectory(run: Any) -> str:
         name = "largest energy error" if len(run) > 1 else "energy error at the end"
         rows.append((name, f"{np.abs(energy).max():.2g}"))
     if len(run) > 1:
-        rows += _drawn(run)
+        rows += _coordinate_pictures(run)
         rows.append(("energy error" if constant else "energy", curves(run.t, [energy])))
     return box(f"Trajectory of {run.program.system}", facts(rows))
 
 
 def iterations_a_step(run: Any) -> float | None:
-    """Return Newton iterations a step, up to the last stored state; None if it is the first."""
+    """Return the mean Newton iterations per step, up to the last stored state; None for 0 steps."""
     steps = run.steps if run.every is None else min((len(run) - 1) * run.every, run.steps)
     return float(run.newton_iterations.sum()) / steps if steps else None
 
 
-def _drawn(some: Any) -> list[tuple[str, Any]]:
+def _coordinate_pictures(some: Any) -> list[tuple[str, Any]]:
+    """Return a picture of each coordinate, or one of the first coordinates if there are many."""
     names = some.program.coordinates
     if len(some) < 2:
         return [(name, f"{float(some[name][0]):.6g}") for name in names[:DRAWN] if len(some)]
@@ -98,7 +99,7 @@ def _drawn(some: Any) -> list[tuple[str, Any]]:
 
 
 def ensemble(members: Any, t_end: float) -> str:
-    """Show the outcome of many runs to a time, with pictures of their ends."""
+    """Show the outcome of an ensemble, with a picture of the final states."""
     names = members.program.coordinates
     good = bool((members.status == Status.SUCCESS).all())
     rows: list[tuple[str, Any]] = [
@@ -120,8 +121,8 @@ def ensemble(members: Any, t_end: float) -> str:
 
 
 def solution(result: Any) -> str:
-    """Show a solution of optimal control, with pictures of coordinates and inputs."""
-    t, columns = result.t, dict(zip(result.layout.read.names, result.q.T, strict=True))
+    """Show the solution of an optimal control problem: coordinates and inputs over time."""
+    t, columns = result.t, dict(zip(result.layout.problem.names, result.q.T, strict=True))
     columns |= result.inputs(t)
     rows: list[tuple[str, Any]] = [
         ("cost", f"{result.cost:.9g}"),
@@ -134,7 +135,7 @@ def solution(result: Any) -> str:
 
 
 def chaos(result: Any) -> str:
-    """Show Lyapunov exponents over time, and other indicators of chaos at the end."""
+    """Show Lyapunov exponents over time, and other indicators of chaos at the final time."""
     rows: list[tuple[str, Any]] = [
         ("exponents", ", ".join(f"{x:.4g}" for x in result.exponents)),
         ("over time", curves(result.t, list(result.history.T))),
@@ -146,5 +147,5 @@ def chaos(result: Any) -> str:
 
 
 def verdict(text: str, good: bool) -> Markup:
-    """Return a text in green or red."""
+    """Return a text in green if it is ``good``, else in red."""
     return Markup(f'<span style="color: {GOOD if good else BAD}">{html.escape(text)}</span>')

@@ -1,4 +1,4 @@
-"""Derivatives of motions: of a cost, of single steps, of motions that part."""
+"""Results of derivatives: gradients of a cost, linearised steps, and indicators of chaos."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from symsimpson.results.trajectory import Trajectory
 from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.names import counted
 
-#: A central difference of exact gradients loses the fewest digits at this part of the point.
+#: Relative increment with the smallest error of a central difference of exact gradients.
 DIFFERENCE = np.finfo(np.float64).eps ** (1 / 3)
 
 
@@ -25,9 +25,9 @@ class Gradient(tuple[Any, Reals]):
     value : number
         The cost.
     gradient : ndarray, shape (k,)
-        Its derivatives by all that was asked for, one after the other.
+        The derivatives of the cost by all variables of ``wrt``, in their order.
     parts : dict from str to ndarray
-        The same by name, each in the shape of what was given.
+        The derivatives by name. Each array has the shape of the value that you pass.
 
     Examples
     --------
@@ -43,7 +43,7 @@ class Gradient(tuple[Any, Reals]):
     parts: dict[str, Reals]
 
     def __new__(cls, value: Any, parts: Mapping[str, Reals]) -> Gradient:
-        """Join the parts."""
+        """Join the derivatives of all variables into one gradient."""
         flat = [np.ravel(part) for part in parts.values()]
         gradient = super().__new__(cls, (value, np.concatenate(flat) if flat else np.zeros(0)))
         gradient.parts = dict(parts)
@@ -59,7 +59,7 @@ class Gradient(tuple[Any, Reals]):
 
     @property
     def gradient(self) -> Reals:
-        """Its derivatives, one after the other."""
+        """The derivatives of the cost by all variables, in their order, shape (k,)."""
         return self[1]
 
     def __repr__(self) -> str:
@@ -70,19 +70,22 @@ class Gradient(tuple[Any, Reals]):
 def hessian_product(
     objective: Callable[[ArrayLike], tuple[float, ArrayLike]],
 ) -> Callable[[ArrayLike, ArrayLike], NDArray[np.float64]]:
-    """Return products of the Hessian matrix with vectors, as optimisers of SciPy take ``hessp``.
+    """Return a function that multiplies the Hessian matrix by a vector.
 
-    Each is a central difference of two exact gradients: some ten digits.
+    The optimisers of SciPy take this function as ``hessp``. A product is a central difference of
+    two exact gradients, and has about ten correct digits.
 
     Parameters
     ----------
     objective : callable
-        From a point to (value, gradient).
+        The function to differentiate. It takes a point of shape (k,), and returns the pair
+        (value, gradient).
 
     Returns
     -------
     callable
-        From a point and a direction, each of shape (k,), to their product.
+        A function of a point and a vector, each of shape (k,). It returns the product of the
+        Hessian matrix and the vector, shape (k,).
 
     Examples
     --------
@@ -109,19 +112,20 @@ def hessian_product(
 
 @dataclass(frozen=True)
 class Linearisation:
-    """Derivatives of the steps of a run, each of its end (q, p).
+    """Derivatives of the N steps of a run: of the state (q, p) at the end of each step.
 
     Attributes
     ----------
     t : ndarray, shape (N + 1,)
+        Times of the states.
     q, p : ndarray, shape (N + 1, n)
-        The states between which the steps are.
+        Positions and conjugate momenta before and after the steps.
     by_state : ndarray, shape (N, 2 n, 2 n)
-        By (q, p) at the start of each step.
-    by_parameter : mapping from name to ndarray, shape (N, 2 n)
-        By a parameter, at a given state.
-    by_input : mapping from name to ndarray, shape (N, 2 n, s)
-        By the values that an input has at the s nodes of each step.
+        Derivatives by the state (q, p) at the start of each step.
+    by_parameter : mapping from str to ndarray, shape (N, 2 n)
+        Derivatives by a parameter, at a fixed state at the start of each step.
+    by_input : mapping from str to ndarray, shape (N, 2 n, s)
+        Derivatives by the values of an input at the s nodes of each step.
 
     Examples
     --------
@@ -147,39 +151,48 @@ class Linearisation:
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Chaos:
-    """How variations of a motion grow and align; made by :meth:`Stepper.lyapunov`.
+    """Lyapunov exponents and other indicators of chaos; :meth:`Stepper.lyapunov` returns them.
 
     Attributes
     ----------
     t : ndarray, shape (M,)
-        Times at which variations were made orthonormal again.
+        Times at which the run orthonormalised the variations.
     exponents : ndarray, shape (k,)
-        Lyapunov exponents in 1 / time, means up to the last of these times: the largest first, if
-        the run is long enough to tell them apart. Without forces and constraints, the first and the
-        last of all 2 n exponents are opposite, and so on.
+        Lyapunov exponents, in 1 / time, averaged over the whole run. The largest is first, if the
+        run is long enough to separate them. Without forces and constraints, the 2 n exponents are
+        pairs of opposite sign: the first and the last, and so on.
     history : ndarray, shape (M, k)
-        Means up to each of these times.
+        Lyapunov exponents, in 1 / time, averaged up to each time.
     megno : ndarray, shape (M,)
-        Mean exponential growth of nearby orbits, averaged over time: goes to 2 on regular motions
-        (0 on periodic ones), grows as half the largest exponent times t on chaotic ones.
+        Mean exponential growth factor of nearby orbits. It tends to 2 on quasiperiodic motions and
+        to 0 on periodic ones. On chaotic motions it grows like t times half the largest exponent.
     sali : ndarray, shape (M,)
-        Smaller alignment index of two variations: falls to 0 exponentially on chaotic motions.
+        Smaller alignment index of two variations. It decays exponentially on chaotic motions.
     gali : ndarray, shape (M, k - 1)
-        Generalized alignment indices of the first two, three, ... variations.
+        Generalised alignment indices of the first two, three, ... variations.
     trajectory : Trajectory
-        The motion at these times, and at the start.
+        The states at the initial time and at these times.
 
     Notes
     -----
     The squared length of a variation is the sum of (m_i/T) dq_i^2 + (T/m_i) dp_i^2. 1/m_i is the
-    diagonal of M^-1 at the start, and T is the time scale of the linearised equations there. So no
-    value depends on your units, except that exponents have the unit 1 / time.
+    diagonal of M^-1 at the initial state, and T is the time scale of the linearised equations
+    there. The indicators therefore do not depend on your units. Only the exponents have a unit,
+    1 / time.
 
     References
     ----------
     .. [1] G. Benettin, L. Galgani, A. Giorgilli, J.-M. Strelcyn, Meccanica 15 (1980).
     .. [2] P. M. Cincotta, C. Simo, Astron. Astrophys. Suppl. 147 (2000).
     .. [3] C. Skokos, T. Bountis, C. Antonopoulos, Physica D 231 (2007).
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> stepper = ss.compile(ss.systems.double_pendulum())
+    >>> chaos = stepper.lyapunov([2.0, 2.5], p0=[0, 0], h=0.01, t_end=20)
+    >>> chaos.history.shape, chaos.gali.shape, bool(chaos.megno[-1] > 4)
+    ((100, 4), (100, 3), True)
     """
 
     t: Floats
@@ -191,11 +204,21 @@ class Chaos:
 
     @property
     def exponents(self) -> Floats:
-        """Lyapunov exponents up to the last time, in the order of ``history``."""
+        """Lyapunov exponents averaged over the whole run, in 1 / time, shape (k,)."""
         return np.asarray(self.history[-1])
 
     def plot(self, *, ax: Any = None) -> Any:
-        """Draw the exponents over time, into ``ax`` if given; returns the axes.
+        """Draw the Lyapunov exponents over time.
+
+        Parameters
+        ----------
+        ax : matplotlib axes, optional
+            Axes to draw in. By default, the method creates new axes.
+
+        Returns
+        -------
+        matplotlib axes
+            The axes of the figure.
 
         Raises
         ------
@@ -216,9 +239,9 @@ class Chaos:
         return f"Chaos(exponents {exponents}; t = {self.t[-1]:g}, megno {self.megno[-1]:.4g})"
 
 
-def chaos_of(kept: Floats, trajectory: Trajectory, count: int) -> Chaos:
-    """Read what the driver kept of so many variations, one row for each time."""
+def read_chaos(rows: Floats, trajectory: Trajectory, count: int) -> Chaos:
+    """Read the rows that the driver recorded for ``count`` variations, one for each time."""
     t = trajectory.t[1:]
-    past = (t - trajectory.t[0])[:, None]
-    sums, aligned = kept[:, 3 : 3 + count], kept[:, 3 + count : 2 + 2 * count]
-    return Chaos(t, sums / np.abs(past), kept[:, 1], kept[:, 2], aligned, trajectory)
+    elapsed = (t - trajectory.t[0])[:, None]
+    sums, gali = rows[:, 3 : 3 + count], rows[:, 3 + count : 2 + 2 * count]
+    return Chaos(t, sums / np.abs(elapsed), rows[:, 1], rows[:, 2], gali, trajectory)

@@ -1,4 +1,4 @@
-"""Parts of a long run: states at chosen times, or chosen quantities alone."""
+"""Results of runs that store only states at chosen times, or only chosen quantities."""
 
 from __future__ import annotations
 
@@ -12,27 +12,35 @@ from numpy.typing import NDArray
 from symsimpson.errors import UnknownNameError, reject
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
-from symsimpson.results.events import Actions, actions_of
-from symsimpson.results.states import Outcome, Plotted, States
-from symsimpson.results.tables import Savable, Variable, attribute_name, variable_of
+from symsimpson.results.events import Actions, read_actions
+from symsimpson.results.states import Plottable, RunOutcome, States
+from symsimpson.results.tables import Savable, Variable, attribute_name, make_variable
 from symsimpson.support.array_types import Floats
-from symsimpson.support.calling import explaining
+from symsimpson.support.calling import explain_methods
 from symsimpson.support.names import counted, did_you_mean, public_names, spelled
 
 
-@explaining()
-class WithEvents(Savable, Outcome):
-    """A result that knows what events did, though states between them may not be kept."""
+@explain_methods()
+class EventRecords(Savable, RunOutcome):
+    """A result with the records of events, which may not store states between the events."""
 
     def events(self, name: Any) -> Actions:
-        """Return the states in which an event acted on the run, by its name.
+        """Return the record of an event: the states at which it acted on the run.
 
-        One without a name has that of its expression.
+        Parameters
+        ----------
+        name : str or expression
+            Name of the event. An event without a name has the text of its expression as name.
+
+        Returns
+        -------
+        Actions
+            The states before and after each action.
 
         Raises
         ------
         InputError
-            If the run had no such event.
+            If the run had no event of this name.
 
         Examples
         --------
@@ -47,25 +55,43 @@ class WithEvents(Savable, Outcome):
         [0.447214, 1.341641]
         """
         if str(name) not in self.event_names:
-            had = f"It had {', '.join(self.event_names)}. " if self.event_names else ""
             reject(
-                f"the run had no event {name!r}.",
-                remedy=f"{had}Zeros of expressions are found in single "
-                "runs that store their steps: stepper.integrate(...) without t_eval= and save=.",
+                f"the run has no event {name!r}.",
+                why=f"Its events are {', '.join(self.event_names)}." * bool(self.event_names),
+                remedy="To find the zeros of an expression, call stepper.integrate(...) without "
+                "t_eval= and save=.",
             )
-        return actions_of(self, str(name))
+        return read_actions(self, str(name))
 
 
-@explaining()
+@explain_methods()
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class Sampled(WithEvents, States):
-    """The states of a run at chosen times; ``integrate(..., t_eval=times)`` gives them.
+class Sampled(EventRecords, States):
+    """The states of a run at chosen times; ``integrate(..., t_eval=times)`` returns them.
 
-    A member of an ensemble, ``ensemble[3]``, gives its stored states.
+    A member of an ensemble, ``ensemble[3]``, is a Sampled with its stored states. The class
+    inherits the attributes of :class:`States`, such as ``q`` and ``energy``. If the run fails, the
+    states end at the last time that it reached.
 
-    It has the attributes of :class:`States`, and how the run ended: ``status``, ``message``,
-    ``success``, its ``steps`` and ``h``. Of a run that failed, the times that it reached are there.
-    A member of a retimed system has ``tau``, the time of the steps, shape (N,).
+    Attributes
+    ----------
+    t : ndarray, shape (N,)
+        Times of the states.
+    q, p : ndarray, shape (N, n)
+        Positions and conjugate momenta.
+    h : number
+        Step size of the run, in the unit of time.
+    steps : int
+        Number of steps of the run.
+    status : Status
+        Outcome of the run; ``Status.SUCCESS`` is 0.
+    message : str
+        Outcome of the run, as text.
+    success : bool
+        True if the run reached its end.
+    tau : ndarray, shape (N,), or None
+        Transformed time of the states of an ensemble member, if the system has a time
+        transformation.
 
     Examples
     --------
@@ -80,15 +106,15 @@ class Sampled(WithEvents, States):
 
     tau: Floats | None = field(default=None, repr=False)
 
-    def _about(self) -> dict[str, Any]:
-        return super()._about() | self._outcome()
+    def _attributes(self) -> dict[str, Any]:
+        return super()._attributes() | self._outcome_attributes()
 
 
-def member_of(ensemble: Any, member: int) -> Sampled:
+def member_states(ensemble: Any, member: int) -> Sampled:
     """Return the stored states of a member of an ensemble."""
     n, driven = ensemble.program.n, ensemble.driven
     t, q, p = ensemble.t, *(np.asarray(x[member]).reshape(-1, n) for x in (ensemble.q, ensemble.p))
-    if ensemble.t.shape == ensemble.q.shape[:-1]:  # times of its own, up to its end
+    if ensemble.t.shape == ensemble.q.shape[:-1]:  # each member has its own times and its own end
         t = ensemble.t[member].reshape(-1)
         t, q, p = (x[: np.isfinite(t).sum()] for x in (t, q, p))
     tau = None if ensemble.tau is None else ensemble.tau[member].reshape(-1)[: len(t)]
@@ -111,20 +137,25 @@ def member_of(ensemble: Any, member: int) -> Sampled:
     )
 
 
-@explaining()
+@explain_methods()
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Saved(WithEvents, Plotted):
-    """Chosen quantities of a run; ``integrate(..., save=names)`` gives them.
+class Saved(EventRecords, Plottable):
+    """Chosen quantities of a run; ``integrate(..., save=names)`` returns them.
 
     Attributes
     ----------
     t : ndarray, shape (N,)
+        Times of the values.
     values : mapping from str to ndarray
-        The quantities by name, shape (N,); (N, n) for q, p and v.
+        The quantities by name. The shape is (N,), or (N, n) for q, p and v.
     h : number
+        Step size of the run, in the unit of time.
     steps : int
+        Number of steps of the run.
     status : Status
+        Outcome of the run; ``Status.SUCCESS`` is 0.
     message : str
+        Outcome of the run, as text.
 
     Examples
     --------
@@ -149,39 +180,39 @@ class Saved(WithEvents, Plotted):
         return ["t", *self.values]
 
     def __getitem__(self, name: Any) -> NDArray[Any]:
-        """Return a quantity by its name.
+        """Return a saved quantity, or "t", by its name.
 
         Raises
         ------
         UnknownNameError
-            If it was not saved.
+            If the quantity was not saved.
         """
         key = spelled(name)
         if key == "t":
             return self.t
         if key not in self.values:
             reject(
-                f"{key!r} was not saved.{did_you_mean(key, [*self.values])} "
-                f"There are t, {', '.join(self.values)}.",
+                f"{key!r} was not saved.{did_you_mean(key, [*self.values])}",
+                why=f"The saved quantities are t, {', '.join(self.values)}.",
                 error=UnknownNameError,
             )
         return self.values[key]
 
-    #: Iterating over names or over times: neither is what everybody expects.
+    #: Iteration is disabled, because it could mean names or times.
     __iter__ = None
 
-    def _drawn(self) -> list[str]:
+    def _default_names(self) -> list[str]:
         return [name for name, values in self.values.items() if values.ndim == 1]
 
     def _variables(self) -> list[Variable]:
         return [
-            variable_of(name, values, ("time",), self.program, key, doc=name)
+            make_variable(name, values, ("time",), self.program, key, doc=name)
             for k, (name, values) in enumerate(self.values.items())
             for key in [attribute_name(name, f"quantity_{k}")]
         ]
 
-    def _about(self) -> dict[str, Any]:
-        return super()._about() | self._outcome()
+    def _attributes(self) -> dict[str, Any]:
+        return super()._attributes() | self._outcome_attributes()
 
     def __repr__(self) -> str:
         return (

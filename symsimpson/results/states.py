@@ -1,4 +1,4 @@
-"""States at times, with all that follows from them, with how their run ended."""
+"""The states of a run, with their quantities, figures and derivatives, and its outcome."""
 
 from __future__ import annotations
 
@@ -16,38 +16,50 @@ from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.quantities import Quantities
 from symsimpson.results.tables import Tabular, Variable, attribute_name
-from symsimpson.stepping.driving import Driven, inputs_there
-from symsimpson.support.calling import explaining
+from symsimpson.stepping.driving import InputHistory, inputs_at_times
+from symsimpson.support.calling import explain_methods
 from symsimpson.support.names import counted
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False, kw_only=True)
-class Outcome:
-    """How a run ended, and what was observed during the run."""
+class RunOutcome:
+    """The outcome of a run, and the quantities that it observed.
+
+    Attributes
+    ----------
+    h : number
+        Step size, in the unit of time.
+    steps : int
+        Number of steps.
+    status : Status
+        Outcome of the run; ``Status.SUCCESS`` is 0.
+    message : str
+        Outcome of the run, as text.
+    """
 
     h: Any
     steps: int
     status: Status
     message: str
     reduced_values: tuple[tuple[str, float], ...] = field(default=(), repr=False)
-    #: Records of events that acted, in the order of time, and the names of all events.
+    #: Records of the events that acted, in the order of time, and the names of all events.
     records: tuple[Any, ...] = field(default=(), repr=False)
     event_names: tuple[str, ...] = ()
-    #: The largest error along the path, if :func:`symsimpson.integrate` measured it.
+    #: The largest error during the run, if :func:`symsimpson.integrate` measured it.
     error_estimate: float | None = None
 
     @property
     def success(self) -> bool:
-        """Whether the run reached its end."""
+        """True if the run reached its end."""
         return self.status is Status.SUCCESS
 
     @property
     def reduced(self) -> dict[str, float]:
-        """The quantities requested by ``reduce``; NaN where states after the end were taken in."""
+        """The results of ``reduce`` by name; NaN if they would include states after the end."""
         return dict(self.reduced_values)
 
-    def _outcome(self) -> dict[str, Any]:
-        """Return it for files."""
+    def _outcome_attributes(self) -> dict[str, Any]:
+        """Return the outcome as attributes of a dataset."""
         estimate = {} if self.error_estimate is None else {"error_estimate": self.error_estimate}
         return {
             "h": float(self.h),
@@ -58,25 +70,25 @@ class Outcome:
         }
 
 
-class Differentiated:
-    """Derivatives that were carried along beside states; ensembles have an axis of members."""
+class StateDerivatives:
+    """Derivatives of the stored states; in ensembles, the first axis counts the members."""
 
     program: Program
     variations: NDArray[Any] | None
 
     @property
     def _names_varied(self) -> tuple[str, ...]:
-        """Parameters and inputs that it was differentiated by."""
+        """Names of the parameters and inputs that the run differentiated by."""
         return self.program.names.varied(self.program.header.varied_by or ())
 
     @property
     def tangent(self) -> NDArray[Any]:
-        """Variations (dq, dp) of N stored states of n coordinates, shape (N, 2 n, k) for k of them.
+        """The k variations (dq, dp) of N stored states, shape (N, 2 n, k).
 
         Raises
         ------
         InputError
-            If the run carried none along.
+            If the run did not compute variations.
 
         Examples
         --------
@@ -87,18 +99,20 @@ class Differentiated:
         >>> stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, tangents=2).tangent.shape
         (2, 2, 2)
         """
-        variations = self._carried("tangents=4")
+        variations = self._all_variations("tangents=4")
         count = variations.shape[-1] - len(self._names_varied)
-        return variations[..., :count] if count else self._missing("tangents=4")
+        return variations[..., :count] if count else self._reject_missing("tangents=4")
 
     @property
     def sensitivity(self) -> dict[str, NDArray[Any]]:
-        """Derivatives of N stored states (q, p), by name of parameter or input, shape (N, 2 n).
+        """The derivatives of N stored states (q, p) by parameters and inputs, shape (N, 2 n) each.
+
+        The keys are the names of the parameters and inputs.
 
         Raises
         ------
         InputError
-            If the run carried none along.
+            If the run did not compute sensitivities.
 
         Examples
         --------
@@ -108,76 +122,78 @@ class Differentiated:
         >>> run.sensitivity["l"].shape
         (51, 2)
         """
-        variations, names = self._carried("sensitivities='l'"), self._names_varied
+        variations, names = self._all_variations("sensitivities='l'"), self._names_varied
         first = variations.shape[-1] - len(names)
         return {name: variations[..., first + j] for j, name in enumerate(names)}
 
-    def _carried(self, ask: str) -> NDArray[Any]:
-        """Return all variations; those by parameters stand behind those of the state."""
-        return self._missing(ask) if self.variations is None else self.variations
+    def _all_variations(self, argument: str) -> NDArray[Any]:
+        """Return all variations: of the initial state first, then of parameters and inputs."""
+        return self._reject_missing(argument) if self.variations is None else self.variations
 
-    def _missing(self, ask: str) -> NoReturn:
+    def _reject_missing(self, argument: str) -> NoReturn:
         reject(
-            "this run carried no derivatives of this kind along.",
-            remedy=f"Ask for them: integrate(..., {ask}).",
+            "this run did not compute derivatives of this kind.",
+            remedy=f"Pass {argument} to integrate.",
         )
 
 
-#: Names of all that runs have; runs themselves put them here.
-OF_RUNS = set[str]()
+#: Names of the attributes of a trajectory, which the module of trajectories adds.
+RUN_ATTRIBUTES = set[str]()
 
 
 class PartialRunError(InputError, AttributeError):
-    """Some states of a run lack what the whole run has."""
+    """An attribute of a whole run was read from some of its states."""
 
 
 def _kind_of(key: Any) -> str:
-    """Return the kind of numbers in a list or an array of numpy; an empty list may be of any."""
+    """Return the NumPy kind of the numbers in a list or an array; "i" for an empty list."""
     try:
         return "i" if isinstance(key, list) and not key else np.asarray(key).dtype.kind
     except ValueError:  # lists of several lengths
         return "O"
 
 
-def about_program(program: Program) -> dict[str, Any]:
-    """Return attributes of a dataset: system, scheme, order and digest."""
+def program_attributes(program: Program) -> dict[str, Any]:
+    """Return the system, scheme, order and digest as attributes of a dataset."""
     names = {x: getattr(program, x) for x in ("system", "scheme", "order")}
     return names | {"digest": program.header.digest}
 
 
-@explaining()
-class Plotted:
-    """Quantities over time, which can be drawn."""
+@explain_methods()
+class Plottable:
+    """A result whose quantities can be drawn over time."""
 
     @property
     def _connected(self) -> bool:
-        """Whether states follow one another, so that lines may connect them."""
+        """True if the states are consecutive, so that lines may connect them."""
         return True
 
-    def _drawn(self) -> list[str] | None:
-        """Return the quantities to draw unless some are named; None for the coordinates."""
+    def _default_names(self) -> list[str] | None:
+        """Return the quantities that ``plot`` draws by default; None means the coordinates."""
         return None
 
     def plot(self, names: str | Sequence[str] | None = None, *more: str, ax: Any = None) -> Any:
         """Draw quantities over time.
 
-        A run takes steps again where lines between its stored states would miss the motion. Dots
-        are drawn where that takes too many steps, or where the states alone are known.
+        If lines between the stored states would miss the motion, the method repeats steps of the
+        run to draw a curve. If this needs too many steps, or only the states are known, it draws
+        dots.
 
         Parameters
         ----------
         names : str or sequence of str, optional
-            As in ``run["q1"]``; all coordinates unless given, or all saved numbers.
+            Names as in ``run["q1"]``. By default, the method draws all coordinates, or all saved
+            scalar quantities.
         *more : str
-            Further ones.
+            More names.
         ax : matplotlib axes, optional
-            Axes to draw in. Unless given, there are new ones: one for each unit, and one for
-            quantities whose ranges differ from other ranges by more than 30 times.
+            Axes to draw in. By default, the method creates new axes: one for each unit. Quantities
+            whose ranges differ by more than a factor of 30 have separate axes.
 
         Returns
         -------
         matplotlib axes
-            The first ones.
+            The first axes of the figure.
 
         Raises
         ------
@@ -193,21 +209,29 @@ class Plotted:
         """
         from symsimpson.plotting.run_figures import plot
 
-        wanted = (names, *more) if more else self._drawn() if names is None else names
+        wanted = (names, *more) if more else self._default_names() if names is None else names
         return plot(self, wanted, connected=self._connected, ax=ax)
 
 
-@explaining()
+@explain_methods()
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class States(Quantities, Tabular, Plotted):
-    """States of one system at some times: part of a run, or places between its steps.
+class States(Quantities, Tabular, Plottable):
+    """States of one system at N times: a part of a run, or states between its steps.
 
     Attributes
     ----------
     t : ndarray, shape (N,)
-        Times.
+        Times of the states.
     q, p : ndarray, shape (N, n)
         Positions and conjugate momenta.
+    v : ndarray, shape (N, n)
+        Velocities dq/dt.
+    energy, kinetic_energy : ndarray, shape (N,)
+        The energy H and its kinetic part.
+    parameter_values : ndarray
+        Values of the parameters of the run, in the order of ``program.parameters``.
+    program : Program
+        The compiled module of the run.
 
     Examples
     --------
@@ -224,29 +248,29 @@ class States(Quantities, Tabular, Plotted):
     p: NDArray[Any]
     program: Program = field(repr=False)
     parameter_values: NDArray[Any] = field(repr=False)
-    #: How inputs went, where that is known.
-    driven: Driven | None = field(repr=False)
+    #: The inputs as functions of time, if they are known.
+    driven: InputHistory | None = field(repr=False)
 
     def __init__(self, **fields: Any) -> None:
-        self.__dict__.update(fields)  # a quarter of the time that setting each takes
+        self.__dict__.update(fields)  # four times faster than the generated constructor
 
     def __getattr__(self, name: str) -> Any:
         kind = type(self).__name__
-        if name not in OF_RUNS:
+        if name not in RUN_ATTRIBUTES:
             raise AttributeError(f"{kind!r} object has no attribute {name!r}")
         raise PartialRunError(
-            f"{kind} has no {name!r}: these are some states of a run.\nAsk the run itself, "
-            f"run.{name}. Run a member of an ensemble alone: stepper.integrate(...)."
+            f"{kind} has no {name!r}: it has only some states of a run.\nUse the attribute of the "
+            f"run, run.{name}. Run a member of an ensemble alone: stepper.integrate(...)."
         )
 
     @property
     def parameters(self) -> Mapping[str, float]:
-        """Values of the parameters that the run used, by name."""
+        """Values of the parameters of the run, by name."""
         return dict(zip(self.program.parameters, self.parameter_values.tolist(), strict=True))
 
     @property
     def y(self) -> NDArray[Any]:
-        """Positions and momenta as SciPy's ``solve_ivp`` gives states, shape (2 n, N)."""
+        """Positions and momenta in the layout of SciPy's ``solve_ivp``, shape (2 n, N)."""
         return np.concatenate([self.q, self.p], axis=1).T
 
     @overload
@@ -256,61 +280,71 @@ class States(Quantities, Tabular, Plotted):
     def __getitem__(self, key: Any) -> NDArray[Any] | States:
         """Return a quantity by its name, or some of the states.
 
-        Names are those of the coordinates, ``p_`` and ``v_`` before them, of the invariants and
-        positions, and "t", "energy" and "kinetic_energy", shape (N,); or "q", "p" and "v", shape
-        (N, n). What the user named comes first. A whole number selects one state; a slice or an
-        array of numbers selects several, as in numpy.
+        An integer selects one state. A slice or an array of integers selects several states, as in
+        NumPy. These names select quantities:
+
+        - a coordinate, or a coordinate with the prefix ``p_`` or ``v_``: shape (N,);
+        - an invariant, "t", "energy" or "kinetic_energy": shape (N,);
+        - "q", "p" or "v": shape (N, n);
+        - a point of ``positions``: its coordinates.
+
+        Names that you declare precede names of the package.
 
         Raises
         ------
         UnknownNameError
-            With the names that there are; it is an InputError, and a KeyError.
+            If the name is unknown. It is an InputError and a KeyError.
         IndexError
-            If there is no such state.
+            If there is no state of this number.
         """
         if isinstance(key, (str, bool, float)) or hasattr(key, "free_symbols"):
-            return self._named(key)
+            return self._look_up(key)
         several = isinstance(key, (list, np.ndarray))
         if several and _kind_of(key) not in "biu":
             reject(
-                f"{key!r} are no numbers of states.",
-                remedy="Ask for one quantity, run['energy'], for "
-                "several by run.to_pandas()[[...]], or for states by whole numbers, run[[0, 5]].",
+                f"{key!r} does not select states, because these are not integers.",
+                remedy="Use run['energy'] for one quantity, run.to_pandas()[[...]] for several, "
+                "and run[[0, 5]] for states.",
             )
         some: Any = key
         if not (isinstance(key, slice) or (several and np.ndim(key))):
             try:
                 number = operator.index(key)
             except TypeError:
-                return self._named(key)
+                return self._look_up(key)
             if not -len(self) <= number < len(self):
-                raise IndexError(f"there is no state {number}: there are {len(self)}, from 0 on")
+                raise IndexError(
+                    f"there is no state {number}: the run has {len(self)} states, the first is 0"
+                )
             some = [number]
         return self.with_states(self.t[some], self.q[some], self.p[some])
 
     def with_states(self, t: NDArray[Any], q: NDArray[Any], p: NDArray[Any]) -> States:
-        """Return other states of the same system, with the same parameters."""
+        """Return States of other t, q and p, with the same system, parameters and inputs."""
         program, values = self.program, self.parameter_values
         return States(t=t, q=q, p=p, program=program, parameter_values=values, driven=self.driven)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {f.name: getattr(self, f.name) for f in fields(self)}  # without what was computed
+        return {f.name: getattr(self, f.name) for f in fields(self)}  # without cached quantities
 
     def plot_phase(self, x: str | None = None, y: str | None = None, *, ax: Any = None) -> Any:
-        """Draw one quantity over another, as a curve like :meth:`plot` draws.
+        """Draw one quantity over another, with the curves of :meth:`plot`.
 
-        Call ``ax.set_aspect("equal")`` for two quantities of the same unit.
+        Call ``ax.set_aspect("equal")`` if both quantities have the same unit.
 
         Parameters
         ----------
-        x, y : str, optional
-            As in ``run["q1"]``; the first coordinate, and the momentum of ``x``, unless given.
+        x : str, optional
+            Name of the horizontal quantity, as in ``run["q1"]``. By default, the first coordinate.
+        y : str, optional
+            Name of the vertical quantity. By default, the momentum of ``x``.
         ax : matplotlib axes, optional
-            Drawn into; made if there are none.
+            Axes to draw in. By default, the method creates new axes.
 
         Returns
         -------
         matplotlib axes
+            The axes of the figure.
 
         Raises
         ------
@@ -329,9 +363,17 @@ class States(Quantities, Tabular, Plotted):
         return plot_phase(self, x, y, connected=self._connected, ax=ax)
 
     def plot_path(self, *, ax: Any = None) -> Any:
-        """Draw the paths of the system's ``positions``, into ``ax`` if given; returns the axes.
+        """Draw the paths of the system's ``positions`` on axes of equal scales.
 
-        Paths are curves like :meth:`plot` draws, on axes of equal scales.
+        Parameters
+        ----------
+        ax : matplotlib axes, optional
+            Axes to draw in. By default, the method creates new axes.
+
+        Returns
+        -------
+        matplotlib axes
+            The axes of the figure.
 
         Raises
         ------
@@ -350,30 +392,30 @@ class States(Quantities, Tabular, Plotted):
         return plot_path(self, connected=self._connected, ax=ax)
 
     def _variables(self) -> list[Variable]:
-        return [*self._quantities(("time",)), *self._further()]
+        return [*self._quantities(("time",)), *self._extra_variables()]
 
-    def _further(self) -> list[Variable]:
-        """Return variables that a subclass has beside those of all states."""
+    def _extra_variables(self) -> list[Variable]:
+        """Return the variables that only a subclass has."""
         return []
 
-    def _about(self) -> dict[str, Any]:
-        """Return attributes of a dataset: system, scheme, order, digest and parameters."""
+    def _attributes(self) -> dict[str, Any]:
+        """Return the system, scheme, order, digest and parameters as attributes of a dataset."""
         names = zip(self.parameters.items(), self.program.names.parameters.own, strict=True)
-        return about_program(self.program) | {
+        return program_attributes(self.program) | {
             f"parameter {attribute_name(name, identifier)}": float(value)
             for (name, value), identifier in names
         }
 
-    def _where(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    def _point_arguments(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         return self.t, self.q, self.parameter_values
 
-    def _evaluated(
+    def _evaluate_rows(
         self, kernel: str, block: str, count: int, *, driven: bool = False
     ) -> NDArray[Any]:
         from symsimpson.program.observed import evaluate
 
         states, values = (self.t, self.q, self.p), self.parameter_values
-        inputs = inputs_there(self.program, self.driven, self.t) if driven else NO_INPUTS
+        inputs = inputs_at_times(self.program, self.driven, self.t) if driven else NO_INPUTS
         return evaluate(self.program, kernel, block, count, states, values, inputs)
 
     def __len__(self) -> int:
@@ -392,27 +434,30 @@ class States(Quantities, Tabular, Plotted):
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class Stored(Outcome, States):
-    """Arrays and settings of a finished run, from which other quantities are computed.
+class FinishedRun(RunOutcome, States):
+    """The arrays and settings of a finished run, from which it computes other quantities.
 
     Attributes
     ----------
     newton_iterations : ndarray of int, shape (N + 1,)
+        Newton iterations since the previous stored state; 0 for the initial state.
     every : int or None
-        Steps from one stored state to the next.
+        Number of steps between stored states; None if only the final state is stored.
     input_values : ndarray, shape (1, steps, s, m)
-        Inputs by step, node and number, of one run; an axis of one entry stands for all.
+        Values of the m inputs by step and node. An axis of length 1 stands for all steps or nodes.
     variations : ndarray, shape (N + 1, 2 n, k), or None
-    tau_values : ndarray or None
-        The variable in which steps are fixed, where it is not the time.
+        Derivatives of the stored states, if the run computed them.
+    tau_values : ndarray, shape (N + 1,), or None
+        Transformed time of the states, if the system has a time transformation.
     begun : tuple of number and ndarray, shape (2, n), or None
-        The initial time and the initial q and p, if only the last state is stored.
+        Initial time, and initial q and p, if only the final state is stored.
     varied_by : tuple of str or None
-        Names that ``variations`` are derivatives by; None for those of the program.
-    recorded_values : tuple of pairs
-        Names of what was recorded beside states, and arrays of shape (N + 1, k).
+        Names of the parameters and inputs that the run differentiated by. None means those of the
+        program.
+    recorded_values : tuple of (str, ndarray) pairs
+        The recorded sums: names, and arrays of shape (N + 1, k).
     ended_by : str or None
-        The name of the event that ended the run.
+        Name of the terminal event that ended the run.
     """
 
     newton_iterations: NDArray[np.int64]
@@ -427,5 +472,5 @@ class Stored(Outcome, States):
 
     @property
     def recorded(self) -> dict[str, NDArray[Any]]:
-        """The sums requested by ``record``, by name, shape (N + 1, k) each."""
+        """The sums that ``record`` names, shape (N + 1, k) each."""
         return dict(self.recorded_values)

@@ -1,4 +1,4 @@
-"""Tables, datasets and files of results."""
+"""Conversion of results to tables, datasets and files."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ import numpy as np
 from symsimpson.errors import reject
 from symsimpson.program.program import Program
 from symsimpson.support.array_types import Reals
-from symsimpson.support.calling import explaining
-from symsimpson.support.extras import library
-from symsimpson.support.files import check_folder, read_path, written_beside
+from symsimpson.support.calling import explain_methods
+from symsimpson.support.extras import import_library
+from symsimpson.support.files import atomic_path, check_folder, read_path
 from symsimpson.text.quantity import QUANTITIES, VECTORS
 
-#: Kinds of files, and the libraries that they need; the first two hold everything.
+#: File extensions and the libraries that they need. The first two store whole runs.
 NEEDS = {
     ".nc": ("xarray", "netCDF4"),
     ".zarr": ("xarray", "zarr"),
@@ -27,50 +27,53 @@ NEEDS = {
     ".csv": (),
     ".parquet": ("pandas", "pyarrow"),
 }
-#: Tables, which cannot be opened as a run again.
+#: Extensions of tables, which do not store whole runs.
 TABLES = (*NEEDS,)[2:]
 
 
 @dataclass(frozen=True)
 class Variable:
-    """One quantity of a result, as tables, datasets and files show it."""
+    """One quantity of a result, with its names in tables, datasets and files."""
 
-    name: str  #: In datasets.
+    name: str  #: Name in datasets.
     values: Any
     axes: tuple[str, ...]  #: Dimensions in datasets.
-    doc: str = ""  #: Its ``long_name`` in datasets.
-    columns: Sequence[str] = ()  #: Names in tables, one for each number of a row.
-    prefix: str = ""  #: Precedes the name of a column if that is taken.
-    array: str = ""  #: Name in .npz files, "" if these do not have it.
+    doc: str = ""  #: Attribute ``long_name`` in datasets.
+    columns: Sequence[str] = ()  #: Names of its columns in tables; () if tables do not have it.
+    prefix: str = ""  #: Prefix of a column whose name another column has.
+    array: str = ""  #: Name in .npz files; "" if these files do not have it.
 
 
 def attribute_name(name: str, identifier: str) -> str:
-    """Return a name if attributes of files may have it, else the name in the module."""
+    """Return a name if attributes of files accept it, else the ``identifier`` in the module."""
     return name if re.fullmatch(r"[^/\x00-\x1f\x7f]*[^/\s\x00-\x1f\x7f]", name) else identifier
 
 
-def variable_of(
+def make_variable(
     name: str, values: Any, axes: tuple[str, ...], program: Program, key: str = "", doc: str = ""
 ) -> Variable:
-    """Return the variable of a quantity, an invariant or a point, named as in ``run[name]``.
+    """Return the variable of the quantity, invariant or point ``run[name]``.
 
-    The ``key`` names it and its own axes in datasets.
+    The ``key`` is the name of the variable and of its own axes in datasets, by default ``name``.
     """
-    key, further = key or name, np.ndim(values) - len(axes)
-    further_axes, columns, prefix = (f"corner_{key}", f"axis_{key}")[2 - further :], [name], ""
+    key, extra = key or name, np.ndim(values) - len(axes)
+    extra_axes, columns, prefix = (f"corner_{key}", f"axis_{key}")[2 - extra :], [name], ""
     if name in QUANTITIES:
         columns = QUANTITIES[name].shown(program.names)
-        further_axes = ("coord",) if QUANTITIES[name] in VECTORS else further_axes
-    elif further:  # a body of several corners is in no table
-        axes_of_point, prefix = "xyz"[: values.shape[-1]] * (further == 1), "point_"
+        extra_axes = ("coord",) if QUANTITIES[name] in VECTORS else extra_axes
+    elif extra:  # tables have points, but not bodies with several corners
+        axes_of_point, prefix = "xyz"[: values.shape[-1]] * (extra == 1), "point_"
         columns = [f"{name}_{x}" for x in axes_of_point]
-    return Variable(key, values, (*axes, *further_axes), doc, columns, prefix, array=name)
+    return Variable(key, values, (*axes, *extra_axes), doc, columns, prefix, array=name)
 
 
-def table_of(
+def build_table(
     index: Mapping[str, Reals], variables: Iterable[Variable], program: Program
 ) -> dict[str, Reals]:
-    """Return the columns of a table, the index first: invariants replace momenta of their name."""
+    """Return the columns of a table, the index first.
+
+    An invariant replaces the momentum of the same name.
+    """
     variables, table = [x for x in variables if x.columns], dict(index)
     rows = len(next(iter(index.values())))
     reserved = [name for vector in VECTORS for name in vector.shown(program.names)]
@@ -87,11 +90,11 @@ def table_of(
     return table
 
 
-def with_units(data: Any, units: Mapping[str, str]) -> Any:
-    """Return an ``xarray.Dataset`` with the units that are known.
+def assign_units(data: Any, units: Mapping[str, str]) -> Any:
+    """Return an ``xarray.Dataset`` with the known units as attributes.
 
-    Units of q, p and v are in coordinates named ``units_q`` and so on, and in an attribute where
-    all are the same.
+    The units of q, p and v are also in coordinates named ``units_q`` and so on. Their attribute is
+    set only if all units of the vector are equal.
     """
     for name, column in data.variables.items():
         numbered = name.startswith(("invariant_", "quantity_"))
@@ -109,36 +112,42 @@ def with_units(data: Any, units: Mapping[str, str]) -> Any:
 
 
 def check_kind(place: Path) -> str:
-    """Return the kind of a file that results are to be written to.
+    """Return the extension of a result file.
 
-    Raises InputError if the name ends otherwise, or a library is missing.
+    Raises InputError if the extension is unknown, or a library is missing.
     """
     if place.suffix not in NEEDS:
         reject(
             f"unsupported file extension {place.suffix!r} of {str(place)!r}.",
-            remedy="Use .nc (netCDF) or "
-            ".zarr, which store everything and can be opened again; or .npz, .csv or .parquet for "
-            "a table.",
+            remedy="Use .nc (netCDF) or .zarr for a whole run that can be opened again, or .npz, "
+            ".csv or .parquet for a table.",
         )
     for name in NEEDS[place.suffix]:
-        library(name, f"a {place.suffix} file", "parquet" if name == "pyarrow" else "data")
+        import_library(name, f"a {place.suffix} file", "parquet" if name == "pyarrow" else "data")
     return place.suffix
 
 
-@explaining()
+@explain_methods()
 class Tabular:
-    """A result that is a table of pandas and a dataset of xarray."""
+    """A result that can be converted to a pandas table and an xarray dataset."""
 
     program: Program
     t: Any
 
     def to_pandas(self) -> Any:
-        """Return a ``pandas.DataFrame``, a row for each stored state.
+        """Return a ``pandas.DataFrame`` with a row for each stored state.
 
-        Its columns are positions, momenta, velocities, energies, invariants and the coordinates of
-        points, or the quantities that were saved. The columns of a point "bob" are ``bob_x`` and so
-        on, or ``point_bob_x`` if ``bob_x`` is a coordinate. The index is the time. An ensemble has
-        the member as index, and columns for its parameters, the results of ``reduce`` and t.
+        The index is the time. The columns are positions, momenta, velocities, energies, invariants
+        and coordinates of points, or the saved quantities. The columns of a point "bob" are
+        ``bob_x`` and so on, or ``point_bob_x`` if ``bob_x`` is a coordinate.
+
+        The index of an ensemble is the member. The table of an ensemble also has columns for its
+        parameters, the results of ``reduce`` and t.
+
+        Returns
+        -------
+        pandas.DataFrame
+            The table. Its attribute ``attrs`` has the system, the scheme and the known units.
 
         Raises
         ------
@@ -157,15 +166,24 @@ class Tabular:
         (12, 11)
         """
         table, units = self._table(), self.program.units
-        frame = library("pandas", "to_pandas", "data").DataFrame(table).set_index(next(iter(table)))
-        frame.attrs = self._about() | ({"units": dict(units)} if units else {})
+        frame = (
+            import_library("pandas", "to_pandas", "data")
+            .DataFrame(table)
+            .set_index(next(iter(table)))
+        )
+        frame.attrs = self._attributes() | ({"units": dict(units)} if units else {})
         return frame
 
     def to_xarray(self) -> Any:
         """Return an ``xarray.Dataset`` with the dimensions time and coord.
 
-        The dataset of an ensemble has the dimension member, too, and parameters as coordinates of
-        the members. The states of an ensemble in a store stay there until they are read.
+        The dataset of an ensemble also has the dimension member, and the parameters as coordinates
+        of the members. For an ensemble in a store, xarray reads the states when you use them.
+
+        Returns
+        -------
+        xarray.Dataset
+            The dataset. Its attributes have the system, the scheme and the known units.
 
         Raises
         ------
@@ -183,62 +201,67 @@ class Tabular:
         >>> many.to_xarray()["q"].dims
         ('member', 'coord')
         """
-        xarray = library("xarray", "to_xarray", "data")
-        data = self._opened(xarray)
+        xarray = import_library("xarray", "to_xarray", "data")
+        data = self._read_dataset(xarray)
         if data is not None:
             return data
         variables = {
             x.name: (x.axes, x.values, {"long_name": x.doc} if x.doc else {})
             for x in self._variables()
         }
-        data = xarray.Dataset(variables, self._axes(), self._about())
-        return with_units(data, self.program.units)
+        data = xarray.Dataset(variables, self._axes(), self._attributes())
+        return assign_units(data, self.program.units)
 
-    def _opened(self, xarray: Any) -> Any:
-        """Return the dataset of a result that is on disk; None of others."""
+    def _read_dataset(self, xarray: Any) -> Any:
+        """Return the dataset of a result that is on disk; None for results in memory."""
         return None
 
     def _variables(self) -> list[Variable]:
-        """Return the quantities of the result, without its axes."""
+        """Return the quantities of the result, without time and coordinates."""
         raise NotImplementedError
 
     def _axes(self) -> dict[str, Any]:
         """Return the coordinates of a dataset."""
         return {"time": self.t, "coord": list(self.program.coordinates)}
 
-    def _about(self) -> dict[str, Any]:
+    def _attributes(self) -> dict[str, Any]:
         """Return the attributes of tables and datasets."""
         return {"system": self.program.system, "scheme": self.program.scheme}
 
     def _table(self) -> dict[str, Reals]:
-        """Return columns by name; the first is the index."""
-        return table_of({"t": self.t}, self._variables(), self.program)
+        """Return the columns of the table by name; the first column is the index."""
+        return build_table({"t": self.t}, self._variables(), self.program)
 
     def _arrays(self) -> dict[str, Any]:
         """Return the arrays of .npz files."""
         return {"t": self.t, **{x.array: x.values for x in self._variables() if x.array}}
 
 
-@explaining()
+@explain_methods()
 class Savable(Tabular):
     """A result that can be saved to a file."""
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Save the result to a file, in the format of its extension.
 
-        ``.nc`` (netCDF) and ``.zarr`` (a store of Zarr) hold what :meth:`to_xarray` gives.
-        ``.csv`` and ``.parquet`` are tables, with the columns of :meth:`to_pandas`. ``.npz`` has
-        arrays t, q, p, v, energy and points; of an ensemble t, q, p, status, parameters and the
-        results of ``reduce``.
+        - ``.nc`` (netCDF) and ``.zarr`` (a Zarr store) contain the dataset of :meth:`to_xarray`.
+        - ``.csv`` and ``.parquet`` are tables with the columns of :meth:`to_pandas`.
+        - ``.npz`` has the arrays t, q, p, v, energy and points. For an ensemble, it has t, q, p,
+          status, parameters and the results of ``reduce``.
 
-        A ``.nc`` or ``.zarr`` file of a :class:`Trajectory` holds the generated module, too:
-        :func:`symsimpson.open_trajectory` gives this trajectory back. It rejects all other files;
-        read these with numpy, pandas or xarray.
+        A ``.nc`` or ``.zarr`` file of a :class:`Trajectory` also contains the generated module.
+        :func:`symsimpson.open_trajectory` reads such a file. Read all other files with NumPy,
+        pandas or xarray.
+
+        Parameters
+        ----------
+        path : path
+            Path of the file, with one of these extensions.
 
         Raises
         ------
         InputError
-            If there is no such format, a library is missing, or the run has many digits.
+            If the extension is unknown, a library is missing, or the stepper has a ``precision``.
         StorageError
             If the file cannot be written.
 
@@ -251,25 +274,25 @@ class Savable(Tabular):
         >>> ss.open_trajectory(path).steps
         50
         """
-        what = self._kind_of_result()
+        what = self._result_kind()
         place = read_path(f"the {what}'s file", path)
         kind = check_kind(place)
         check_folder(place, what, trajectory=self)  # before anything is computed
         arrays = self._arrays()
         if any(np.asarray(x).dtype == object for x in arrays.values()):
             reject(
-                "numbers of many digits do not fit into this kind of file.",
-                remedy="Keep the arrays q and p in a file of your own.",
+                f"a {kind} file cannot store numbers of many digits.",
+                remedy="Write the arrays q and p to a file of your own.",
             )
-        with written_beside(place, what, trajectory=self) as whole:
+        with atomic_path(place, what, trajectory=self) as whole:
             self._write(whole, kind, arrays)
 
     def _write(self, place: Path, kind: str, arrays: Mapping[str, Any]) -> None:
-        """Write a file of a kind."""
+        """Write a file of a ``kind``, a key of ``NEEDS``."""
         if kind == ".nc":
-            self._contents().to_netcdf(place, engine="netcdf4")
+            self._file_dataset().to_netcdf(place, engine="netcdf4")
         elif kind == ".zarr":
-            self._contents().to_zarr(place, mode="w", zarr_format=2)
+            self._file_dataset().to_zarr(place, mode="w", zarr_format=2)
         elif kind == ".npz":
             np.savez(place, **arrays)
         elif kind == ".csv":
@@ -278,13 +301,13 @@ class Savable(Tabular):
             head = ",".join(f'"{x}"' if set(x) & set(',"\n') else x for x in table)
             np.savetxt(place, rows, delimiter=",", header=head, comments="", fmt="%.17g")
         else:
-            pandas = library("pandas", "a .parquet file", "data")
+            pandas = import_library("pandas", "a .parquet file", "data")
             pandas.DataFrame(self._table()).to_parquet(place)
 
-    def _contents(self) -> Any:
-        """Return the dataset that goes to files."""
+    def _file_dataset(self) -> Any:
+        """Return the dataset to write to files."""
         return self.to_xarray()
 
-    def _kind_of_result(self) -> str:
-        """Name the result in messages."""
+    def _result_kind(self) -> str:
+        """Return the name of the result for messages."""
         return "result"

@@ -1,4 +1,4 @@
-"""The result of a run: all its stored states, or some of them, and its dataset for files."""
+"""The result of a run: a trajectory, a part of it, and its dataset for files."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.errors import InputError, reject
 from symsimpson.program.input_values import read_array
 from symsimpson.results.energies import Energies
-from symsimpson.results.states import OF_RUNS, Differentiated, States, Stored
+from symsimpson.results.states import RUN_ATTRIBUTES, FinishedRun, StateDerivatives, States
 from symsimpson.results.tables import Savable, Variable
 from symsimpson.support.array_types import Ints
-from symsimpson.support.calling import explaining
+from symsimpson.support.calling import explain_methods
 from symsimpson.support.names import counted, did_you_mean, public_names
 
 if TYPE_CHECKING:
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from symsimpson.results.events import Events
     from symsimpson.results.interpolate import DenseOutput
 
-#: Times of steps are rounded by less than this, in steps.
-ROUNDED = 1e-6
-#: What a run has a row of for each state, or a mapping of such rows.
-ROWS = (
+#: Upper bound of the round-off error of times, in steps.
+STEP_ROUNDING = 1e-6
+#: Attributes with a row for each state, or with a mapping to such arrays.
+ROW_ATTRIBUTES = (
     "tau",
     "newton_iterations",
     "tangent",
@@ -44,20 +44,20 @@ ROWS = (
     "constraint_forces",
     "velocity_constraint_error",
 )
-#: What events have a row of for each time.
-ROWS_OF_EVENTS = ("t", "q", "p", "direction", "q_after", "p_after", "impulse", "simultaneous")
-#: What a part shares with its run.
-WHOLE = ("sol", "records")
+#: Attributes of events with a row for each time.
+EVENT_ROWS = ("t", "q", "p", "direction", "q_after", "p_after", "impulse", "simultaneous")
+#: Attributes that a part shares with its run.
+SHARED_ATTRIBUTES = ("sol", "records")
 
 
-@explaining()
+@explain_methods()
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class Trajectory(Savable, Energies, Differentiated):
-    """States of a run, and how it ended.
+class Trajectory(Savable, Energies, StateDerivatives):
+    """The stored states of a run, and its outcome.
 
-    Arrays are float64, or object arrays of mpmath numbers if the stepper was compiled with a
-    ``precision``. The attributes of :class:`States` are available, too: ``v``, ``y``, ``energy``,
-    ``invariants``, ``parameters``, quantities by name, slices.
+    Arrays are float64. If the stepper has a ``precision``, they are object arrays of mpmath
+    numbers. The class inherits the attributes of :class:`States`: ``v``, ``y``, ``energy``,
+    ``invariants``, ``parameters``, quantities by name, and slices.
 
     Attributes
     ----------
@@ -66,19 +66,21 @@ class Trajectory(Savable, Energies, Differentiated):
     q, p : ndarray, shape (N + 1, n)
         Positions and conjugate momenta.
     newton_iterations : ndarray of int, shape (N + 1,)
-        Iterations since the state stored before; 0 for the first.
+        Newton iterations since the previous stored state; 0 for the initial state.
     h : number
-        The step.
+        Step size, in the unit of time.
     steps : int
-        Steps done.
+        Number of completed steps.
     every : int or None
-        Steps from one stored state to the next; None where only the last is stored.
+        Number of steps between stored states. None means that only the final state is stored.
     status : Status
-        0 is success.
+        Outcome of the run; ``Status.SUCCESS`` is 0.
     message : str
-        The outcome as a text.
+        Outcome of the run, as text.
+    success : bool
+        True if the run reached its end.
     error_estimate : float or None
-        The largest error along the path that :func:`symsimpson.integrate` measured.
+        Largest error during the run, if :func:`symsimpson.integrate` measured it.
 
     Examples
     --------
@@ -97,50 +99,55 @@ class Trajectory(Savable, Energies, Differentiated):
     def __getitem__(self, key: Any) -> Any:
         """Return a quantity by its name, shape (N + 1,), or some of the states.
 
-        As :class:`States`; what the run knows of these states, such as their ``tangent``, stays.
+        Keys are those of :class:`States`. The selected states have the attributes of the run, such
+        as ``tangent``.
         """
         item = super().__getitem__(key)
         if isinstance(item, np.ndarray):
             return item
-        return part_of(self, np.arange(len(self)), key)
+        return select_part(self, np.arange(len(self)), key)
 
     @property
     def tau(self) -> NDArray[Any]:
-        """The variable in which steps are fixed, from 0, shape (N + 1,): t - t0 unless retimed."""
+        """The transformed time of the states, from 0, shape (N + 1,).
+
+        Without a time transformation, this is t - t0.
+        """
         if self.tau_values is not None:
             return self.tau_values
         if self.every is not None:
             return self.t - self.t[0]
         if self.ended_by is not None:  # within a step
-            return self.t - self._beginning.t
+            return self.t - self._initial_state.t
         return self.t * 0 + self.h * self.steps
 
     @property
     def E0(self) -> Any:
-        """The initial energy, the energy level on which a retimed system is integrated."""
+        """The initial energy. A time-transformed system stays on this energy level."""
         values = self.parameters
-        return values["E0"] if self.program.header.retimed else self._first_energy
+        return values["E0"] if self.program.header.retimed else self._initial_energy
 
     @property
     def inputs(self) -> dict[str, NDArray[Any]]:
-        """Values of the inputs by name: shape (steps,), or (steps, s) if nodes have their own.
+        """Values of the inputs by name, shape (steps,), or (steps, s) if nodes have their own.
 
-        A step that an event ended is one of them; what was given for steps behind the end is not.
+        The values include those of a last step that an event divides. They do not include values
+        for steps after the end of the run.
         """
-        names, (given,) = self.program.inputs, self.input_values
-        count = max(self.steps, math.ceil(float(self.tau[-1] / self.h) - ROUNDED))
-        values = np.broadcast_to(given, (max(count, len(given)), *given.shape[1:]))[:count]
+        names, (stored,) = self.program.inputs, self.input_values
+        count = max(self.steps, math.ceil(float(self.tau[-1] / self.h) - STEP_ROUNDING))
+        values = np.broadcast_to(stored, (max(count, len(stored)), *stored.shape[1:]))[:count]
         shown = values[:, 0] if values.shape[1] == 1 else values
         return {name: shown[..., k] for k, name in enumerate(names)}
 
     @cached_property
     def sol(self) -> DenseOutput:
-        """The states at any time of the run; see :class:`DenseOutput`.
+        """The dense output of the run: its states at any time; see :class:`DenseOutput`.
 
         Raises
         ------
         InputError
-            If only the last state is stored.
+            If the run stores only its final state.
         """
         from symsimpson.results.interpolate import DenseOutput
 
@@ -151,16 +158,18 @@ class Trajectory(Savable, Energies, Differentiated):
 
         Parameters
         ----------
-        t : array_like, shape (m,)
+        t : float or array_like, shape (m,)
+            Times within the run.
 
         Returns
         -------
         States
+            The states at these times, with quantities such as ``energy``.
 
         Raises
         ------
         InputError
-            If a time lies outside of the run, or only the last state is stored.
+            If a time lies outside the run, or the run stores only its final state.
 
         Examples
         --------
@@ -176,34 +185,36 @@ class Trajectory(Savable, Energies, Differentiated):
         return self.with_states(times, q, p)
 
     def events(self, expression: Any, *, direction: int = 0, wrap: Any = ()) -> Events:
-        """Find the zeros of an expression along the run, to rounding error.
+        """Find the zeros of an expression during the run, up to round-off.
 
-        A change of sign between two stored states brackets a zero, which is located on the dense
-        output. Two zeros between neighbouring stored states are missed. A zero at a stored state
-        is found once; one at the first state is not counted.
+        A change of sign between two stored states brackets a zero. The dense output then locates
+        it. If there are two zeros between two adjacent stored states, the method misses both. It
+        returns a zero at a stored state once. It does not count a zero at the first state.
 
         Parameters
         ----------
         expression : SymPy expression, equation or str
-            In coordinates, momenta (``p_`` and a coordinate), velocities (``v_`` and a coordinate,
-            or ``q1.diff()``), parameters, ``t`` and ``energy``. ``Mod(q1, 2*pi) - pi`` finds an
-            angle in all turns: the jump of ``Mod``, which should lie far from the zero, is none.
-            Or an event that acted on the run, by its name, or by its expression if it has none:
-            then its record, :class:`Actions`.
-        direction : {0, 1, -1}
-            0 for all zeros; 1 or -1 for those where it increases or decreases along the run.
-        wrap : True, or names of coordinates
-            Angles to reduce to the range from -pi to pi, in the expression and in the result;
-            True for all coordinates.
+            The expression may contain coordinates, momenta (``p_`` and a coordinate), velocities
+            (``v_`` and a coordinate, or ``q1.diff()``), parameters, ``t`` and ``energy``.
+            ``Mod(q1, 2*pi) - pi`` finds the angle pi in all turns. The jump of ``Mod`` does not
+            count, but it should be far from the zero. The name of an event selects the record of
+            the event. An event without a name has the text of its expression as name.
+        direction : {0, 1, -1}, default 0
+            1 finds only zeros where the expression increases along the run, -1 only those where it
+            decreases. 0 finds both.
+        wrap : bool, str, symbol or sequence of them, default ()
+            Coordinates that are angles. In the expression and in the result, they are reduced to
+            the range from -pi to pi. True selects all coordinates.
 
         Returns
         -------
         Events
+            The states at the zeros; an :class:`Actions` if ``expression`` is the name of an event.
 
         Raises
         ------
         InputError
-            If the expression contains something else.
+            If the expression contains an unknown name or function.
 
         Examples
         --------
@@ -212,21 +223,20 @@ class Trajectory(Savable, Energies, Differentiated):
         >>> run.events("theta").t[:3].round(3), run.events("theta", direction=1).t.round(3)
         (array([0.535, 1.604, 2.674]), array([1.604, 3.743, 5.883]))
         """
-        from symsimpson.results.events import actions_of, gather, read_zeros, zeros
+        from symsimpson.results.events import find_zeros, merge_zeros, read_actions, read_zeros
 
         if self.event_names and (name := str(expression)) in self.event_names:
-            return actions_of(self, name)
+            return read_actions(self, name)
         try:
             wanted = read_zeros(self.program, expression, direction, wrap)
-            return gather(self, wanted, [zeros(self, wanted)])
+            return merge_zeros(self, wanted, [find_zeros(self, wanted)])
         except InputError as error:
             if not (isinstance(expression, str) and self.event_names):
                 raise
-            meant = did_you_mean(expression, self.event_names)
             reject(
-                f"the run has no event {expression!r}.{meant}",
-                remedy="Its events are "
-                f"{', '.join(self.event_names)}. If it is meant as an expression: {error}",
+                f"the run has no event {expression!r}.{did_you_mean(expression, self.event_names)}",
+                why=f"Its events are {', '.join(self.event_names)}.",
+                remedy=f"{expression!r} is not a valid expression either. In {error}",
             )
 
     def animate(
@@ -237,32 +247,36 @@ class Trajectory(Savable, Energies, Differentiated):
         figsize: tuple[float, float] | None = None,
         dpi: float = 72,
     ) -> Animation:
-        """Film the system's ``positions``: points, and lines where their distance is constant.
+        """Animate the system's ``positions``.
 
-        Linkages in the plane are drawn by matplotlib, motion in space by plotly. The film plays
-        in a notebook, and on a page that ``.save("film.html")`` writes, without any connection.
+        The animation shows points, and lines between points at constant distance. matplotlib draws
+        motion in the plane, and plotly draws motion in space. The animation plays in a notebook.
+        ``.save("film.html")`` writes a page that plays without an internet connection.
         ``.save("film.png")`` writes the first frame.
 
         Parameters
         ----------
         seconds : float, optional
-            Length of the animation; the length of the run if this is from 1 to 10, else 10.
-        fps : int
-            Frames a second.
+            Duration of the animation, in seconds. By default, the duration of the run if it is
+            from 1 to 10, else 10.
+        fps : int, default 20
+            Frames per second.
         figsize : (float, float), optional
-            Width and height of a frame in inches; (4.2, 4.2) in the plane, (8.3, 9.2) in space.
-        dpi : float
+            Width and height of a frame, in inches. By default (4.2, 4.2) in the plane and
+            (8.3, 9.2) in space.
+        dpi : float, default 72
             Dots per inch.
 
         Returns
         -------
         Animation
+            The animation, which plays in a notebook and can be saved.
 
         Raises
         ------
         InputError
-            If the system declares no positions, a library is not installed, or these numbers
-            make no film.
+            If the system declares no positions, a library is not installed, or an argument is
+            invalid.
 
         Examples
         --------
@@ -275,20 +289,20 @@ class Trajectory(Savable, Energies, Differentiated):
 
         return animate(self, seconds=seconds, fps=fps, figsize=figsize, dpi=dpi)
 
-    def _contents(self) -> Any:
-        return dataset_of(self)
+    def _file_dataset(self) -> Any:
+        return trajectory_dataset(self)
 
-    def _kind_of_result(self) -> str:
+    def _result_kind(self) -> str:
         return "trajectory"
 
-    def _further(self) -> list[Variable]:
+    def _extra_variables(self) -> list[Variable]:
         further = [Variable("newton_iterations", self.newton_iterations, ("time",))]
         if self.tau_values is not None:
             further.append(Variable("tau", self.tau_values, ("time",)))
         return further
 
-    def _about(self) -> dict[str, Any]:
-        return super()._about() | self._outcome()
+    def _attributes(self) -> dict[str, Any]:
+        return super()._attributes() | self._outcome_attributes()
 
     def _repr_html_(self) -> str:
         from symsimpson.results.html import trajectory
@@ -303,17 +317,18 @@ class Trajectory(Savable, Energies, Differentiated):
         )
 
 
-OF_RUNS |= {x for x in (*dir(Trajectory), *Trajectory.__dataclass_fields__) if x[0] != "_"}
+RUN_ATTRIBUTES |= {x for x in (*dir(Trajectory), *Trajectory.__dataclass_fields__) if x[0] != "_"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Part(States):
-    """Some of the states of a run; what the run knows of each of them is there, too.
+    """Some of the states of a run, with the attributes of the run at these states.
 
-    Attributes are those of :class:`States`; ``tau``, ``newton_iterations``, ``tangent``,
+    The class inherits the attributes of :class:`States`. These attributes have the rows of the
+    whole run at the selected states: ``tau``, ``newton_iterations``, ``tangent``,
     ``sensitivity``, ``work``, ``power``, ``energy_balance``, ``energy_error``,
     ``shadow_energy``, ``multipliers``, ``constraint_error``, ``velocity_constraint_error`` and
-    ``constraint_forces`` are rows of those of the whole run.
+    ``constraint_forces``.
 
     Examples
     --------
@@ -327,9 +342,9 @@ class Part(States):
     _places: Ints = field(repr=False)
 
     def __getattr__(self, name: str) -> Any:
-        if name in WHOLE:
+        if name in SHARED_ATTRIBUTES:
             return getattr(self._run, name)
-        if name not in ROWS:
+        if name not in ROW_ATTRIBUTES:
             return super().__getattr__(name)
         values = getattr(self._run, name)
         if isinstance(values, dict):
@@ -338,31 +353,32 @@ class Part(States):
 
     @property
     def _connected(self) -> bool:
-        """Whether the states are a slice of the run: others have gaps."""
+        """True if the states are a slice of the run, without gaps."""
         return np.unique(np.diff(self._places)).size <= 1
 
     def __dir__(self) -> list[str]:
-        """Return public names, with rows of the run."""
-        return [*{*public_names(self), *ROWS, "sol"}]
+        """Return the public names, including those of the run."""
+        return [*{*public_names(self), *ROW_ATTRIBUTES, "sol"}]
 
     def __getitem__(self, key: Any) -> Any:
         """Return a quantity by its name, shape (N,), or some of the states."""
         item = super().__getitem__(key)
-        return item if isinstance(item, np.ndarray) else part_of(self._run, self._places, key)
+        return item if isinstance(item, np.ndarray) else select_part(self._run, self._places, key)
 
     def at(self, t: ArrayLike) -> States:
-        """Return the states at any times of the whole run, as :meth:`Trajectory.at`."""
+        """Return the states at any times of the whole run, like :meth:`Trajectory.at`."""
         return self._run.at(t)
 
     def events(self, expression: Any, *, direction: int = 0, wrap: Any = ()) -> Events:
-        """Find the zeros of an expression from the first to the last of these states.
+        """Find the zeros of an expression between the first and the last of these states.
 
-        As :meth:`Trajectory.events`; the name of an event gives its record in this time.
+        Arguments are those of :meth:`Trajectory.events`. The name of an event selects its record in
+        this period.
         """
         events = self._run.events(expression, direction=direction, wrap=wrap)
         here = (events.t >= min(self.t, default=0)) & (events.t <= max(self.t, default=0))
         values = {f.name: getattr(events, f.name) for f in fields(events)}
-        rows = {x: values[x][here] for x in ROWS_OF_EVENTS if x in values}
+        rows = {x: values[x][here] for x in EVENT_ROWS if x in values}
         return type(events)(**{**values, **rows})
 
     def animate(self, **options: Any) -> Animation:
@@ -372,8 +388,8 @@ class Part(States):
         return animate(self, **options)
 
 
-def part_of(run: Stored, places: Ints, key: Any) -> Part:
-    """Return the states of a run that a key selects among those with numbers ``places``."""
+def select_part(run: FinishedRun, places: Ints, key: Any) -> Part:
+    """Return the states of a run that ``key`` selects among the states numbered ``places``."""
     some = np.atleast_1d(places[key])
     return Part(
         t=run.t[some],
@@ -387,19 +403,19 @@ def part_of(run: Stored, places: Ints, key: Any) -> Part:
     )
 
 
-#: Before the names of what was recorded, in files.
+#: Prefix of the names of recorded sums in files.
 RECORDED = "recorded_"
-#: The name of what events did.
+#: Name of the records of events in files.
 EVENTS = "acted"
 
 
-def dataset_of(run: Stored) -> Any:
-    """Return an ``xarray.Dataset`` from which the trajectory can be made again."""
+def trajectory_dataset(run: FinishedRun) -> Any:
+    """Return an ``xarray.Dataset`` from which :func:`open_trajectory` rebuilds the trajectory."""
     dataset = run.to_xarray()
     text = np.frombuffer(run.program.source.encode(), dtype=np.uint8)  # long, for an attribute
     dataset["module"] = (("byte",), text, {"long_name": "the generated module, a text in UTF-8"})
     if run.event_names:
-        text = np.frombuffer(_of_events(run).encode(), dtype=np.uint8)
+        text = np.frombuffer(_events_as_json(run).encode(), dtype=np.uint8)
         dataset[EVENTS] = (("byte_of_events",), text, {"long_name": "records of events, JSON"})
     if run.input_values.size:
         about = {"long_name": "inputs of steps, at their nodes"}
@@ -409,7 +425,7 @@ def dataset_of(run: Stored) -> Any:
     dataset.attrs |= {
         "every": run.every or 0,
         "parameter_values": run.parameter_values.tolist(),
-        "sha256": digest_of(run),
+        "sha256": trajectory_digest(run),
     }
     for name, rows in run.recorded_values:
         dataset[f"{RECORDED}{name}"] = (("time", f"{name}_number"), rows)
@@ -425,17 +441,17 @@ def dataset_of(run: Stored) -> Any:
     return dataset
 
 
-def _of_events(run: Stored) -> str:
-    """Return what events did, as JSON."""
+def _events_as_json(run: FinishedRun) -> str:
+    """Return the records of events as JSON."""
     records = [x.as_json for x in run.records]
     return json.dumps({"names": run.event_names, "ended_by": run.ended_by, "records": records})
 
 
-def digest_of(run: Stored) -> str:
-    """Return a digest of all that a trajectory is made of."""
+def trajectory_digest(run: FinishedRun) -> str:
+    """Return the SHA-256 digest of the arrays, the settings and the module of a trajectory."""
     reduced = (run.reduced_values,) if run.reduced_values else ()
     outcome = run.status.name, run.message, run.program.source
-    acted = (_of_events(run),) if run.event_names else ()
+    acted = (_events_as_json(run),) if run.event_names else ()
     users = run.program.names.users
     named = (json.dumps(users),) if users else ()
     estimate = () if run.error_estimate is None else (float(run.error_estimate),)

@@ -1,1 +1,1 @@
-"""Runs of all kinds, and what they came to."""
+"""Runs of all kinds: integration, events, derivatives, checkpoints and verdicts."""

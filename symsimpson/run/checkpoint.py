@@ -1,8 +1,8 @@
-"""A run on disk: what it is, where it stands, and all states stored so far.
+"""Checkpoint files: the arguments of a run, its workspace, and all states stored so far.
 
-``run.ckpt`` holds what was asked for and the workspace, ``run.ckpt.states`` the states, which
-are only ever appended to, and ``run.ckpt.previous`` the file before. Each checkpoint knows the
-digests of itself and of the states that it counts; it appears under its name when it is complete.
+``run.ckpt`` has the arguments and the workspace. ``run.ckpt.states`` has the states; the run only
+appends to it. ``run.ckpt.previous`` is the checkpoint before. Each checkpoint contains digests of
+itself and of its states. A file gets its final name only when it is complete.
 """
 
 from __future__ import annotations
@@ -22,32 +22,32 @@ import numpy as np
 from symsimpson.errors import StorageError, reject
 from symsimpson.program.program import Program
 from symsimpson.run.ended import Sink
-from symsimpson.stepping.run import KeptStates, Run
+from symsimpson.stepping.run import Run, StoredStates
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import warn
-from symsimpson.support.interpreter import undisturbed
+from symsimpson.support.interpreter import defer_interrupts
 from symsimpson.text.header import digest
 
-#: The first line of a file: what it is, its version and the digest of what follows.
+#: The first line of a file: format, version, and the digest of the other lines.
 MAGIC, VERSION = "symsimpson checkpoint", 2
-#: A checkpoint is written after about so many seconds where no number of steps is given.
+#: Approximate time between checkpoints in seconds, unless the user sets a number of steps.
 SECONDS = 10.0
-#: So many steps are taken before the first one.
+#: Number of steps before the first checkpoint.
 FEWEST = 4096
-#: So many bytes of states at most are kept in memory.
+#: Largest size of the states in memory, in bytes.
 BUFFER = 2**24
 
 Content = TypeVar("Content")
 
 
-def buffered(every: int, stored: int, width: int) -> int:
-    """Return the number of states of so many numbers that a run keeps in memory."""
+def count_buffered(every: int, stored: int, width: int) -> int:
+    """Return how many states of ``width`` numbers a run stores in memory between checkpoints."""
     return min(stored, max(2, BUFFER // (8 * (width + 2)))) if every else 1
 
 
-def asked(program: Program, run: Run, spec: RunSpec) -> dict[str, Any]:
-    """Return what a run was asked for, in values of JSON; floats are written with all digits."""
+def describe_run(program: Program, run: Run, spec: RunSpec) -> dict[str, Any]:
+    """Return the arguments of a run as JSON values; floats have all digits."""
     return {
         "source": program.source,
         **({"names": program.names.users} if program.names.users else {}),
@@ -59,15 +59,19 @@ def asked(program: Program, run: Run, spec: RunSpec) -> dict[str, Any]:
         **({"tangents": spec.tangents.tolist()} if spec.tangents is not None else {}),
         **({"record": list(spec.record)} if spec.record else {}),
         **({"events": [repr(x) for x in spec.run_events.events]} if spec.run_events else {}),
-        **({"reduce": [x.asked for x in spec.reductions]} if spec.reductions else {}),
+        **({"reduce": [x.entries for x in spec.reductions]} if spec.reductions else {}),
     }
 
 
 @dataclass(frozen=True)
-class Record:
-    """The statements of a checkpoint, the digest of its states so far, and the last of them."""
+class CheckpointContent:
+    """Content of a checkpoint: arguments, position and workspace of the run, stored states.
 
-    asked: dict[str, Any]
+    ``stored`` is the number of stored states, ``digest`` the digest of their file, and ``last`` the
+    last of them.
+    """
+
+    description: dict[str, Any]
     position: list[int]
     workspace: Floats
     stored: int
@@ -76,84 +80,85 @@ class Record:
 
 
 class Checkpoint(Sink):
-    """All states of a run, and the run itself, on disk.
+    """Sink that writes the run and all its states to disk.
 
-    The run is at its beginning, and goes on where the file says, if there is one; ``asked`` is what
-    it was asked for. Checkpoints are ``every`` steps apart, about ten seconds unless that is given.
+    If the checkpoint file exists, the run continues from it. ``description`` has the arguments of
+    the run, which must agree. Checkpoints are ``every`` steps apart, by default about ten seconds.
     """
 
     def __init__(
-        self, path: Any, asked: dict[str, Any], run: Run, every: int | None = None
+        self, path: Any, description: dict[str, Any], run: Run, every: int | None = None
     ) -> None:
         super().__init__(run)
-        self.path, self._asked, self._every = Path(path), asked, every
+        self.path, self._description, self._every = Path(path), description, every
         self._rows, self._digest = 0, hashlib.sha256()
         self._segment, self._began = every or FEWEST, 0.0
         try:
-            if exists(self.path):
-                self._go_on()
-                self._kept = run.step
+            if checkpoint_exists(self.path):
+                self._resume()
+                self._saved = run.step
             else:
-                self._beside("states").write_bytes(b"")
-                with undisturbed():
+                self._sibling("states").write_bytes(b"")
+                with defer_interrupts():
                     self._append(self._rows_of(slice(0, 1)))
                     self._save()
         except OSError as error:
             reject(
-                f"{self.path}: the checkpoint cannot be written: {error.strerror or error}.",
-                remedy="Choose another file, or make room.",
+                f"the checkpoint cannot be written: {error.strerror or error}.",
+                where=str(self.path),
+                remedy="Choose another file, or free disk space.",
                 error=StorageError,
                 cause=error,
             )
 
-    def due(self, stop: int) -> int:
-        """Return the step at which the next checkpoint is to be written."""
+    def next_stop(self, stop: int) -> int:
+        """Return the step of the next checkpoint, at most ``stop``."""
         self._began = time.perf_counter()
         return min(stop, self._run.step + self._segment)
 
     def take(self) -> None:
-        """Write a checkpoint, if there is anything new.
+        """Write a checkpoint, unless the run has taken no steps since the last one.
 
         Raises StorageError if it cannot be written.
         """
-        done = self._run.step - self._kept
+        done = self._run.step - self._saved
         if not done:
             return
         soon = time.perf_counter() - self._began < SECONDS / 2
         if self._every is None and done == self._segment and soon:
             self._segment *= 2
         try:
-            with undisturbed():
-                self._append(self._since())
+            with defer_interrupts():
+                self._append(self._new_rows())
                 self._save()
         except OSError as error:
             reject(
-                f"{self.path}: the checkpoint cannot be written: {error.strerror or error}.",
-                remedy="The one before is good: make room and go on with "
-                "symsimpson.resume. What was "
-                "computed is in this error's .trajectory.",
+                f"the checkpoint cannot be written: {error.strerror or error}.",
+                where=str(self.path),
+                remedy="The previous checkpoint is valid: free disk space and continue with "
+                "symsimpson.resume. This error's .trajectory has the states computed so far.",
                 error=StorageError,
                 cause=error,
             )
 
-    def states(self) -> KeptStates:
-        """Return what is stored, which stays on disk."""
+    def states(self) -> StoredStates:
+        """Return all stored states, from the file of states and from memory."""
         if not self._run.every:
             return super().states()
         n = self._run.header.n
         shape = (self._rows, 2 * n + 1 + self._run.recorded.shape[1])
-        rows: Any = np.memmap(self._beside("states"), dtype="<f8", mode="r", shape=shape)
-        unwritten = self._since()
+        rows: Any = np.memmap(self._sibling("states"), dtype="<f8", mode="r", shape=shape)
+        unwritten = self._new_rows()
         if len(unwritten):
             rows = np.vstack([rows, unwritten])
         iterations = rows[:, 2 * n].astype(np.int64)
         columns = rows[:, :n], rows[:, n : 2 * n], iterations, rows[:, 2 * n + 1 :]
-        return KeptStates(*columns, self._run.every)
+        return StoredStates(*columns, self._run.every)
 
-    def _beside(self, suffix: str) -> Path:
+    def _sibling(self, suffix: str) -> Path:
         return self.path.with_name(f"{self.path.name}.{suffix}")
 
-    def _since(self) -> Floats:
+    def _new_rows(self) -> Floats:
         """Return the states stored since the last checkpoint, one row each."""
         run = self._run
         last = (run.step - run.first) // run.every if run.every else 0
@@ -169,7 +174,7 @@ class Checkpoint(Sink):
         """Append states to their file."""
         if self._run.every:
             data = np.ascontiguousarray(rows, dtype="<f8").tobytes()
-            with open(self._beside("states"), "rb+") as file:
+            with open(self._sibling("states"), "rb+") as file:
                 file.truncate(self._rows * rows.shape[1] * 8)
                 file.seek(0, os.SEEK_END)
                 file.write(data)
@@ -177,49 +182,49 @@ class Checkpoint(Sink):
                 os.fsync(file.fileno())
             self._digest.update(data)
             self._rows += len(rows)
-            self._run.forget()
+            self._run.discard_stored()
 
     def _save(self) -> None:
-        """Write a new file under another name, then give it the name: one or the other is there."""
+        """Write a new file, then rename it, so that a complete checkpoint always exists."""
         run = self._run
         body = json.dumps(
             {
-                "asked": self._asked,
+                "asked": self._description,
                 "position": run.position(),
                 "stored": self._rows,
                 "states": self._digest.hexdigest(),
                 "workspace": base64.b64encode(run.W.astype("<f8").tobytes()).decode(),
             }
         )
-        new = self._beside("new")
+        new = self._sibling("new")
         with open(new, "w", encoding="utf-8") as file:
             file.write(f"{MAGIC} {VERSION} {digest(body)}\n{body}")
             file.flush()
             os.fsync(file.fileno())
         if self.path.exists():
-            os.replace(self.path, self._beside("previous"))
+            os.replace(self.path, self._sibling("previous"))
         os.replace(new, self.path)
         _sync(self.path.parent)
-        self._kept = run.step
+        self._saved = run.step
 
-    def _go_on(self) -> None:
-        """Put the run where the file says, if it is asked for the same."""
-        record = read_record(self.path)
+    def _resume(self) -> None:
+        """Restore the run from the file; raise InputError if the arguments differ."""
+        record = read_checkpoint(self.path)
         for key, example in (("inputs", "inputs=..."), ("events", "events=[...]")):
-            old, given = record.asked.get(key), self._asked.get(key)
-            if old != given and {**record.asked, key: given} == {key: None, **self._asked}:
+            old, new = record.description.get(key), self._description.get(key)
+            if old != new and {**record.description, key: new} == {key: None, **self._description}:
                 reject(
-                    f"{self.path} holds a run with {'no' if old is None else 'other'} {key}.",
-                    remedy=f"Pass those that it began with: symsimpson.resume(path, {example}).",
+                    f"{self.path} contains a run with {'no' if old is None else 'other'} {key}.",
+                    remedy=f"Pass the original {key}: symsimpson.resume(path, {example}).",
                 )
-        if record.asked != self._asked:
+        if record.description != self._description:
             reject(
-                f"{self.path} holds another run.",
-                remedy="Go on with that one by symsimpson.resume, delete "
-                "its files, or choose another file.",
+                f"{self.path} contains another run.",
+                remedy="Continue that run with symsimpson.resume, delete its files, or choose "
+                "another file.",
             )
         run = self._run
-        run.put_back(record.position, record.workspace)
+        run.restore(record.position, record.workspace)
         self._rows, self._digest = record.stored, record.digest
         if run.every:
             n = run.header.n
@@ -227,13 +232,13 @@ class Checkpoint(Sink):
             run.recorded[0, :, 0] = record.last[2 * n + 1 :]
 
 
-def exists(path: Path) -> bool:
-    """Return whether there is a checkpoint, or the one before it."""
+def checkpoint_exists(path: Path) -> bool:
+    """Return whether a checkpoint or its predecessor exists at this path."""
     return path.exists() or path.with_name(f"{path.name}.previous").exists()
 
 
 def _digest_of(file: Any, size: int) -> Any:
-    """Read so many bytes and give their digest so far."""
+    """Read ``size`` bytes and return their digest."""
     checksum = hashlib.sha256()
     while size > 0:
         block = file.read(min(size, 2**20))
@@ -244,28 +249,31 @@ def _digest_of(file: Any, size: int) -> Any:
     return checksum
 
 
-def read_asked(path: Path) -> dict[str, Any]:
-    """Read what a run was asked for; raise StorageError if there is no whole file."""
-    request: dict[str, Any] = _first_whole(path, _said)[0]["asked"]
+def read_description(path: Path) -> dict[str, Any]:
+    """Read the arguments of a run; raise StorageError if no file is intact."""
+    request: dict[str, Any] = _read_first_intact(path, _read_statements)[0]["asked"]
     return request
 
 
-def read_record(path: Path) -> Record:
-    """Read a checkpoint, or with a warning the one before it where it is damaged.
+def read_checkpoint(path: Path) -> CheckpointContent:
+    """Read a checkpoint; if it is damaged, warn and read the one before it.
 
-    Raises StorageError if there is none, or neither is whole.
+    Raises StorageError if neither file is intact.
     """
-    record, problems = _first_whole(path, _read)
+    record, problems = _read_first_intact(path, _read_content)
     if problems:
         warn(
-            f"{path}: the last checkpoint is damaged ({problems[0]}); the one before is used.",
+            f"{path}: the last checkpoint is damaged ({problems[0]}). The run continues from the "
+            "one before.",
             RuntimeWarning,
         )
     return record
 
 
-def _first_whole(path: Path, read: Callable[[Path, Path], Content]) -> tuple[Content, list[str]]:
-    """Return what the first whole file says, and what is wrong with those before it."""
+def _read_first_intact(
+    path: Path, read: Callable[[Path, Path], Content]
+) -> tuple[Content, list[str]]:
+    """Return the content of the first intact file, and the problems of the files before it."""
     problems: list[str] = []
     for place in (path, path.with_name(f"{path.name}.previous")):
         try:
@@ -273,43 +281,46 @@ def _first_whole(path: Path, read: Callable[[Path, Path], Content]) -> tuple[Con
         except (OSError, ValueError, KeyError, TypeError) as error:
             problems.append(f"{place.name}: {getattr(error, 'strerror', None) or error}")
     reject(
-        f"{path}: there is no whole checkpoint ({'; '.join(problems)}).",
-        remedy="Nothing can be resumed from it. Begin the run anew, with another file.",
+        f"no intact checkpoint exists ({'; '.join(problems)}).",
+        where=str(path),
+        remedy="Start the run again with another file.",
         error=StorageError,
     )
 
 
-def _said(path: Path, states: Path) -> dict[str, Any]:
-    """Read one file; raises ValueError if it is not as it was written."""
+def _read_statements(path: Path, states: Path) -> dict[str, Any]:
+    """Read one file; raise ValueError if it has another format or was changed."""
     head, _, body = path.read_text(encoding="utf-8").partition("\n")
     if head != f"{MAGIC} {VERSION} {digest(body)}":
         if not head.startswith(f"{MAGIC} "):
-            raise ValueError("it is no checkpoint")
+            raise ValueError("not a checkpoint file")
         if not head.startswith(f"{MAGIC} {VERSION} "):
-            raise ValueError("it is of another version")
-        raise ValueError("it does not match its digest")
-    said: dict[str, Any] = json.loads(body)
-    return said
+            raise ValueError("format of another version")
+        raise ValueError("its digest does not match its content")
+    statements: dict[str, Any] = json.loads(body)
+    return statements
 
 
-def _read(path: Path, states: Path) -> Record:
-    """Read one file and the states that it counts."""
-    said = _said(path, states)
-    workspace = np.frombuffer(base64.b64decode(said["workspace"]), dtype="<f8")
-    width = 8 * (2 * len(said["asked"]["q0"]) + 1 + said["asked"].get("recorded", 0))
-    size = said["stored"] * width
+def _read_content(path: Path, states: Path) -> CheckpointContent:
+    """Read one checkpoint and its file of states; raise ValueError if either is damaged."""
+    statements = _read_statements(path, states)
+    workspace = np.frombuffer(base64.b64decode(statements["workspace"]), dtype="<f8")
+    width = 8 * (2 * len(statements["asked"]["q0"]) + 1 + statements["asked"].get("recorded", 0))
+    size = statements["stored"] * width
     with open(states, "rb") as file:
         checksum = _digest_of(file, size)
         whole = file.tell() == size
         file.seek(max(0, size - width))
         last = np.frombuffer(file.read(width), dtype="<f8")
-    if not whole or checksum.hexdigest() != said["states"]:
-        raise ValueError("the states beside it are damaged")
-    return Record(said["asked"], said["position"], workspace, said["stored"], checksum, last)
+    if not whole or checksum.hexdigest() != statements["states"]:
+        raise ValueError("its file of states is damaged")
+    return CheckpointContent(
+        statements["asked"], statements["position"], workspace, statements["stored"], checksum, last
+    )
 
 
 def _sync(folder: Path) -> None:
-    """Have the names in a folder written."""
+    """Flush the entries of a folder to disk."""
     if hasattr(os, "O_DIRECTORY"):
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         try:

@@ -1,4 +1,4 @@
-"""Actions of events on a state: impacts by Newton's law, one after the other; changes."""
+"""Actions of events on a state: impacts by Newton's law of restitution, and changes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, ModelError, reject
-from symsimpson.program.observed import evaluate, watching
+from symsimpson.program.observed import evaluate, make_evaluator
 from symsimpson.program.program import Program
 from symsimpson.stepping.constrained_start import project_start
 from symsimpson.stepping.event import Impact
@@ -23,10 +23,11 @@ from symsimpson.text.driver.impacts import STILL
 
 
 class EventMaps:
-    """Computes states after single events.
+    """Maps from the state before an event to the state after it.
 
-    The program and the ``values`` of its parameters decide what kind of number that is. ``rows``
-    evaluates all expressions of the events at states (t, q, p). ``sign`` is that of the step size.
+    The program and the ``values`` of its parameters determine the type of numbers. ``rows``
+    evaluates all expressions of the events at states (t, q, p). ``sign`` is the sign of the step
+    size.
     """
 
     def __init__(
@@ -47,30 +48,30 @@ class EventMaps:
         return row
 
     def rate(self, row: Reals, k: int) -> Any:
-        """Return the rate of the gap of an impact."""
+        """Return the rate (total time derivative) of the gap of impact ``k``."""
         place = self._events.rate[k]
         assert place is not None
         return row[place]
 
     def slope(self, row: Reals, k: int) -> Reals:
-        """Return the derivatives of the gap of an impact by q."""
+        """Return the gradient of the gap of impact ``k`` by q, shape (n,)."""
         first = self._events.slopes[k]
         assert first is not None
         return row[first : first + self._program.n]
 
     def velocities(self, t: Any, q: Reals, p: Reals) -> Reals:
-        """Return velocities at one position, of several momenta."""
+        """Return the velocities of several momenta at one position, shape (len(p), n)."""
         times, places = np.full(len(p), t), np.repeat(q[None], len(p), axis=0)
         n = self._program.n
         return evaluate(self._program, "energy", "VELOCITY", n, (times, places, p), self._values)
 
-    def hit(
+    def apply_impact(
         self, t: Any, state: tuple[Reals, Reals], row: Reals, k: int, law: Callable[[Any], Any]
     ) -> tuple[tuple[Reals, Reals], Any]:
-        """Return the state after an impact, and its impulse: v jumps along M^-1 dg/dq.
+        """Return the state after an impact and its impulse; v jumps along M^-1 dg/dq.
 
-        The impulse is 0 if nothing is free to move along it. ``law`` gives the restitution by the
-        speed of approach.
+        The impulse is 0 if constraints prevent any motion along the gap. ``law`` maps the speed of
+        approach to the restitution.
         """
         (q, p), n = state, self.slope(row, k)
         v, there, origin = self.velocities(t, q, np.stack([p, n, 0 * p]))
@@ -83,7 +84,7 @@ class EventMaps:
             return (q, self._momenta(t, q, v + impulse * w)), impulse
         return (q, p + impulse * n), impulse
 
-    def change(
+    def apply_change(
         self, t: Any, state: tuple[Reals, Reals], row: Reals, k: int
     ) -> tuple[tuple[Reals, Reals], Reals | None]:
         """Return the state after a change, and its velocities where the change gives some."""
@@ -92,33 +93,33 @@ class EventMaps:
         for block, place, number in given:
             {"q": q, "v": v, "p": p}[block][place] = row[number]
         blocks = {block for block, *_ in given}
-        # velocities are kept where positions change, unless momenta are given
+        # a change of positions leaves the velocities, unless it sets momenta
         if "v" in blocks or "p" not in blocks:
             fixed = sorted({place for block, place, _ in given if block == "p"})
-            p = self._momenta(t, q, self._with_momenta(t, q, v, p, fixed))
+            p = self._momenta(t, q, self._solve_velocities(t, q, v, p, fixed))
         return (q, p), v if "v" in blocks else None
 
     def _momenta(self, t: Any, q: Reals, v: Reals) -> Reals:
         """Return the momenta of velocities at a position."""
-        run = Run(self._program, self._values, self.sign, t, 0, 1)
+        run = Run(self._program, self._values, self.sign, t)
         run.begin(q, v, velocity=True)
         return run.end()[1][0]
 
-    def _with_momenta(self, t: Any, q: Reals, v: Reals, p: Reals, given: list[int]) -> Reals:
-        """Return velocities of which some are those of given momenta, and the others stay."""
+    def _solve_velocities(self, t: Any, q: Reals, v: Reals, p: Reals, given: list[int]) -> Reals:
+        """Solve for the velocities whose coordinates have ``given`` momenta; keep the others."""
         if not given:
             return v
         v = v.copy()
         v[given] = 0
         base = self._momenta(t, q, v)
-        ways = np.eye(len(v))[given]
-        masses = np.stack([self._momenta(t, q, v + way) - base for way in ways], axis=1)
+        units = np.eye(len(v))[given]
+        masses = np.stack([self._momenta(t, q, v + unit) - base for unit in units], axis=1)
         v[given] = self._program.numbers.solve(masses[given], (p - base)[given])
         return v
 
 
 def read_restitution(program: Program, given: Any, values: Reals) -> Callable[[Any], Any]:
-    """Return a restitution as a function of the speed of approach; NaN where it is not real."""
+    """Return the restitution as a function of the speed of approach; NaN if it is not real."""
     if not hasattr(given, "free_symbols") or given.is_number:
         number = float(given)
         return lambda _: number
@@ -129,34 +130,38 @@ def read_restitution(program: Program, given: Any, values: Reals) -> Callable[[A
     def restitution(speed: Any) -> Any:
         try:
             return program.numbers.read(left.subs(approach, speed)).item()
-        except TypeError:  # it is not real
+        except TypeError:  # not real
             return math.nan
 
     return restitution
 
 
-#: So many impacts at one time are taken one after the other.
-MOST_MAPS = 500
-#: States at an event are known to so much of themselves.
-ROUNDINGS = 16 * 2.0**-52
-#: Of so many states it is known what is asked for there, beside the last one.
-KNOWN = 4
+#: Largest number of successive impacts at one time.
+MOST_IMPACTS = 500
+#: Relative round-off of the state at an event.
+STATE_ROUND_OFF = 16 * 2.0**-52
+#: Number of states, besides the last one, whose expressions are cached.
+CACHED_STATES = 4
 
 
 class EventActions:
-    """Evaluates what events ask for, and does what they say; ``failed`` says why it could not."""
+    """Evaluation of the expressions of events, and their actions on a state.
+
+    ``failed`` has the reason if an action is impossible, else it is empty.
+    """
 
     def __init__(self, program: Program, spec: RunSpec, run_events: RunEvents) -> None:
         self._program, self._events, self._values = program, run_events, spec.parameters
-        #: Returns all that is asked for at states.
-        self.rows = watching(program, run_events.watched, spec.parameters)
+        #: Evaluates all expressions of the events at states.
+        self.rows = make_evaluator(program, run_events.watched, spec.parameters)
         sign = 1.0 if spec.h > 0 else -1.0
         self._maps = EventMaps(program, run_events, spec.parameters, self.rows, sign)
-        self.failed, self._known = "", list[tuple[float, State, Floats]]()
-        self.beyond: State | None = None  #: Where the motion goes on beyond a kink.
-        #: Impacts whose gap, and its rate, are zero behind the last actions.
+        self.failure, self._known = "", list[tuple[float, State, Floats]]()
+        #: State from which the motion continues after a kink.
+        self.state_beyond_kink: State | None = None
+        #: Impacts whose gap and rate are both zero after the last actions.
         self.touched = set[int]()
-        #: Which events are impacts.
+        #: Whether each event is an impact.
         self.impacts = np.array([place is not None for place in run_events.rate])
         self._laws = {
             k: read_restitution(program, event.action.restitution, spec.parameters)
@@ -165,39 +170,40 @@ class EventActions:
         }
 
     def row(self, t: float, state: State) -> Floats:
-        """Return all that is asked for at one state; of the last ones it is known."""
+        """Return the values of all expressions at one state, from the cache if possible."""
         for when, where, known in self._known:
             if where is state and when == t:
                 return known
         row = self._maps.row(t, state)
-        self._known = [(t, state, row), *self._known[:KNOWN]]
+        self._known = [(t, state, row), *self._known[:CACHED_STATES]]
         return row
 
     def values(self, t: float, state: State) -> Floats:
-        """Return the expressions of events at a state."""
+        """Return the values of the event expressions at a state, one for each event."""
         return self.row(t, state)[: len(self._events.events)]
 
-    def loses(self, k: int, before: State, behind: State, t: float) -> bool:
-        """Return whether an event is an impact that left a slower rate, or a change."""
+    def dissipates(self, k: int, before: State, after: State, t: float) -> bool:
+        """Return whether an event is a change, or an impact that reduced the rate of its gap."""
         if not self.impacts[k]:
             return bool(self._events.changes[k])
-        rates = [abs(self._maps.rate(self.row(t, state), k)) for state in (before, behind)]
+        rates = [abs(self._maps.rate(self.row(t, state), k)) for state in (before, after)]
         return bool(rates[1] < (1 - 1e-9) * rates[0])
 
-    def allowed(self, row: Floats, k: int) -> bool:
+    def may_act(self, row: Floats, k: int) -> bool:
         """Return whether the condition of an event holds."""
         place = self._events.when[k]
         return place is None or bool(row[place] > 0)
 
     def may_all_hit(self, t: float, state: State, events: Sequence[int]) -> bool:
-        """Return whether all of some events are impacts that may act on a state."""
+        """Return whether all given events are impacts whose conditions hold at a state."""
         row = self.row(t, state)
-        return all(self.impacts[k] and self.allowed(row, k) for k in events)
+        return all(self.impacts[k] and self.may_act(row, k) for k in events)
 
     def restitution(self, k: int, speed: float | None = None) -> float | None:
-        """Return the restitution of an event, None without one, or if that needs a speed.
+        """Return the restitution of an event.
 
-        Raises InputError if it is not between 0 and 1.
+        Return None if the event has none, or if it depends on a speed and ``speed`` is None. Raises
+        InputError if the restitution is not between 0 and 1.
         """
         given = getattr(self._events.events[k].action, "restitution", None)
         needs_speed = speed_of_approach() in getattr(given, "free_symbols", ())
@@ -213,7 +219,7 @@ class EventActions:
         return float(factor)
 
     def sizes(self, row: Floats, q: Floats) -> Floats:
-        """Return the sizes of terms of which expressions are made, to tell what rounding is."""
+        """Return the sizes of the terms of each event expression, which bound its round-off."""
         sizes = row[[*self._events.sizes]]
         for k, first in enumerate(self._events.slopes):
             if first is not None:
@@ -221,23 +227,26 @@ class EventActions:
         return sizes
 
     def rounding(self, t: float, state: State) -> Floats:
-        """Return by how much expressions change where time and state do by some roundings."""
+        """Return the change of event expressions for round-off changes of time and state."""
         n, place = len(state[0]), np.concatenate([[t], *state])
         places = np.tile(place, (len(place) + 1, 1))
-        places[1:] += np.diag(ROUNDINGS * place)
+        places[1:] += np.diag(STATE_ROUND_OFF * place)
         rows = self.rows(places[:, 0], places[:, 1 : n + 1], places[:, n + 1 :])
-        with np.errstate(all="ignore"):  # where there is no value, nothing is known
+        with np.errstate(all="ignore"):  # ignore expressions without a finite value
             changes = np.abs(rows[1:, : len(self.impacts)] - rows[0, : len(self.impacts)])
         return np.asarray(changes.sum(axis=0, where=np.isfinite(changes)))
 
-    def touching(self, values: Floats, small: Floats) -> NDArray[np.bool_]:
-        """Return which impacts have a gap of zero."""
+    def touching_impacts(self, values: Floats, small: Floats) -> NDArray[np.bool_]:
+        """Return which events are impacts whose gap is zero up to ``small``."""
         return self.impacts & (np.abs(values) <= small)
 
-    def pressed(
+    def stays_in_contact(
         self, t: float, state: State, part: float, events: Sequence[int], small: Floats
     ) -> bool:
-        """Return whether what touched has not gone away by more than rounding, a part before."""
+        """Return whether bodies that touched have not separated during the last partial step.
+
+        ``part`` is the duration of the partial step.
+        """
         moved = np.abs(part * self.rates(self.row(t, state)))
         near = self.touched.issuperset(events) and not (moved > small)[[*events]].any()
         return near and self.may_all_hit(t, state, events)
@@ -246,25 +255,25 @@ class EventActions:
         """Return the rates of gaps, and 0 for other expressions."""
         return np.array([0.0 if place is None else row[place] for place in self._events.rate])
 
-    def acted(
+    def apply(
         self, t: float, state: State, events: Sequence[int], small: Floats
     ) -> Iterator[tuple[int, State, State, float]]:
-        """Let events act: changes first, then impacts, the fastest approach before others.
+        """Let events act on a state: changes first, then impacts in order of approach speed.
 
-        Yields the number of each, the states before and behind it, and its impulse.
+        Yields the number of each event, the states before and after it, and its impulse.
         """
         for k in events:
             if not self.impacts[k]:
-                before, state = state, self._changed(t, state, k)
+                before, state = state, self._change(t, state, k)
                 yield k, before, state, 0.0
-                if self.failed:
+                if self.failure:
                     return
         forced = {k for k in events if self.impacts[k]}
-        for _ in range(MOST_MAPS):
+        for _ in range(MOST_IMPACTS):
             row = self.row(t, state)
-            touch = self.touching(row[: len(small)], small)
+            touch = self.touching_impacts(row[: len(small)], small)
             near = [k for k in range(len(small)) if k in forced or touch[k]]
-            rates = {k: self._maps.rate(row, k) for k in near if self.allowed(row, k)}
+            rates = {k: self._maps.rate(row, k) for k in near if self.may_act(row, k)}
             velocities = self._maps.velocities(t, state[0], state[1][None])[0]
             still = {k: STILL * self._terms_of_rate(row, velocities, k) for k in rates}
             nearing = {k: -self._maps.sign * rate for k, rate in rates.items()}
@@ -277,44 +286,46 @@ class EventActions:
             before = state
             state, impulse = self._hit(t, state, row, k)
             yield k, before, state, impulse
-            if self.failed:
+            if self.failure:
                 return
 
     def _terms_of_rate(self, row: Floats, v: Floats, k: int) -> float:
-        """Return the sizes of the terms of which the rate of a gap is made."""
+        """Return the sum of the sizes of the terms in the rate of a gap."""
         terms = self._maps.slope(row, k) * v
         moved = float(self._maps.rate(row, k) - terms.sum())
         return max(float(np.abs(terms).sum()) + abs(moved), 1e-300)
 
     def _hit(self, t: float, state: State, row: Floats, k: int) -> tuple[State, float]:
-        """Return the state after an impact and its impulse, unless it fails."""
+        """Return the state after an impact and its impulse; set ``failed`` if it cannot act."""
         name = self._events.names[k]
         try:
             e = self.restitution(k, -self._maps.sign * float(self._maps.rate(row, k)))
         except InputError as error:
-            self.failed = f"The event {name!r} cannot act: {error} "
+            self.failure = f"The event {name!r} cannot act: {error} "
             return state, 0.0
         if self._maps.sign < 0 and e != 1.0:
-            self.failed = (
-                f"The impact {name!r} loses energy, which a run backwards would "
-                "have to give. Take restitution 1, or run forwards. "
+            self.failure = (
+                f"The impact {name!r} dissipates energy, so it cannot act in a backward run. Use "
+                "restitution 1, or a positive h. "
             )
             return state, 0.0
-        state, impulse = self._maps.hit(t, state, row, k, lambda _: e)
+        state, impulse = self._maps.apply_impact(t, state, row, k, lambda _: e)
         if not impulse:
-            self.failed = f"The gap {name!r} closes, but moves nothing that is free to. "
+            self.failure = (
+                f"The gap {name!r} closes, but constraints prevent any motion that opens it. "
+            )
         return state, float(impulse)
 
-    def _changed(self, t: float, state: State, k: int) -> State:
-        """Return the state after an event that is no impact."""
+    def _change(self, t: float, state: State, k: int) -> State:
+        """Return the state after a change, a switch or an event without action."""
         if not self._events.changes[k]:
-            return self.beyond or state
-        behind, v = self._maps.change(t, state, self.row(t, state), k)
-        self._check_allowed(t, behind, v, k)
-        return behind
+            return self.state_beyond_kink or state
+        after, v = self._maps.apply_change(t, state, self.row(t, state), k)
+        self._check_allowed(t, after, v, k)
+        return after
 
     def _check_allowed(self, t: float, state: State, v: Floats | None, k: int) -> None:
-        """Say so where a state that was changed is none that constraints allow."""
+        """Set ``failed`` if a change led to a state that violates the constraints."""
         q, other = state[0][None], (state[1] if v is None else v)[None]
         try:
             given = "" if v is None else "v0"
@@ -322,8 +333,8 @@ class EventActions:
         except (InputError, ModelError) as error:
             why = str(error).split("\n")[0].removeprefix(f"{self._program.system}: ")
             why = why.replace("q0", "its position").replace("v0", "its velocity")
-            self.failed = (
-                f"The event {self._events.names[k]!r} changes the state to one that constraints do "
-                f"not allow: {why} Change all that hang together, as system.consistent(q0, v0) "
-                "finds it. "
+            self.failure = (
+                f"The event {self._events.names[k]!r} leads to a state that violates the "
+                f"constraints: {why} Change all coordinates that the constraints couple. "
+                "system.consistent(q0, v0) computes a consistent state. "
             )

@@ -1,4 +1,4 @@
-"""The gradient of a cost of a run, by derivatives that are carried back along it."""
+"""Gradients of costs of a run by the adjoint method."""
 
 from __future__ import annotations
 
@@ -17,30 +17,29 @@ from symsimpson.program.program import Program
 from symsimpson.program.recorders import tape
 from symsimpson.program.status import Status
 from symsimpson.results.motion_derivatives import Gradient
-from symsimpson.run.ended import raise_failure, trajectory_of
-from symsimpson.run.integrate import integrate, started
+from symsimpson.run.ended import make_trajectory, raise_failure
+from symsimpson.run.integrate import integrate, start_run
 from symsimpson.run.resolution import real_energies
-from symsimpson.run.state_costs import Measured, StateCost, pull_velocities, read_samples
-from symsimpson.stepping.driving import Samples, given_inputs, steps_a_period
-from symsimpson.stepping.inputs import read_varied, refuse_retimed, varied_program
+from symsimpson.run.state_costs import SampleCost, StateCost, pull_velocities, read_samples
+from symsimpson.stepping.driving import Samples, collect_inputs, count_steps_per_period
+from symsimpson.stepping.inputs import program_with_derivatives, read_variables, reject_retimed
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec, read_run
 from symsimpson.support.array_types import Ints, Reals
 from symsimpson.support.names import spelled
 
-#: Records of all steps are kept where they have no more numbers than this: 64 MB.
-RECORDED = 8_000_000
+#: Largest size of the records of all steps in numbers (64 MB); longer runs use checkpoints.
+MOST_RECORDED = 8_000_000
 
 
 @dataclass(frozen=True)
 class Objective:
-    """The objective of a run: costs of its last state and of samples on the way."""
+    """Objective of a run: a cost of the final state, and squared deviations from samples."""
 
-    end: StateCost | None  #: A cost of the last state.
-    #: Each costs the sum of the squares by which the run differs from it.
-    samples: tuple[Measured, ...]
-    every: int  #: Steps between samples.
+    end: StateCost | None  #: Cost of the final state.
+    samples: tuple[SampleCost, ...]  #: Measurements; the cost is the sum of squared deviations.
+    every: int  #: Number of steps between samples.
 
 
 def differentiate_back(
@@ -50,74 +49,83 @@ def differentiate_back(
     inputs: Sequence[int],
     progress: bool | None,
 ) -> tuple[Any, Reals, Reals, Reals]:
-    """Run, and carry the derivatives of the cost back to the start.
+    """Run forward, and propagate the derivatives of the cost back to the initial state.
 
-    The program differentiates its steps; ``inputs`` are the numbers of the inputs among what is
-    varied. Returned are the cost and its derivatives: by q0 and p0, or v0 if the run begins with
-    velocities, shape (2 n,); by what is varied, shape (k,); by inputs in each step and node, shape
-    (N, k, s) or (N, k, 1). Raises InputError, ConvergenceError or Interrupted, as a run does.
+    The program must have derivatives of its steps. ``inputs`` are the indices of the inputs among
+    the differentiation variables. Return the cost and three derivatives:
+
+    - by q0 and p0, or by q0 and v0 if the run starts with velocities, shape (2 n,);
+    - by the variables, shape (k,);
+    - by inputs at each step and node, shape (N, k, s) or (N, k, 1).
+
+    Raises InputError, ConvergenceError or Interrupted.
     """
     numbers = program.numbers
     with numbers.working():
-        way = Way(program, spec, progress)
-        back = _Back(program, spec, objective, inputs)
-        back.leave_end(way)
-        for first, records, q, p in way.segments():
-            back.carry(first, records, q, p)
-        return back.arrived(way)
+        forward = ForwardRun(program, spec, progress)
+        back = _AdjointSweep(program, spec, objective, inputs)
+        back.start_at_end(forward)
+        for first, records, q, p in forward.segments():
+            back.carry_back(first, records, q, p)
+        return back.derivatives_at_start(forward)
 
 
-class Way:
-    """The way there: a run that was made, and can be made again from places on it."""
+class ForwardRun:
+    """A forward run that can be recomputed from its checkpoints, segment by segment."""
 
     def __init__(self, program: Program, spec: RunSpec, progress: bool | None) -> None:
         header, count = program.header, spec.steps
         recorder = tape(header)
-        whole = count * recorder.rows <= RECORDED
+        whole = count * recorder.rows <= MOST_RECORDED
         self.piece = max(1, count if whole else isqrt(count))
         self._count = count
-        self._run = run = started(program, spec, 1, self.piece + 1, recorders=(recorder,))
+        self._run = run = start_run(program, spec, 1, self.piece + 1, recorders=(recorder,))
         self.q0, self.p0 = run.begun[1]
-        self._places: list[tuple[list[int], Reals]] = []
-        left = False
+        self._checkpoints: list[tuple[list[int], Reals]] = []
+        outside = False
         with run.watched(count, progress):
             while run.step < count and run.alive:
                 if run.step:
-                    run.forget()
-                self._places.append((run.position(), run.W[:, 0].copy()))
+                    run.discard_stored()
+                self._checkpoints.append((run.position(), run.W[:, 0].copy()))
                 run.advance(min(run.step + self.piece, count))
-                left = left or _leaves_domain(program, run)
+                outside = outside or _leaves_domain(program, run)
         if run.status is not Status.SUCCESS:
-            trajectory = trajectory_of(program, run, count, run.status, spec, run.stored(), 0)
+            trajectory = make_trajectory(
+                program, run, count, run.status, spec, run.stored_states(), 0
+            )
             raise_failure(run, trajectory, trajectory)
-        if left:  # a run of the same steps tells after which of them, with the states before
+        if outside:  # an ordinary run raises the error, with the step and the states before it
             integrate(program, replace(spec, every=1))
         self.q1, self.p1 = (run.rows(x, program.n).copy() for x in ("POSITION", "MOMENTUM"))
 
     def segments(self) -> Iterator[tuple[int, Reals, Reals, Reals]]:
-        """Go back over the segments: the number of the first step, records, and states."""
+        """Yield the segments from last to first: number of the first step, records, q and p."""
         run = self._run
-        for i, (position, kept) in reversed(list(enumerate(self._places))):
+        for i, (position, column) in reversed(list(enumerate(self._checkpoints))):
             first = i * self.piece
             last = min(first + self.piece, self._count)
-            if last < self._count:  # the last one is still there
-                run.put_back(position, kept)
+            if last < self._count:  # the last segment is still in the arrays
+                run.restore(position, column)
                 run.store(0)
                 run.advance(last)
-            yield first, run.recorded[: last - first + 1], *run.stored()[:2]
+            yield first, run.recorded[: last - first + 1], *run.stored_states()[:2]
 
 
 def _leaves_domain(program: Program, run: Run) -> bool:
-    """Return whether the energy is no finite number at one of the states in the arrays of a run."""
+    """Return whether the energy is not finite at one of the stored states of a run."""
     if program.header.real_everywhere:
         return False
-    q, p, *_ = run.stored()
+    q, p, *_ = run.stored_states()
     t = run.t0 + run.h * program.numbers.counted(run.step + 1 - len(q), run.step + 1, 1)
     return not real_energies(program, (t, q, p), run.parameters).all()
 
 
-class _Back:
-    """The way back: derivatives of the cost by the state, and what they give on the way."""
+class _AdjointSweep:
+    """Adjoint sweep: derivatives of the cost by the state, from the end of a run to its start.
+
+    On the way it accumulates the derivatives by parameters and inputs.
+    """
 
     def __init__(
         self, program: Program, spec: RunSpec, objective: Objective, inputs: Sequence[int]
@@ -130,36 +138,36 @@ class _Back:
         self._value = numbers.zeros(())[()]
         self._state = self._rows("ADJOINT", 2 * program.n)
         self._parameters = numbers.zeros(varied)
-        #: Those through nodes, in all, and what rounding has taken from the sums.
+        #: Derivatives by variables at each node, summed over steps; then their round-off terms.
         self._totals = numbers.zeros((2, varied * self._nodes))
         places = np.arange(varied * self._nodes).reshape(varied, self._nodes)
         self._chosen = places[list(inputs)].ravel()
-        held = self._nodes if spec.inputs.shape[2] > 1 else 1
-        self._by_step = numbers.zeros((spec.steps, len(inputs), held))
+        columns = self._nodes if spec.inputs.shape[2] > 1 else 1
+        self._by_step = numbers.zeros((spec.steps, len(inputs), columns))
 
     def _rows(self, block: str, count: int) -> Reals:
         first = self.program.header.layout[block]
         return self._W[first : first + count, 0]
 
-    def leave_end(self, way: Way) -> None:
-        """Begin with the cost of the last state."""
+    def start_at_end(self, forward: ForwardRun) -> None:
+        """Start with the derivatives of the cost of the final state."""
         cost, spec = self._objective.end, self._spec
         if cost is None:
             return
         numbers = self.program.numbers
         steps = numbers.read([spec.steps])
-        ends = spec.t0 + spec.h * steps, way.q1[None], way.p1[None]
+        ends = spec.t0 + spec.h * steps, forward.q1[None], forward.p1[None]
         slopes = cost.slopes(steps, *ends, spec.parameters)
         self._value = self._value + slopes.value[0]
         self._state += slopes.state[0]
         self._parameters = self._parameters + slopes.parameters[0]
 
-    def carry(self, first: int, records: Reals, q: Reals, p: Reals) -> None:
-        """Go back over the steps of a segment."""
+    def carry_back(self, first: int, records: Reals, q: Reals, p: Reals) -> None:
+        """Propagate the derivatives back over the steps of a segment."""
         spec, count = self._spec, len(records) - 1
         header, numbers = self.program.header, self.program.numbers
         slopes = numbers.zeros((count, len(self._chosen)))
-        jumps = self._jumps(first, q, p)
+        jumps = self._sample_slopes(first, q, p)
         numbers.driver("carry_back")(
             tuple(self._kernels),
             (spec.h, spec.t0, self._W, header.driver_layout),
@@ -171,13 +179,12 @@ class _Back:
             slopes,
         )
         by_node = slopes.reshape(count, len(self._chosen) // self._nodes, self._nodes)
-        held = self._by_step.shape[2] < self._nodes
-        self._by_step[first : first + count] = (
-            by_node.sum(axis=2, keepdims=True) if held else by_node
-        )
+        if self._by_step.shape[2] < self._nodes:  # inputs are constant over each step
+            by_node = by_node.sum(axis=2, keepdims=True)
+        self._by_step[first : first + count] = by_node
 
-    def _jumps(self, first: int, q: Reals, p: Reals) -> Reals:
-        """Return what samples add at the states behind the steps of a segment, (count, 2 n)."""
+    def _sample_slopes(self, first: int, q: Reals, p: Reals) -> Reals:
+        """Return the derivatives of sample costs by the state after each step, (count, 2 n)."""
         every, numbers = self._objective.every, self.program.numbers
         if not self._objective.samples:
             return numbers.zeros((0, 0))
@@ -185,11 +192,11 @@ class _Back:
         numbered = np.arange(first + 1, first + len(q))
         here = np.flatnonzero(numbered % every == 0)
         if here.size:
-            jumps[here] = self._sampled(numbered[here] // every, q[here + 1], p[here + 1])
+            jumps[here] = self._add_samples(numbered[here] // every, q[here + 1], p[here + 1])
         return jumps
 
-    def _sampled(self, places: Ints, q: Reals, p: Reals) -> Reals:
-        """Add the samples at some states to the cost; return its derivatives by these states."""
+    def _add_samples(self, places: Ints, q: Reals, p: Reals) -> Reals:
+        """Add the sample costs at some states; return their derivatives by these states."""
         spec, numbers = self._spec, self.program.numbers
         steps = numbers.read(places * self._objective.every)
         states, some = (spec.t0 + steps * spec.h, q, p), slice(places[0], places[-1] + 1)
@@ -201,12 +208,12 @@ class _Back:
             by_state = by_state + slopes.state
         return by_state
 
-    def arrived(self, way: Way) -> tuple[Any, Reals, Reals, Reals]:
-        """Return the cost and its derivatives at the start."""
+    def derivatives_at_start(self, forward: ForwardRun) -> tuple[Any, Reals, Reals, Reals]:
+        """Return the cost and its derivatives at the initial state."""
         spec, numbers = self._spec, self.program.numbers
-        q0, p0 = way.q0[None], way.p0[None]
+        q0, p0 = forward.q0[None], forward.p0[None]
         if self._objective.samples:
-            self._state += self._sampled(np.zeros(1, dtype=np.int64), q0, p0)[0]
+            self._state += self._add_samples(np.zeros(1, dtype=np.int64), q0, p0)[0]
         state = self._state.copy()
         totals = self._totals[0] + self._totals[1]
         through_nodes = totals.reshape(len(self._parameters), self._nodes)
@@ -222,49 +229,49 @@ class _Back:
         return value, result(state), result(parameters), result(self._by_step)
 
 
-#: The initial state, by what was given of it.
+#: Accepted names of the parts of the initial state.
 STATE = {"q": "q", "v": "v", "p": "p", "q0": "q", "v0": "v", "p0": "p"}
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """A cost, and what to differentiate it by."""
+class GradientArguments:
+    """Arguments of a gradient: a cost, and the variables to differentiate by."""
 
-    #: Expressions of the last state, and along the path.
-    cost: Any
-    running: Any
-    samples: Mapping[Any, Any] | None  #: Values, by expression.
-    every: Any  #: Steps between samples.
+    cost: Any  #: Expression of the final state.
+    running: Any  #: Expression that is integrated along the path.
+    samples: Mapping[Any, Any] | None  #: Measured values by expression.
+    every: Any  #: Number of steps between samples.
     wrt: Sequence[Any]  #: Names or symbols.
 
 
 def gradient_of(
-    program: Program, request: Request, wanted: Wanted, progress: bool | None
+    program: Program, request: Request, wanted: GradientArguments, progress: bool | None
 ) -> Gradient:
     """Return the cost of a run and its derivatives.
 
     Raises InputError, ConvergenceError or Interrupted.
     """
-    refuse_retimed(program, "gradients of costs")
+    reject_retimed(program, "gradients of costs")
     several = isinstance(wanted.wrt, (tuple, list, set, frozenset))
     variables: Sequence[Any] = list(wanted.wrt) if several else [wanted.wrt]
     pairs = [(spelled(x), _is_state(program, x)) for x in variables]
     names = [name for name, state in pairs if not state]
-    _check(wanted, pairs, velocities=request.v0 is not None)
+    _check_gradient_arguments(wanted, pairs, velocities=request.v0 is not None)
     running = wanted.running
-    # tables of others have an iterator, matrices of SymPy but a shape
+    # arrays have an iterator, matrices of SymPy only a shape
     several = hasattr(running, "__iter__") or bool(getattr(running, "shape", False))
     if several and not isinstance(running, str):
         reject(
             f"running is a {type(running).__name__}, not one expression.",
-            remedy="Add up what costs.",
+            remedy="Pass the sum of the costs as a single expression.",
         )
-    if "h" in names and _moves(running) and program.names.parameters.place("h") is None:
+    if "h" in names and _contains_time(running) and program.names.parameters.place("h") is None:
         reject(
-            "running= contains the time, and h moves the times of all steps of a run.",
-            remedy="Leave h out of wrt, or write the cost without the time.",
+            "running= contains the time, so a run cannot be differentiated by h.",
+            why="A change of h moves the times of all steps.",
+            remedy="Remove h from wrt, or write the cost without the time.",
         )
-    program = varied_program(program, read_varied(program, names), running)
+    program = program_with_derivatives(program, read_variables(program, names), running)
     spec = read_run(program, request)
     every = read_count("every", wanted.every, least=1)
     samples = read_samples(program, wanted.samples, spec.steps, every)
@@ -276,7 +283,7 @@ def gradient_of(
     cost, by_state, by_parameter, by_step = differentiate_back(
         program, spec, objective, of_inputs, progress
     )
-    given = given_inputs(program, request.inputs) if of_inputs else {}
+    input_value = collect_inputs(program, request.inputs) if of_inputs else {}
     n, parts = program.n, {}
     for name, state in pairs:
         if state:
@@ -286,17 +293,17 @@ def gradient_of(
         if varied_name in header.inputs:
             slopes = by_step[:, of_inputs.index(names.index(name))]
             key = program.inputs[header.inputs.index(varied_name)]
-            parts[name] = _of_input(key, slopes, given[key], spec, program.numbers)
+            parts[name] = _reshape_to_input(key, slopes, input_value[key], spec, program.numbers)
         else:
             parts[name] = np.asarray(by_parameter[names.index(name)])
     return Gradient(cost, parts)
 
 
-def _moves(running: Any) -> bool:
-    """Return whether the time stands in a cost along the path."""
+def _contains_time(running: Any) -> bool:
+    """Return whether a running cost contains the time t explicitly."""
     if not hasattr(running, "xreplace"):
         return re.search(r"\bt\b", str(running)) is not None
-    from sympy import Derivative, Dummy, Symbol  # SymPy is there by now
+    from sympy import Derivative, Dummy, Symbol  # SymPy is loaded by now
     from sympy.core.function import AppliedUndef
 
     moved = running.xreplace({x: Dummy() for x in running.atoms(Derivative)})
@@ -305,48 +312,55 @@ def _moves(running: Any) -> bool:
 
 
 def _is_state(program: Program, variable: Any) -> bool:
-    """Return whether a variable is the initial state: a text, or no symbol of a parameter."""
+    """Return whether a variable is part of the initial state, and not a parameter or input."""
     names, key = program.names, spelled(variable)
     known = names.parameters.place(key) is not None or names.inputs.place(key) is not None
     return key in STATE and not (known and (key.endswith("0") or not isinstance(variable, str)))
 
 
-def _check(wanted: Wanted, pairs: Sequence[tuple[str, bool]], *, velocities: bool) -> None:
-    """Refuse a cost of nothing, and derivatives by a state that was not given."""
+def _check_gradient_arguments(
+    wanted: GradientArguments, pairs: Sequence[tuple[str, bool]], *, velocities: bool
+) -> None:
+    """Reject a missing cost, missing or repeated variables, and the wrong one of v and p."""
     none = wanted.samples is None or (isinstance(wanted.samples, Mapping) and not wanted.samples)
     if wanted.cost is None and wanted.running is None and none:
         reject(
             "there is no cost to differentiate.",
-            remedy="Pass cost= of the last state, running= along "
-            "the path, or samples= that the run is to come near to.",
+            remedy="Pass cost= of the final state, running= along the path, or samples= that the "
+            "run should match.",
         )
     if not pairs:
-        reject("wrt is empty.", remedy="Name what to differentiate by: wrt=('q', 'l1').")
+        reject("wrt is empty.", remedy="Pass the variables of the gradient: wrt=('q', 'l1').")
     wrong, right = ("p", "v") if velocities else ("v", "p")
     of_state = [STATE[name] for name, state in pairs if state]
     if wrong in of_state:
         reject(
-            f"wrt names {wrong!r}, and the run begins with {right}0.",
+            f"wrt contains {wrong!r}, but the run starts with {right}0.",
             remedy=f"Pass {wrong}0, or differentiate by {right!r}.",
         )
     if len({STATE[name] if state else name for name, state in pairs}) < len(pairs):
         reject(
-            f"wrt is {', '.join(name for name, _ in pairs)}.",
-            remedy="Name each only once, and what has a name of the state in a call of its own.",
+            f"wrt contains a variable twice: {', '.join(name for name, _ in pairs)}.",
+            remedy="Pass each variable once. If a parameter has a name of the state, "
+            "differentiate by it in a separate call.",
         )
 
 
-def _of_input(name: str, slopes: Reals, given: Any, spec: RunSpec, numbers: Numbers) -> Reals:
-    """Bring the derivatives through steps and nodes, shape (N, s), into the shape of an input."""
-    if isinstance(given, Samples):
-        values = np.asarray(given.values)
+def _reshape_to_input(
+    name: str, slopes: Reals, input_value: Any, spec: RunSpec, numbers: Numbers
+) -> Reals:
+    """Convert derivatives by values at nodes, shape (N, s), to the shape of the user's input."""
+    if isinstance(input_value, Samples):
+        values = np.asarray(input_value.values)
         if not values.ndim:
             return np.asarray(slopes.sum())
-        starts = np.arange(0, spec.steps, steps_a_period(name, given.period, spec.h, numbers))
+        starts = np.arange(
+            0, spec.steps, count_steps_per_period(name, input_value.period, spec.h, numbers)
+        )
         by_sample = 0 * np.resize(slopes[0], values.shape)
         by_sample[: starts.size] = np.add.reduceat(slopes.sum(axis=1), starts)
         return by_sample
-    shape = slopes.shape if callable(given) else np.shape(given)
+    shape = slopes.shape if callable(input_value) else np.shape(input_value)
     if not shape:
         return np.asarray(slopes.sum())
     derivatives = slopes if slopes.size == np.prod(shape) else slopes.sum(axis=1)

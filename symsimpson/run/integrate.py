@@ -1,4 +1,4 @@
-"""One trajectory, from its start to its verdict."""
+"""A single run: from the initial state to the trajectory and its verdict."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.run.checkpoint import Checkpoint, asked, buffered
-from symsimpson.run.ended import Collected, Samples, Sink, raise_failure, trajectory_of
-from symsimpson.run.resolution import each, finer_stride, real_energies, sampling_stride
-from symsimpson.run.short_runs import make_ready
-from symsimpson.run.verdict import verdict
-from symsimpson.stepping.inputs import read_failure, refused_start
+from symsimpson.run.checkpoint import Checkpoint, count_buffered, describe_run
+from symsimpson.run.ended import Sink, StateCollector, StateSampler, make_trajectory, raise_failure
+from symsimpson.run.resolution import finer_stride, real_energies, sampling_stride, thin_states
+from symsimpson.run.short_runs import compile_all
+from symsimpson.run.verdict import judge_run
+from symsimpson.stepping.inputs import check_on_failure, make_start_error
 from symsimpson.stepping.parts import STRIDE
-from symsimpson.stepping.run import KeptStates, Run
-from symsimpson.stepping.spec import RunSpec, recorders_of
+from symsimpson.stepping.run import Run, StoredStates
+from symsimpson.stepping.spec import RunSpec, make_recorders
 from symsimpson.support.array_types import Reals
 from symsimpson.support.files import check_folder, read_path
 from symsimpson.support.progress import silence
 
 
-def started(
+def start_run(
     program: Program,
     spec: RunSpec,
     stride: int,
@@ -39,47 +39,47 @@ def started(
     inputs: Reals | None = None,
     recorders: Sequence[Recorder] = (),
 ) -> Run:
-    """Make a run at its start; warn of its step.
+    """Make a run at its initial state; warn if its step size is beyond linear stability.
 
-    There is room for ``stored`` states, ``stride`` steps apart, 0 for none. Inputs and recorders
-    are those of the request unless given. Raises InputError if the states do not fit into memory,
-    M(q0) is not positive definite, the energy has no value there, or time does not advance.
+    The run has arrays for ``stored`` states, ``stride`` steps apart; with stride 0 it stores none.
+    By default, inputs and recorders follow from ``spec``. Raises InputError if the states do not
+    fit into memory, or if the time does not advance. Raises InputError also if M(q0) is not
+    positive definite, or if the energy at q0 is not finite.
     """
     given = spec.inputs if inputs is None else inputs
-    asked = tuple(recorders) or recorders_for(program, spec)
+    attached = tuple(recorders) or make_run_recorders(program, spec)
     try:
         if spec.run_events is not None:
             from symsimpson.run.event_run import EventRun  # few runs need it
 
-            run: Run = EventRun(program, spec, spec.run_events, stride, stored, given, asked)
+            run: Run = EventRun(program, spec, spec.run_events, (stride, stored), given, attached)
         else:
-            how = spec.parameters, spec.h, spec.t0, stride, stored, program.kernels.fallbacks
-            run = Run(program, *how, given, asked)
+            size = spec.parameters, spec.h, spec.t0, (stride, stored)
+            run = Run(program, *size, inputs=given, recorders=attached)
     except InputError:
         raise
     except (MemoryError, ValueError):
         reject(
-            f"{stored} stored states of {2 * program.n} numbers do not fit into memory.",
-            remedy="Store fewer: every=1000, or every=None for the last state only; or "
-            "keep them on disk: "
-            "checkpoint='run.ckpt'.",
+            f"{stored} states of {2 * program.n} numbers do not fit into memory.",
+            remedy="Store fewer states: every=1000, or every=None for the last state only. Or "
+            "store them on disk: checkpoint='run.ckpt'.",
         )
-    _begin(program, run, spec)
+    _set_initial_state(program, run, spec)
     if spec.steps:
         _warn_of_step(program, run, spec)
     return run
 
 
-def recorders_for(program: Program, spec: RunSpec) -> tuple[Recorder, ...]:
-    """Return the recorders that a run is asked for."""
+def make_run_recorders(program: Program, spec: RunSpec) -> tuple[Recorder, ...]:
+    """Return the recorders for the variations, sums and reductions of a run."""
     header, count = program.header, None
     if spec.tangents is not None:
         count = spec.tangents.shape[1] + len(header.varied_by or ())
-    return recorders_of(header, count, spec.record, spec.reductions)
+    return make_recorders(header, count, spec.record, spec.reductions)
 
 
-def _begin(program: Program, run: Run, spec: RunSpec) -> None:
-    """Put the initial state, and the variations that are asked for, into a run."""
+def _set_initial_state(program: Program, run: Run, spec: RunSpec) -> None:
+    """Set the initial state and variations of a run; check mass matrix, rate and energy there."""
     numbers, q = program.numbers, spec.q0
     run.begin(q, spec.other0, velocity=spec.velocities, t_end=spec.t_end)
     pivot, velocities = float(run.value("MASS_PIVOT")), run.rows("VELOCITY", program.n)
@@ -91,30 +91,33 @@ def _begin(program: Program, run: Run, spec: RunSpec) -> None:
         named = dict(zip(program.parameters, values, strict=True))
         where = f"q0={q.tolist()} with the parameters {named}"
         zero = [name for name, value in named.items() if value == 0]
-        finite, everywhere = numbers.all_finite(q), pivot == 0 and _singular_elsewhere(run, spec)
-        raise refused_start(program.system, where, pivot, finite, zero=zero if everywhere else None)
+        finite, everywhere = numbers.all_finite(q), pivot == 0 and _is_singular_elsewhere(run, spec)
+        raise make_start_error(
+            program.system, where, pivot, finite, zero=zero if everywhere else None
+        )
     if run.header.retimed and not run.parameters[-1] > 0:
         reject(
-            f"{program.system}: the rate dt/dtau is {float(run.parameters[-1]):g} at "
-            f"q0={q.tolist()}.",
-            remedy="Time must advance: start where it is positive, or change the rate.",
+            f"the rate dt/dtau is {float(run.parameters[-1]):g} at q0={q.tolist()}.",
+            where=program.system,
+            why="Time must advance, so the rate must be positive.",
+            remedy="Start from another position, or change the rate.",
         )
     run.apply("energy")
-    # no value may mean an angle that is too large for fast sines: check_start takes others
+    # an angle may only be too large for fast sines: check_start uses sines for any angle
     position, momentum = (run.rows(name, program.n) for name in ("POSITION", "MOMENTUM"))
     if not numbers.all_finite(run.rows("ENERGY", 1)):
         check_start(program, spec.t0, position, momentum, spec.parameters)
     run.begun = run.t0, np.array([position, momentum])
     if spec.tangents is not None:
-        _begin_variations(program, run, spec.tangents, velocity=spec.velocities)
-    run.look()
+        _set_initial_variations(program, run, spec.tangents, velocity=spec.velocities)
+    run.observe_start()
 
 
-def _begin_variations(program: Program, run: Run, tangents: Reals, *, velocity: bool) -> None:
-    """Let variations of the state and of parameters begin.
+def _set_initial_variations(program: Program, run: Run, tangents: Reals, *, velocity: bool) -> None:
+    """Set the initial variations: ``tangents``, then those by parameters.
 
-    Those of parameters leave q0 as it is, and p0 or, where that was given, v0: then
-    p0 = L_v(q0, v0) changes with the parameters.
+    A parameter changes neither q0 nor the given p0 or v0. With v0, the momentum
+    p0 = L_v(q0, v0) changes with the parameter.
     """
     n, given = program.n, tangents.shape[1]
     varied = len(program.header.varied_by or ())
@@ -126,17 +129,17 @@ def _begin_variations(program: Program, run: Run, tangents: Reals, *, velocity: 
     run.store(0)
 
 
-def _singular_elsewhere(run: Run, spec: RunSpec) -> bool:
-    """Return whether M is singular at another position, too; the state of the run is lost."""
-    # irrational distances from the start, so that no symmetry keeps M singular; h gives the kind of
-    # number, which has many digits as well
+def _is_singular_elsewhere(run: Run, spec: RunSpec) -> bool:
+    """Return whether M is singular at another position too; overwrite the state of the run."""
+    # irrational distances from q0, so that no symmetry keeps M singular; the term with h gives the
+    # array the number type of the run
     elsewhere = spec.q0 + run.h * 0 + np.sqrt(np.arange(2.0, run.header.n + 2)) / 7
     run.begin(elsewhere, spec.other0, velocity=spec.velocities, any_angle=True, t_end=spec.t_end)
     return not np.isfinite(run.rows("VELOCITY", run.header.n).astype(np.float64)).all()
 
 
 def _warn_of_step(program: Program, run: Run, spec: RunSpec) -> None:
-    """Warn once of a step beyond the limit of linear stability."""
+    """Warn if h is beyond the limit of linear stability, once for each h and parameters."""
     key = spec.h, spec.parameters.tobytes()
     plain = run.W.dtype == np.float64
     if not plain or key in program.findings.checked_steps:
@@ -150,19 +153,20 @@ def _warn_of_step(program: Program, run: Run, spec: RunSpec) -> None:
 
 
 def check_start(program: Program, t: Any, q: Reals, p: Reals, values: Reals) -> None:
-    """Refuse a state at which the energy is not a finite real number; raises InputError."""
+    """Raise InputError if the energy at a state is not a finite real number."""
     if not real_energies(program, (t, q, p), values):
         reject(
-            f"{program.system}: the energy is not a finite real number at q0 = "
-            f"({', '.join(f'{float(x):g}' for x in q)}): T or V has no value there "
-            "(the logarithm or the root of a negative number, a root of zero, or a division by "
-            "zero, for example).",
-            remedy="Start from a state at which both are defined, or check the formulas.",
+            "the energy is not a finite real number at q0 = "
+            f"({', '.join(f'{float(x):g}' for x in q)}).",
+            where=program.system,
+            why="T or V is undefined there. Typical causes are a division by zero, a root of zero, "
+            "or the logarithm or root of a negative number.",
+            remedy="Start from a state at which T and V are defined, or check their formulas.",
         )
 
 
 def check_forces(program: Program, spec: RunSpec) -> None:
-    """Raise InputError if a force has no value, or no slope, at the start."""
+    """Raise InputError if a force or its derivative is not finite at the initial state."""
     tools, system, t0 = program.tools, program.declared, float(spec.t0)
     if tools is None or system is None:
         return
@@ -171,11 +175,12 @@ def check_forces(program: Program, spec: RunSpec) -> None:
     bad = np.flatnonzero(~np.isfinite(tools.force_terms(system, q, values, t0)))
     if bad.size:
         reject(
-            f"{program.system}: the force on {program.coordinates[bad[0]]} has no finite value at "
-            f"q0 = ({', '.join(f'{x:g}' for x in q)}), though T and V have.",
-            remedy="A derivative of a root at zero or a quotient 0/0 makes it so. Start "
-            "beside it, or "
-            "write V and forces in a form that is smooth there.",
+            f"the force on {program.coordinates[bad[0]]} is not finite at "
+            f"q0 = ({', '.join(f'{x:g}' for x in q)}), although T and V are.",
+            where=program.system,
+            why="The cause is the derivative of a root at zero, or a quotient 0/0.",
+            remedy="Start from a nearby position, or write V and forces in a form that is smooth "
+            "there.",
         )
     v = spec.other0
     if not spec.velocities:
@@ -184,19 +189,20 @@ def check_forces(program: Program, spec: RunSpec) -> None:
     bad = np.flatnonzero(~np.isfinite(tools.force_terms(system, q, values, t0, v)))
     if bad.size:
         reject(
-            f"{program.system}: the force on {program.coordinates[bad[0]]} has a value at the "
-            f"velocities of the start, ({', '.join(f'{x:g}' for x in v.tolist())}), but no slope.",
-            remedy="A root that is 0 makes it so, as sqrt(v) at v = 0. Begin with another "
-            "velocity, or "
-            "write a force that is smooth there, as sqrt(v**2 + eps**2) with a small eps.",
+            f"the force on {program.coordinates[bad[0]]} is not differentiable at the initial "
+            f"velocities ({', '.join(f'{x:g}' for x in v.tolist())}).",
+            where=program.system,
+            why="The cause is a root of zero, such as sqrt(v) at v = 0.",
+            remedy="Start with another velocity, or write a smooth force, such as "
+            "sqrt(v**2 + eps**2) with a small eps.",
         )
 
 
-#: Runs of fewer steps end before a bar would be drawn, and need not look for a terminal.
+#: Runs of fewer steps are over before a progress bar would appear, so they do not prepare one.
 BRIEF = 10_000
 
 
-def follow(
+def follow_run(
     program: Program,
     run: Run,
     spec: RunSpec,
@@ -204,11 +210,11 @@ def follow(
     sinks: Sequence[Sink] = (),
     progress: bool | None = None,
 ) -> tuple[Trajectory, StorageError | None]:
-    """Take the steps of a run that has begun; judge its energy by the states that a keeper has.
+    """Take the steps of a run; judge its energy from the states that ``keeper`` stored.
 
-    Of the states the trajectory has those that ``spec.every`` says, the last one for 0; ``sinks``
-    take them, too. Returned are what the run came to, and the error of a sink that ended it. Raises
-    InputError if forces have no value at the start.
+    All ``sinks`` receive the states as well. The trajectory has one state every ``spec.every``
+    steps, or only the final one for 0. Return it and the error of a sink that ended the run, or
+    None. Raises InputError if a force is not finite at the initial state.
     """
     count, problem = spec.steps, None
     shown = progress if count > BRIEF and spec.t_end is None else bool(progress)
@@ -220,39 +226,39 @@ def follow(
     status = run.status if problem is None else Status.FILE_ERROR
     if status is Status.NOT_FINITE and run.step == 0:
         check_forces(program, spec)
-    kept = keeper.states()
-    asked, left_out = kept, 0
-    if spec.every not in (0, kept.every):
-        q, p, iterations, recorded = each(spec.every // kept.every, *kept[:-1])
-        asked = KeptStates(q, p, iterations, recorded, spec.every)
-        left_out = int(kept.iterations.sum() - iterations.sum())
-    count = run.step if run.arrived else count
-    trajectory = trajectory_of(program, run, count, status, spec, asked, spec.every, left_out)
+    stored = keeper.states()
+    selected, left_out = stored, 0
+    if spec.every not in (0, stored.every):
+        q, p, iterations, recorded = thin_states(spec.every // stored.every, *stored[:-1])
+        selected = StoredStates(q, p, iterations, recorded, spec.every)
+        left_out = int(stored.iterations.sum() - iterations.sum())
+    count = run.step if run.has_arrived else count
+    trajectory = make_trajectory(program, run, count, status, spec, selected, spec.every, left_out)
     if count and status is not Status.INTERRUPTED and problem is None:
         try:
-            trajectory = verdict(program, run, trajectory, kept)
-        except KeyboardInterrupt:  # the states are there, what they are worth is not known
+            trajectory = judge_run(program, run, trajectory, stored)
+        except KeyboardInterrupt:  # the states are complete, but not judged
             stopped = Status.INTERRUPTED
             trajectory = replace(trajectory, status=stopped, message=stopped.message)
     return trajectory, problem
 
 
 def _take_pieces(run: Run, count: int, sinks: Sequence[Sink]) -> None:
-    """Take steps; hand states to the sinks when one asks for them, or there is room for no more."""
+    """Take steps; pass states to all sinks when one is due or the arrays are full."""
     while True:
         stop = min(count, run.room)
         try:
-            run.advance(min(sink.due(stop) for sink in sinks))
-        finally:  # Ctrl-C loses nothing
+            run.advance(min(sink.next_stop(stop) for sink in sinks))
+        finally:  # also after Ctrl-C
             for sink in sinks:
                 sink.take()
         if run.step >= count or not run.alive:
             return
-        run.forget()
+        run.discard_stored()
 
 
-#: Where the number of steps is not known before, so many states behind the first are put away at
-#: a time: few enough to cost no memory, many enough to cost no time.
+#: Number of states in the arrays of a run whose number of steps is unknown: few enough to need
+#: little memory, and enough that copying takes little time.
 ROOM = 4096
 
 
@@ -264,26 +270,32 @@ def integrate(
     checkpoint: str | os.PathLike[str] | None = None,
     checkpoint_every: int | None = None,
 ) -> Trajectory:
-    """Run, and return what it has come to.
+    """Run, and return the trajectory.
 
-    Raises InputError; StorageError, ConvergenceError or Interrupted unless ``on_failure`` is
-    ``"return"``.
+    Raises InputError. With ``on_failure="raise"``, raises StorageError, ConvergenceError or
+    Interrupted; with "return", the status of the trajectory tells the failure.
     """
-    read_failure(on_failure)
+    check_on_failure(on_failure)
     with program.numbers.working(), silence() if progress is False else NOTHING:
-        stride = _stride(program, spec, to_disk=checkpoint is not None)
-        run = started(program, spec, stride, _room(program, spec, stride, checkpoint is not None))
+        stride = _choose_stride(program, spec, to_disk=checkpoint is not None)
+        run = start_run(
+            program,
+            spec,
+            stride,
+            _count_array_states(program, spec, stride, checkpoint is not None),
+        )
         if spec.steps:
-            make_ready(program)
+            compile_all(program)
         if checkpoint is not None:
-            keeper: Sink = _checkpoint(checkpoint, checkpoint_every, program, run, spec)
+            keeper: Sink = _make_checkpoint(checkpoint, checkpoint_every, program, run, spec)
         elif spec.t_end is not None:
-            keeper = Collected(run) if spec.every else Samples(run, stride)
+            keeper = StateCollector(run) if spec.every else StateSampler(run, stride)
         else:
             keeper = Sink(run)
-        trajectory, problem = follow(program, run, spec, keeper, progress=progress)
+        trajectory, problem = follow_run(program, run, spec, keeper, progress=progress)
         if isinstance(keeper, Checkpoint) and trajectory.status is Status.INTERRUPTED:
-            message = f"{trajectory.message} Go on with symsimpson.resume({str(keeper.path)!r})."
+            resume = f"symsimpson.resume({str(keeper.path)!r})"
+            message = f"{trajectory.message} Continue the run with {resume}."
             trajectory = replace(trajectory, message=message)
         if problem is not None and on_failure == "raise":
             problem.trajectory = trajectory
@@ -293,8 +305,8 @@ def integrate(
     return trajectory
 
 
-def _stride(program: Program, spec: RunSpec, *, to_disk: bool) -> int:
-    """Return the steps between states to store; some to look at where none or few are asked for."""
+def _choose_stride(program: Program, spec: RunSpec, *, to_disk: bool) -> int:
+    """Return the number of steps between states to store, including states for the verdict only."""
     count, header = spec.steps, program.header
     if not spec.every:
         return sampling_stride(program, count) if spec.t_end is None else STRIDE
@@ -304,27 +316,27 @@ def _stride(program: Program, spec: RunSpec, *, to_disk: bool) -> int:
     return spec.every
 
 
-def _room(program: Program, spec: RunSpec, stride: int, to_disk: bool) -> int:
-    """Return the number of states that stand in the arrays of a run at a time."""
+def _count_array_states(program: Program, spec: RunSpec, stride: int, to_disk: bool) -> int:
+    """Return the number of states that the arrays of a run need to hold at a time."""
     stored = spec.steps // stride + 1 if stride else 1
     if spec.t_end is not None:
         stored = min(stored, ROOM + 1)
     if to_disk:
-        width = sum(recorder.rows for recorder in recorders_for(program, spec))
-        stored = buffered(stride, stored, 2 * program.n + width)
+        width = sum(recorder.rows for recorder in make_run_recorders(program, spec))
+        stored = count_buffered(stride, stored, 2 * program.n + width)
     return stored
 
 
-def _checkpoint(
+def _make_checkpoint(
     path: str | os.PathLike[str], every: int | None, program: Program, run: Run, spec: RunSpec
 ) -> Checkpoint:
-    """Return what keeps a run on disk; raises InputError or StorageError."""
+    """Make the sink for a checkpoint file; raise InputError or StorageError."""
     place = read_path("checkpoint", path)
     check_folder(place, "checkpoint")
     if run.W.dtype != np.float64:
         reject(
-            "a run with many digits cannot be kept in a checkpoint.",
-            remedy="Leave checkpoint out, or compile without precision.",
+            "checkpoint= cannot be combined with multiprecision.",
+            remedy="Remove checkpoint, or compile without precision=.",
         )
     steps = None if every is None else read_count("checkpoint_every", every, least=1)
-    return Checkpoint(place, asked(program, run, spec), run, steps)
+    return Checkpoint(place, describe_run(program, run, spec), run, steps)

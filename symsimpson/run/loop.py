@@ -1,4 +1,4 @@
-"""A run that is taken step by step, with inputs given as it goes."""
+"""A run that the user advances step by step, for example in a control loop."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
 from symsimpson.results.states import States
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.run.ended import out_of_domain, raise_failure, trajectory_of
-from symsimpson.run.integrate import started
+from symsimpson.run.ended import describe_domain_error, make_trajectory, raise_failure
+from symsimpson.run.integrate import start_run
 from symsimpson.run.resolution import real_energies
-from symsimpson.run.verdict import passage_in_words
-from symsimpson.stepping.driving import driven, read_driving
-from symsimpson.stepping.request import of_a_step
+from symsimpson.run.verdict import describe_passage
+from symsimpson.stepping.driving import make_input_history, read_input_values
+from symsimpson.stepping.request import inputs_for_one_step
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Reals
-from symsimpson.support.calling import explaining, warn
-from symsimpson.support.interpreter import undisturbed
+from symsimpson.support.calling import explain_methods, warn
+from symsimpson.support.interpreter import defer_interrupts
 from symsimpson.support.names import counted
 from symsimpson.text.quantity import velocities_by
 
@@ -33,25 +33,27 @@ if TYPE_CHECKING:
     from symsimpson.results.events import Events
 
 
-@explaining()
+@explain_methods()
 class ControlLoop:
-    """A run under way; made by :meth:`Stepper.start`.
+    """A run that you advance step by step; :meth:`Stepper.start` returns it.
 
     Attributes
     ----------
     t : number
-        The time after the last step.
+        Time after the last step.
     q, p, v : ndarray, shape (n,)
-        Positions, conjugate momenta and velocities there.
+        Positions, conjugate momenta and velocities after the last step.
     energy : float
-        The energy H there.
+        Energy H after the last step.
     multipliers : ndarray, shape (m,)
-        Multipliers of the constraints there, with the inputs of the last step. Before the first
-        step the inputs are zero.
+        Multipliers of the constraints after the last step, with the inputs of that step. Before
+        the first step the inputs are zero.
     constraint_forces : ndarray, shape (n,)
-        Generalised forces of all constraints there, with the same inputs.
+        Generalised forces of all constraints, with the same inputs.
     steps : int
-        Steps taken.
+        Number of steps taken.
+    ended_by : str or None
+        Name of the terminal event that ended the loop, else None.
 
     Examples
     --------
@@ -70,15 +72,15 @@ class ControlLoop:
         numbers = program.numbers
         nodes, count = len(program.header.input_places), len(program.inputs)
         with numbers.working():
-            # of the last step: the driver takes them for all steps, and they change in between
+            # inputs of the current step: the driver reads this array for all steps
             self._inputs = numbers.zeros((1, 1, nodes or 1, count))
-            # its end is not known: what is zero where a step ends acts in the next one
+            # the end is unknown, so an event exactly at the end of a step acts in the next step
             endless = replace(spec, steps=MOST_STEPS)
-            self._run = started(program, endless, 0, 1, self._inputs)
-            #: Whether a step is that of compiled code, in which nobody hears Ctrl-C.
-            self._at_once = numbers.compiled and spec.run_events is None
-            #: Whether a passage where M is small is to be looked at.
-            self._watching = self._at_once and program.declared is not None
+            self._run = start_run(program, endless, 0, 1, self._inputs)
+            #: Whether a step is one call of compiled code, which Ctrl-C cannot interrupt.
+            self._compiled_steps = numbers.compiled and spec.run_events is None
+            #: Whether to check that steps resolve a passage with a small mass matrix.
+            self._checks_passages = self._compiled_steps and program.declared is not None
 
     def __reduce__(self) -> tuple[Any, ...]:
         run = self._run
@@ -87,104 +89,114 @@ class ControlLoop:
 
     def __setstate__(self, state: tuple[Any, Reals, Reals]) -> None:
         position, column, self._inputs[:] = state
-        self._run.put_back(position, column)  # it goes on to the same bits
+        self._run.restore(position, column)
 
     def step(self, u: ArrayLike | Mapping[Any, ArrayLike] | None = None) -> None:
-        """Take a step.
+        """Take one step.
 
         Parameters
         ----------
         u : number, array_like or mapping, optional
-            The inputs of the step: of shape (m,), held over it; of shape (s, m), at its nodes; a
-            number for a single input; or a mapping from each of them. None for a system without
-            inputs.
+            Values of the m inputs during the step. Shape (m,) means constant values, shape (s, m)
+            values at the s nodes of the step. A single input may be a number. A mapping has one
+            value for each input, by name or symbol. Omit it for a system without inputs.
 
         Raises
         ------
         InputError
-            If an input is missing or not finite.
+            If an input is missing or not finite, or if an event has ended the loop.
         ConvergenceError
-            If the step could not be taken; the loop stays where it was.
+            If the step fails. The loop then keeps its state before the step.
         """
         program, run = self.program, self._run
         numbers = program.numbers
         if u is None and program.inputs:
             reject(
-                f"{program.system} has the inputs {', '.join(program.inputs)}, and the step is "
-                "given none.",
-                remedy="Pass them: loop.step(u), with a number for each, or a mapping.",
+                f"the step needs values for the inputs {', '.join(program.inputs)}.",
+                where=program.system,
+                remedy="Pass loop.step(u) with a number for each input, or a mapping.",
             )
         with numbers.working():
-            given = read_driving(program, of_a_step(u), run.h, 1, run.now)
-            if run.arrived:
-                reject(f"the loop is at its end: {run.reason}", remedy="Begin another one.")
+            given = read_input_values(program, inputs_for_one_step(u), run.h, 1, run.current_time)
+            if run.has_arrived:
+                reject(
+                    f"the loop is at its end. {run.reason}",
+                    remedy="Start another loop with stepper.start.",
+                )
             before, last, self._inputs[:] = run.step, self._inputs.copy(), given
             here = None if program.header.real_everywhere else (run.position(), run.W[:, 0].copy())
-            with NOTHING if self._at_once else undisturbed():
+            with NOTHING if self._compiled_steps else defer_interrupts():
                 run.advance(before + 1)
-                taken = run.alive or run.arrived
-                if not taken:
+                succeeded = run.alive or run.has_arrived
+                if not succeeded:
                     self._inputs[:] = last
-            if not taken:
+            if not succeeded:
                 ended = self._trajectory(before + 1)
                 raise_failure(run, ended, ended)
-            if here is not None and self._has_no_energy():
-                about = out_of_domain(program, run, run.now, before + 1)
-                run.put_back(*here)
+            if here is not None and self._left_domain():
+                about = describe_domain_error(program, run, run.current_time, before + 1)
+                run.restore(*here)
                 self._inputs[:] = last
                 ended = replace(self._trajectory(before + 1), **about)
                 raise_failure(run, ended, ended)
-            if self._watching and run.value("PIVOT_TIME") < np.inf:
-                self._look_at_passage()
+            if self._checks_passages and run.value("PIVOT_TIME") < np.inf:
+                self._check_passage()
 
-    def _look_at_passage(self) -> None:
-        """Warn, once, where the last step and those that follow do not resolve a small M."""
+    def _check_passage(self) -> None:
+        """Warn once if the last and the following steps do not resolve a small mass matrix."""
         program, run, n = self.program, self._run, self.program.n
         run.rows("PIVOT_TIME", 1)[:] = np.inf
         before = run.rows("PREVIOUS", 3 * n).copy()
-        states = (run.begun[0], *run.begun[1]), (run.now - run.h, before[:n], before[2 * n :])
+        states = (
+            (run.begun[0], *run.begun[1]),
+            (run.current_time - run.h, before[:n], before[2 * n :]),
+        )
         about = program, program.declared, states, run.h, run.parameters, self._inputs
         passed = None if program.tools is None else program.tools.unresolved_step(*about)
         if passed is not None:
-            self._watching = False
-            words = passage_in_words(passed, float(run.h))
+            self._checks_passages = False
+            words = describe_passage(passed, float(run.h))
             warn(f"{program.system}, {program.scheme}: {words}", ResolutionWarning)
 
     def _trajectory(self, steps: int) -> Trajectory:
-        """Return the run so far, with its last state alone, and without the inputs of its steps."""
+        """Return the run so far as a trajectory with the last state only and without inputs."""
         run = self._run
-        kept = run.stored()
-        ended = trajectory_of(self.program, run, steps, run.status, self._spec, kept, 0)
+        stored = run.stored_states()
+        ended = make_trajectory(self.program, run, steps, run.status, self._spec, stored, 0)
         return replace(ended, driven=None)
 
     def events(self, name: str) -> Events:
-        """Return what an event has done so far, as :meth:`Trajectory.events` of a run does.
+        """Return the records of an event so far, as :meth:`Trajectory.events` does.
 
         Parameters
         ----------
         name : str
+            Name of the event.
 
         Returns
         -------
         Actions
+            Times, states before and after, and impulses of the event.
         """
         return self._trajectory(self.steps).events(name)
 
     @property
     def ended_by(self) -> str | None:
-        """The name of the event that ended the loop, within the step after the last."""
+        """Name of the terminal event that ended the loop, else None."""
         return self._run.ended_by
 
     @property
     def steps(self) -> int:
-        """Number of steps taken."""
+        """Number of completed steps."""
         return self._run.step
 
     @property
     def t(self) -> Any:
-        """The time after the last step."""
+        """Time after the last step, or the time of a terminal event."""
         run = self._run
-        return self.program.numbers.single(run.end_within[0] if run.end_within else run.now)
+        return self.program.numbers.single(
+            run.end_within[0] if run.end_within else run.current_time
+        )
 
     @property
     def q(self) -> Reals:
@@ -202,11 +214,13 @@ class ControlLoop:
         program, run = self.program, self._run
         with program.numbers.working():
             kernel = velocities_by(run.header)
-            return evaluate(program, kernel, "VELOCITY", program.n, self._here(), run.parameters)[0]
+            return evaluate(
+                program, kernel, "VELOCITY", program.n, self._current_rows(), run.parameters
+            )[0]
 
     @property
     def energy(self) -> Any:
-        """The energy H."""
+        """Energy H."""
         return self._states().energy.item(0)
 
     @property
@@ -220,25 +234,25 @@ class ControlLoop:
         return self._states().constraint_forces[0]
 
     def _states(self) -> States:
-        """Return the state and the inputs of the last step, as a run has them at its end."""
+        """Return the current state with the inputs of the last step, for derived quantities."""
         program, run = self.program, self._run
         numbers = program.numbers
         result, single = numbers.result, numbers.single
         with numbers.working():
-            t, q, p = map(result, self._here())
+            t, q, p = map(result, self._current_rows())
             setting = single(run.t0), single(run.h), self.steps, self.ended_by
-            inputs = driven(result(self._inputs), *setting)
+            inputs = make_input_history(result(self._inputs), *setting)
             values = result(run.parameters)
         return States(t=t, q=q, p=p, program=program, parameter_values=values, driven=inputs)
 
-    def _has_no_energy(self) -> bool:
-        """Return whether T or V has no value here; an event may end the loop at their bound."""
+    def _left_domain(self) -> bool:
+        """Return whether the current energy is not finite, unless an event ended the loop here."""
         run = self._run
-        real = real_energies(self.program, self._here(), run.parameters)
+        real = real_energies(self.program, self._current_rows(), run.parameters)
         return run.end_within is None and not real.all()
 
-    def _here(self) -> tuple[Reals, Reals, Reals]:
-        """Return the time and the state, as arrays of one row."""
+    def _current_rows(self) -> tuple[Reals, Reals, Reals]:
+        """Return t, q and p as arrays with one row each."""
         read = self.program.numbers.read
         return read(self.t)[None], read(self.q)[None], read(self.p)[None]
 

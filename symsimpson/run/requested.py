@@ -1,4 +1,4 @@
-"""Runs of all kinds as they are requested: short ones, with derivatives, of chosen states."""
+"""Choice of the kind of run for a request: short, with derivatives, or with selected output."""
 
 from __future__ import annotations
 
@@ -14,8 +14,13 @@ from symsimpson.program.observed import evaluate_energy
 from symsimpson.program.program import Program
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.integrate import integrate
-from symsimpson.run.short_runs import brief_run
-from symsimpson.stepping.inputs import read_failure, read_varied, refuse_together, varied_program
+from symsimpson.run.short_runs import try_short_run
+from symsimpson.stepping.inputs import (
+    check_on_failure,
+    program_with_derivatives,
+    read_variables,
+    reject_combinations,
+)
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec, read_run
 from symsimpson.support.array_types import Reals
@@ -25,7 +30,7 @@ if TYPE_CHECKING:
     from symsimpson.results.sampled import Sampled, Saved
 
 
-def timed_run(
+def run_at_fixed_times(
     program: Program,
     spec: RunSpec,
     names: tuple[str, ...],
@@ -34,36 +39,43 @@ def timed_run(
     *,
     fixed_steps: bool = False,
 ) -> Trajectory:
-    """Run, and differentiate the stored states at the times that they have.
+    """Run a retimed system, and differentiate the stored states at their fixed times t.
 
-    E0, the first rate and the lengths of steps in t depend on the initial state: the derivatives
-    contain that. They come from the system in which E0 is a coordinate and t its momentum.
+    E0, the first rate and the duration of steps in t depend on the initial state, and the
+    derivatives include this. They come from the system in which E0 is a coordinate and t its
+    momentum.
 
     Parameters
     ----------
-    program, spec
-        Of a retimed system; with variations of the initial state.
+    program : Program
+        Program of the retimed system.
+    spec : RunSpec
+        Specification of the run, with variations of the initial state.
     names : tuple of str
-        Parameters to differentiate by, at given q0, and given v0 or p0.
+        Parameters to differentiate by, at fixed q0 and fixed v0 or p0.
     progress, on_failure
         As for :meth:`Stepper.integrate`.
     fixed_steps : bool
-        Whether the end is that of the steps in tau, wherever it comes to lie in t.
+        If True, differentiate at fixed tau instead of fixed t. The default is False.
     """
     wanted, plain = spec.tangents, replace(spec, tangents=None)
     assert wanted is not None
-    moving = varied_program(program, names)
+    moving = program_with_derivatives(program, names)
     run = integrate(program, plain, progress, on_failure)
     begun = integrate(program, replace(plain, steps=0, t_end=None, every=1), progress=False)
-    derivatives = _Derivatives(
+    derivatives = _RetimedDerivatives(
         program, moving, names, wanted, begun, run, spec.velocities, fixed_steps
     )
     return replace(run, variations=derivatives.tangents(), varied_by=names)
 
 
 @dataclass(frozen=True)
-class _Derivatives:
-    """How stored states follow from the start: ``begun`` is that, ``run`` all of them."""
+class _RetimedDerivatives:
+    """Derivatives of the stored states of a retimed run by its initial state and parameters.
+
+    ``begun`` has the initial state, ``run`` all stored states. ``moving`` is the program of the
+    system with the coordinate E0.
+    """
 
     program: Program
     moving: Program
@@ -76,17 +88,17 @@ class _Derivatives:
 
     @property
     def n(self) -> int:
-        """Number of coordinates of the user."""
+        """Number of coordinates of the user's system, without E0."""
         return self.program.n
 
     @property
-    def others(self) -> int:
-        """Number of parameters that the steps are differentiated by."""
+    def variable_count(self) -> int:
+        """Number of variables, other than the state, by which the steps are differentiated."""
         return len(self.moving.header.varied_by or ())
 
     @cached_property
     def values(self) -> Mapping[str, Any]:
-        """Parameters of all steps."""
+        """Values of the parameters of ``moving``."""
         known = self.run.parameters
         return {name: known[name] for name in self.moving.parameters}
 
@@ -95,81 +107,84 @@ class _Derivatives:
         n, run, h = self.n, self.run, self.run.h
         every = run.every or max(run.steps, 1)
         z = np.concatenate([self.begun.q[0], [run.E0], self.begun.p[0], self.begun.t])
-        start = self._start(z)
+        start = self._initial_columns(z)
         columns = np.eye(2 * n + 2, dtype=z.dtype)
-        # the first are those of the state, but for the time, of which nothing depends
         whole = self._steps(z, h, run.steps // every * every, every, columns)
-        ways = whole.variations
-        assert ways is not None
+        derivatives_of_states = whole.variations
+        assert derivatives_of_states is not None
         states = np.concatenate([whole.q, whole.p], axis=1)
         first = 0 if run.every else len(states) - 1
         rates = self._rates(whole)
-        variations = [self._held(ways[k], rates[k], start) for k in range(first, len(states))]
+        variations = [
+            self._at_fixed_time(derivatives_of_states[k], rates[k], start)
+            for k in range(first, len(states))
+        ]
         part = run.tau[-1] - h * run.steps
         if len(variations) < len(run) or (run.every is None and part != 0):
             rest = run.steps % every
-            z, way = states[-1], ways[-1]
+            z, derivative = states[-1], derivatives_of_states[-1]
             if rest:
-                z, more = self._onward(z, h, rest)
-                way = self._joined(more, way)
+                z, next_derivative = self._advance(z, h, rest)
+                derivative = self._chain(next_derivative, derivative)
             if part != 0:
-                _, more = self._onward(z, part, 1)
-                # by the size of the step: the first rate divides it
-                by_size = more[:, -1] * (-self.values["g_start"] / part)
-                last = self._held(self._joined(more, way), by_size, start)
-            else:  # less than rounding: the end is that of the whole steps
-                last = self._held(way, self._rates(self._here(z))[0], start)
+                _, next_derivative = self._advance(z, part, 1)
+                # the derivative by the step size in t: the first rate divides it
+                by_size = next_derivative[:, -1] * (-self.values["g_start"] / part)
+                last = self._at_fixed_time(self._chain(next_derivative, derivative), by_size, start)
+            else:  # the last partial step is below round-off
+                last = self._at_fixed_time(
+                    derivative, self._rates(self._run_without_steps(z))[0], start
+                )
             variations = [last] if run.every is None else [*variations, last]
         result: Reals = np.array(variations)
         return result
 
     def _steps(self, z: Reals, h: Any, steps: int, every: int, columns: Reals) -> Trajectory:
-        asked = self._asked(z, h, steps)._replace(every=every, tangents=columns)
-        return integrate(self.moving, read_run(self.moving, asked), progress=False)
+        request = self._request(z, h, steps)._replace(every=every, tangents=columns)
+        return integrate(self.moving, read_run(self.moving, request), progress=False)
 
-    def _onward(self, z: Reals, h: Any, steps: int) -> tuple[Reals, Reals]:
-        """Return the state after some steps from another, and how it follows from that."""
+    def _advance(self, z: Reals, h: Any, steps: int) -> tuple[Reals, Reals]:
+        """Return the state after ``steps`` steps from z, and its derivative by z."""
         end = self._steps(z, h, steps, steps, np.eye(z.size, dtype=z.dtype))
         assert end.variations is not None
         return np.concatenate([end.q[-1], end.p[-1]]), end.variations[-1]
 
-    def _joined(self, more: Reals, way: Reals) -> Reals:
-        """Return how a state follows from the start of all, where ``way`` led to one before it."""
+    def _chain(self, next_derivative: Reals, derivative: Reals) -> Reals:
+        """Apply the chain rule: combine the derivative up to a state with the next one."""
         size = 2 * self.n + 2
-        joined: Reals = more[:, :size] @ way
-        joined[:, size:] = joined[:, size:] + more[:, size:]
+        joined: Reals = next_derivative[:, :size] @ derivative
+        joined[:, size:] = joined[:, size:] + next_derivative[:, size:]
         return joined
 
-    def _here(self, z: Reals) -> Trajectory:
-        """Return a run of no steps."""
-        asked = self._asked(z, self.run.h, 0)
-        return integrate(self.moving, read_run(self.moving, asked))
+    def _run_without_steps(self, z: Reals) -> Trajectory:
+        """Return a run without steps, for the invariants at a state."""
+        return integrate(self.moving, read_run(self.moving, self._request(z, self.run.h, 0)))
 
-    def _asked(self, z: Reals, h: Any, steps: int) -> Request:
+    def _request(self, z: Reals, h: Any, steps: int) -> Request:
         m = self.n + 1
         return Request(z[:m], p0=z[m:], h=h, steps=steps, every=1, parameters=self.values)
 
-    def _start(self, z: Reals) -> Reals:
-        """Return what each variation changes at the start: state, then parameters."""
+    def _initial_columns(self, z: Reals) -> Reals:
+        """Return the initial variations of the extended state and the parameters, as columns."""
         n, count = self.n, len(self.names)
         given = self.wanted.shape[1]
-        slopes = {name: value[0] for name, value in self._here(z).invariants.items()}
-        start = np.zeros((2 * n + 2 + self.others, given + count), dtype=z.dtype)
+        slopes = {name: value[0] for name, value in self._run_without_steps(z).invariants.items()}
+        start = np.zeros((2 * n + 2 + self.variable_count, given + count), dtype=z.dtype)
         start[:n, :given], start[n + 1 : 2 * n + 1, :given] = self.wanted[:n], self.wanted[n:]
         for j in range(count):
             start[2 * n + 2 + j, given + j] = 1
             if self.velocities:
                 for i in range(n):
                     start[n + 1 + i, given + j] = slopes[f"p by {i} a{j}"]
-        E = self._along(slopes, "E", start)
+        E = self._slopes_along(slopes, "E", start)
         start[n] = E
-        if self.others == count + 2:  # E0 stands in the rate, too
+        if self.variable_count == count + 2:  # the rate contains E0
             start[-2] = E
-        start[-1] = self._along(slopes, "rate", start) + slopes["rate by E"] * E
+        start[-1] = self._slopes_along(slopes, "rate", start) + slopes["rate by E"] * E
         return start
 
-    def _along(self, slopes: Mapping[str, Any], what: str, start: Reals) -> Reals:
-        """Return how E0 or the rate change along the columns."""
+    def _slopes_along(self, slopes: Mapping[str, Any], what: str, start: Reals) -> Reals:
+        """Return the derivative of E0 (``what`` = "E") or of the rate along each column."""
         n = self.n
         total = sum(slopes[f"{what} by q{i}"] * start[i] for i in range(n))
         if what == "E":
@@ -180,7 +195,7 @@ class _Derivatives:
         return changed
 
     def _rates(self, whole: Trajectory) -> Reals:
-        """Return how states and their times move within the next step, by t: that of K."""
+        """Return the derivatives of states and times by t within the next step, from K."""
         n, slopes = self.n, whole.invariants
         q, p = whole.q[:, :n], whole.p[:, :n]
         known = self.run.parameters
@@ -194,10 +209,10 @@ class _Derivatives:
         rates[:, -1] = 1
         return rates
 
-    def _held(self, way: Reals, moved: Reals, start: Reals) -> Reals:
-        """Return variations of (q, p) where t is held by moving along ``moved``."""
+    def _at_fixed_time(self, derivative: Reals, moved: Reals, start: Reals) -> Reals:
+        """Return variations of (q, p) at fixed t; ``moved`` is the derivative of the state by t."""
         n = self.n
-        change = way @ start
+        change = derivative @ start
         if not self.fixed_steps:
             change = change - np.outer(moved, change[-1] / moved[-1])
         variations: Reals = np.concatenate([change[:n], change[n + 1 : -1]])
@@ -211,76 +226,77 @@ def run(
     progress: bool | None = None,
     on_failure: str = "raise",
 ) -> Any:
-    """Run as requested; further arguments are those of :meth:`Stepper.integrate`.
+    """Run a request with the other arguments of :meth:`Stepper.integrate`.
 
     Raises InputError, StorageError, ConvergenceError or Interrupted.
     """
     if checkpoint_every is not None and request.checkpoint is None:
         reject(
-            f"checkpoint_every={checkpoint_every!r} says how often a file is written, and there is "
-            "none.",
-            remedy="Pass checkpoint='run.ckpt', too, or leave it out.",
+            f"checkpoint_every={checkpoint_every!r} has no effect without checkpoint=.",
+            remedy="Pass checkpoint='run.ckpt' as well, or remove checkpoint_every.",
         )
     if request.t_eval is not None or request.save is not None:
-        return _chosen(program, request, progress, on_failure)
+        return _run_with_selection(program, request, progress, on_failure)
     plain = request.inputs is None and not request.recorded and request.checkpoint is None
     plain = plain and request.events is None
     read_progress(progress)
-    read_failure(on_failure)
+    check_on_failure(on_failure)
     if plain and progress is None:
-        over = brief_run(program, request)
+        over = try_short_run(program, request)
         if over is not None:
             return over
     if program.header.retimed and request.varied:
         if request.checkpoint is not None:
             reject(
-                f"{program.system} is retimed, and a checkpoint keeps no derivatives in another "
-                "time.",
-                remedy="Leave out checkpoint, or tangents and sensitivities.",
+                "checkpoint= cannot be combined with derivatives of a retimed system.",
+                where=program.system,
+                remedy="Remove checkpoint, or remove tangents and sensitivities.",
             )
         names = _names_to_vary(program, request)
-        return timed_run(program, read_run(program, request), names, progress, on_failure)
-    program = program_for(program, request)
+        return run_at_fixed_times(program, read_run(program, request), names, progress, on_failure)
+    program = program_for_request(program, request)
     spec = read_run(program, request)
     return integrate(program, spec, progress, on_failure, request.checkpoint, checkpoint_every)
 
 
-def _chosen(
+def _run_with_selection(
     program: Program, request: Request, progress: bool | None, on_failure: str
 ) -> Sampled | Saved:
-    """Run, and keep chosen states or quantities."""
-    from symsimpson.run.chosen import chosen_run, last_time  # few runs need it
+    """Run, and store only the times ``t_eval`` or the quantities ``save``."""
+    from symsimpson.run.chosen import find_run_length, run_with_selection  # few runs need it
 
-    refuse_together(request)
+    reject_combinations(request)
     if request.t_eval is not None and request.t_end is None and request.steps is None:
-        t_end, steps = last_time(program, request)
+        t_end, steps = find_run_length(program, request)
         request = request._replace(t_end=t_end, steps=steps)
     spec = read_run(program, request)
-    return chosen_run(program, spec, request.t_eval, request.save, progress, on_failure)
+    return run_with_selection(program, spec, request.t_eval, request.save, progress, on_failure)
 
 
-def end_of_step(program: Program, request: Request) -> Trajectory:
-    """Take the one step of a request, and return its end; quicker than :func:`run`."""
-    end = brief_run(program, request) if request.inputs is None else None
+def take_step(program: Program, request: Request) -> Trajectory:
+    """Take the single step of a request; faster than :func:`run`."""
+    end = try_short_run(program, request) if request.inputs is None else None
     return integrate(program, read_run(program, request)) if end is None else end
 
 
-def tangent_of_step(program: Program, request: Request, names: tuple[str, ...]) -> Trajectory:
-    """Take the one step of a request, with its derivatives by the state and by these names."""
+def take_step_with_tangents(
+    program: Program, request: Request, names: tuple[str, ...]
+) -> Trajectory:
+    """Take the single step of a request, with its derivatives by the state and by ``names``."""
     if program.header.retimed:
         spec = read_run(program, request)
-        return timed_run(program, spec, names, False, "raise", fixed_steps=True)
-    program = varied_program(program, names)
+        return run_at_fixed_times(program, spec, names, False, "raise", fixed_steps=True)
+    program = program_with_derivatives(program, names)
     return integrate(program, read_run(program, request))
 
 
-def program_for(program: Program, request: Request) -> Program:
+def program_for_request(program: Program, request: Request) -> Program:
     """Return the variant of a program that computes the derivatives a request asks for."""
     if not request.varied:
         return program
-    return varied_program(program, _names_to_vary(program, request))
+    return program_with_derivatives(program, _names_to_vary(program, request))
 
 
 def _names_to_vary(program: Program, request: Request) -> tuple[str, ...]:
     """Read the names to differentiate by; raise InputError for an unknown name."""
-    return read_varied(program, () if request.sensitivities is None else request.sensitivities)
+    return read_variables(program, () if request.sensitivities is None else request.sensitivities)

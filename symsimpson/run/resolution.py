@@ -1,10 +1,10 @@
-"""Energies at states of a run: whether they are real, and whether steps resolved the motion.
+"""Energy checks of a run: whether energies are real, and whether steps resolved the motion.
 
-A passage that is resolved moves the energy while it lasts and gives it back; one that is not leaves
-it at another level. So medians of blocks of states are compared with the energy at the start, in
-units of the kinetic energy that the motion has for a while. Few states are enough for that; but
-where the energy need not be real, each stored state is looked at. Where forces do work, or the
-energy depends on the time, what these explain is no error.
+A fast passage that the steps resolve changes the energy only while it lasts. A passage that they do
+not resolve shifts the energy permanently. The check therefore compares medians of blocks of states
+with the initial energy, in units of the kinetic energy. A few states are enough. If the energy may
+become complex, the check uses each stored state. It subtracts the work of forces, and the change of
+the energy by an explicit time dependence.
 """
 
 from __future__ import annotations
@@ -18,58 +18,58 @@ from numpy.typing import NDArray
 
 from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program, new_program
-from symsimpson.results.energies import parts_of_work, rough_parts
+from symsimpson.results.energies import approximate_work, exact_work
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.stepping.run import KeptStates, Run
+from symsimpson.stepping.run import Run, StoredStates
 from symsimpson.support.array_types import Floats, Ints, Reals
 from symsimpson.text.interface import STANDING
 
-#: So many states of a run are looked at, in blocks of which the median counts.
+#: Number of states that the check uses, and number of blocks with a median each.
 SAMPLES, BLOCKS = 64, 8
-#: Shorter runs are not judged.
+#: Smallest number of states that can be judged.
 FEWEST = 16
-#: No more states than these are kept to look at.
-MOST_LOOKED_AT = 4096
-#: The energy may stay so far from where it was, in units of the kinetic energy.
+#: Largest number of states that are stored only for the check.
+MOST_SAMPLES = 4096
+#: Largest accepted shift of the energy, in units of the kinetic energy.
 LIMIT = 0.05
-#: At the end, where a block is only begun, so many states may stay so far from it.
+#: Number of states at the end that count as a block of their own, and their limit.
 LAST, LAST_LIMIT = 4, 0.1
-#: So many steps are taken again to know the work of forces.
-AGAIN = 1_000_000
-#: Changes of the energy below this part of it are rounding.
+#: Largest number of steps that the check repeats to compute the work of forces.
+MOST_REPEATED_STEPS = 1_000_000
+#: Relative changes of the energy below this are round-off.
 ROUNDING = 1e-9
-#: Digits in which energies are evaluated anew, and at most so many positions in Python.
+#: Digits of the multiprecision energies, and the largest number of coordinates in Python.
 DIGITS, MOST_BY_TEXT = 50, 10_000
 
 
 def sampling_stride(program: Program, count: int) -> int:
-    """Return the steps between the states to keep of a run that stores none.
+    """Return the number of steps between sampled states of a run that stores none.
 
-    None, 0, are kept of a short one, unless its energy need not be real.
+    It is 0 (no samples) for a short run whose energy is always real.
     """
     looked_at = count >= FEWEST or not program.header.real_everywhere
     return -(-count // SAMPLES) if looked_at else 0
 
 
 def finer_stride(every: int, count: int) -> int:
-    """Return how many steps stand between states to look at, where few are to be stored.
+    """Return a smaller stride than ``every`` if a run would store too few states for the check.
 
-    It divides ``every``, so that those which are stored are among them; 1 state in so many is.
+    It divides ``every``, so the samples include the states to store.
     """
     if every < 2 or count < FEWEST or count // every + 1 >= FEWEST:
         return every
     least = -(-every * (FEWEST - 1) // count)
     parts = next(k for k in range(least, every + 1) if every % k == 0)
-    return every // parts if count * parts // every <= MOST_LOOKED_AT else every
+    return every // parts if count * parts // every <= MOST_SAMPLES else every
 
 
-def count_looked_at(last: int) -> int:
-    """Return how many of so many states after the first are looked at; none of a short run."""
+def count_samples(last: int) -> int:
+    """Return how many of ``last`` states after the first the check uses; 0 for a short run."""
     return min(last, SAMPLES - 1) if last + 1 >= FEWEST else 0
 
 
-def each(number: int, q: Reals, p: Reals, iterations: Ints, *rows: Reals) -> tuple[Any, ...]:
-    """Leave out states that were stored to be looked at alone; iterations are added up."""
+def thin_states(number: int, q: Reals, p: Reals, iterations: Ints, *rows: Reals) -> tuple[Any, ...]:
+    """Select each ``number``-th state; sum the iterations between the selected states."""
     if number == 1:
         return q, p, iterations, *rows
     last = (len(q) - 1) // number
@@ -80,16 +80,16 @@ def each(number: int, q: Reals, p: Reals, iterations: Ints, *rows: Reals) -> tup
 
 
 class EnergySamples(NamedTuple):
-    """Energies at some of the states that were kept of a run, each of shape (m,)."""
+    """Energies at m of the stored states of a run, each of shape (m,)."""
 
-    places: Ints  #: The numbers of these states.
-    total: Floats  #: If the system is retimed, this is K = g (H - E0), which does not drift.
-    kinetic: Floats
-    standing: NDArray[np.bool_]  #: Where dt/dtau has nearly vanished, and the energy is off.
+    places: Ints  #: Indices of these states.
+    total: Floats  #: Energy; for a retimed system K = g (H - E0) plus a constant.
+    kinetic: Floats  #: Kinetic energy; for a retimed system g T.
+    standing: NDArray[np.bool_]  #: Whether dt/dtau nearly vanishes and the energy has an error.
 
     @property
     def first_not_real(self) -> int | None:
-        """The number of the first state at which the energy is no finite number."""
+        """Index of the first stored state whose energy is not finite, or None."""
         bad = np.flatnonzero(~np.isfinite(self.total))
         return int(self.places[bad[0]]) if bad.size else None
 
@@ -97,31 +97,33 @@ class EnergySamples(NamedTuple):
 def real_energies(
     program: Program, states: tuple[Reals, Reals, Reals], values: Reals
 ) -> NDArray[np.bool_]:
-    """Return at which states (t, q, p) the energy is a finite real number."""
+    """Return for each state (t, q, p) whether its energy is a finite real number."""
     energies = evaluate(program, "energy", "ENERGY", 1, states, values)
     return np.isfinite(np.asarray(energies, dtype=np.float64))[..., 0]
 
 
-def kept_states(run: Run, kept: KeptStates, steps: int, places: Ints) -> tuple[Reals, Reals, Reals]:
-    """Return the times of some of the states that were kept of a run, their q and p."""
-    t = run.t0 + run.h * np.minimum(places * kept.every, steps)
-    return t, kept.q[places], kept.p[places]
+def select_states(
+    run: Run, stored: StoredStates, steps: int, places: Ints
+) -> tuple[Reals, Reals, Reals]:
+    """Return t, q and p of the stored states with indices ``places``."""
+    t = run.t0 + run.h * np.minimum(places * stored.every, steps)
+    return t, stored.q[places], stored.p[places]
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of powers that grow without bound
 def sample_energies(
-    program: Program, run: Run, steps: int, kept: KeptStates
+    program: Program, run: Run, steps: int, stored: StoredStates
 ) -> EnergySamples | None:
-    """Evaluate the energy at states of a run that is over, after so many steps.
+    """Evaluate the energy at stored states of a finished run of ``steps`` steps.
 
-    At all of them if it need not be real, else at some of them, and at none of a short run.
+    Use all states if the energy may become complex, else a sample. Return None for a short run.
     """
-    last = len(kept.q) - 1
-    few = count_looked_at(last) if program.header.real_everywhere else last
+    last = len(stored.q) - 1
+    few = count_samples(last) if program.header.real_everywhere else last
     if program.header.real_everywhere and not few:
         return None
     places = np.arange(few + 1) * last // max(few, 1)
-    about = kept_states(run, kept, steps, places), run.parameters
+    about = select_states(run, stored, steps, places), run.parameters
     energies = evaluate(program, "energy", "ENERGY", 2, *about)
     total, kinetic = np.asarray(energies, dtype=np.float64).T
     standing = np.zeros(len(total), dtype=np.bool_)
@@ -134,14 +136,14 @@ def sample_energies(
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def find_level(
+def find_energy_shift(
     total: Floats, kinetic: Floats, exchanged: Floats | None = None
 ) -> tuple[int, float] | None:
-    """Find from which sample on the energy is at another level, and how far it is off.
+    """Find the first sample after which the energy is shifted; return its index and the shift.
 
-    In units of the kinetic energy, the largest median of a block, and of what forces
-    ``exchanged`` up to there. Energies after the first that is not known are not looked at. There
-    may be no such level.
+    The unit of the shift is the largest median of the kinetic energy in a block, plus the energy
+    that forces have ``exchanged`` so far. The search stops at the first energy that is not finite.
+    Return None if there is no shift.
     """
     known = int(np.argmin(np.append(np.isfinite(total), False)))
     if known < FEWEST:
@@ -152,64 +154,65 @@ def find_level(
         return None
     size, more = divmod(known, BLOCKS)
     ends = [k * size + min(k, more) for k in range(BLOCKS + 1)]
-    # an energy that grows without bound must not hide itself in what it is compared with
+    # an energy that grows without bound must not increase its own unit of comparison
     floor = ROUNDING * max(abs(start), median(abs(total)))
     unit = max(floor, *(median(kinetic[a:b]) for a, b in pairwise(ends)))
-    moved = np.zeros(known) if exchanged is None else exchanged
-    for first, behind in pairwise(ends):
-        level = abs(median(total[first:behind]) - start)
-        # a fall that begins with the damage makes the kinetic energy of later blocks large
-        so_far = max(floor, float(kinetic[:behind].max()))
-        off = level / (min(unit, so_far) + float(moved[behind - 1]))
+    exchange = np.zeros(known) if exchanged is None else exchanged
+    for first, end_of_block in pairwise(ends):
+        level = abs(median(total[first:end_of_block]) - start)
+        # after a wrong passage the kinetic energy of later blocks may be too large
+        so_far = max(floor, float(kinetic[:end_of_block].max()))
+        off = level / (min(unit, so_far) + float(exchange[end_of_block - 1]))
         if off > LIMIT:
             return first, off
     end = known - LAST
-    unit = max(unit, median(kinetic[end:])) + float(moved[known - 1])
+    unit = max(unit, median(kinetic[end:])) + float(exchange[known - 1])
     off = median(change[end:]) / unit
     return (end, off) if off > LAST_LIMIT else None
 
 
 def median(values: Floats) -> float:
-    """Return the median of a few numbers, in a tenth of the time that NumPy takes."""
+    """Return the median of a few numbers, 10 times faster than NumPy."""
     ordered = np.sort(values)
     half, odd = divmod(len(ordered), 2)
     return float(ordered[half] if odd else (ordered[half - 1] + ordered[half]) / 2)
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def level_left(
-    program: Program, run: Run, trajectory: Trajectory, kept: KeptStates, seen: EnergySamples
+def find_unexplained_shift(
+    program: Program, run: Run, trajectory: Trajectory, stored: StoredStates, samples: EnergySamples
 ) -> tuple[int, float] | None:
-    """Find from which kept state on the energy is at another level, and how far it is off.
+    """Find the first stored state after which the energy is shifted; return index and shift.
 
-    The work that was done explains a part of it, and so does the rounding of V.
+    The work of forces and the round-off of V are not counted as a shift. Return None without one.
     """
-    left, work, exchanged = find_level(seen.total, seen.kinetic), np.zeros(1), None
-    if left is not None and not program.header.conservative:
-        parts = _work(program, run, trajectory, kept, seen)
-        work = parts.sum(axis=1)[seen.places]
-        moved = abs(np.diff(parts, axis=0, prepend=0)).sum(axis=1).cumsum()  # went in and out
-        exchanged = moved[seen.places]
-        left = find_level(seen.total - work, seen.kinetic, exchanged)
-    if left is not None:
-        total = _unrounded(program, run, trajectory, kept, seen)
-        left = find_level(total - work, seen.kinetic, exchanged)
-    return None if left is None else (int(seen.places[left[0]]), left[1])
+    shift, work, exchanged = find_energy_shift(samples.total, samples.kinetic), np.zeros(1), None
+    if shift is not None and not program.header.conservative:
+        parts = _compute_work(program, run, trajectory, stored, samples)
+        work = parts.sum(axis=1)[samples.places]
+        # the energy that forces took and gave: both count
+        exchange = abs(np.diff(parts, axis=0, prepend=0)).sum(axis=1).cumsum()
+        exchanged = exchange[samples.places]
+        shift = find_energy_shift(samples.total - work, samples.kinetic, exchanged)
+    if shift is not None:
+        total = _evaluate_precisely(program, run, trajectory, stored, samples)
+        shift = find_energy_shift(total - work, samples.kinetic, exchanged)
+    return None if shift is None else (int(samples.places[shift[0]]), shift[1])
 
 
-def _work(
-    program: Program, run: Run, trajectory: Trajectory, kept: KeptStates, seen: EnergySamples
+def _compute_work(
+    program: Program, run: Run, trajectory: Trajectory, stored: StoredStates, samples: EnergySamples
 ) -> Floats:
-    """Return the work of each force up to each kept state, first roughly, then exactly.
+    """Return the work of each force up to each stored state, shape (N, f).
 
-    Powers at states are enough for most motions; where they leave something, all steps between
-    stored states are taken again, where the scheme has nodes. The work is NaN where it is not
-    known, as at a state after a part of a stride.
+    First integrate the powers at the stored states. If that does not explain a shift of the energy,
+    repeat all steps to compute the work exactly; this needs a scheme with nodes. Unknown work is
+    NaN, for example at a final state after a shorter interval.
     """
-    stride, last = kept.every, len(kept.q) - 1
+    stride, last = stored.every, len(stored.q) - 1
     whole = last + 1 if stride * last <= trajectory.steps else last
     t, q, p = map(
-        program.numbers.result, kept_states(run, kept, trajectory.steps, np.arange(whole))
+        program.numbers.result, select_states(run, stored, trajectory.steps, np.arange(whole))
     )
     states = replace(
         trajectory,
@@ -223,43 +226,43 @@ def _work(
         recorded_values=(),
     )
     parts = np.full((last + 1, program.header.powers), np.nan)
-    parts[:whole] = rough_parts(states)
-    if "work" in program.header.functions and states.steps <= AGAIN:
-        rough = parts.sum(axis=1)[seen.places]
-        if find_level(seen.total - rough, seen.kinetic) is not None:
-            parts[:whole] = parts_of_work(states)
-    elif stride > 1:  # what is done between states far apart is not known
+    parts[:whole] = approximate_work(states)
+    if "work" in program.header.functions and states.steps <= MOST_REPEATED_STEPS:
+        rough = parts.sum(axis=1)[samples.places]
+        if find_energy_shift(samples.total - rough, samples.kinetic) is not None:
+            parts[:whole] = exact_work(states)
+    elif stride > 1:  # the powers at distant states do not determine the work between them
         parts[:] = np.nan
     return parts
 
 
-def _unrounded(
-    program: Program, run: Run, trajectory: Trajectory, kept: KeptStates, seen: EnergySamples
+def _evaluate_precisely(
+    program: Program, run: Run, trajectory: Trajectory, stored: StoredStates, samples: EnergySamples
 ) -> Floats:
-    """Evaluate V anew in many digits: where its terms cancel, a small motion is below rounding.
+    """Evaluate the energy in multiprecision, because V has a large round-off if its terms cancel.
 
-    At x = 1e-8, g (1 - cos x) is zero in doubles, and the energy seems to come and go.
+    Example: at x = 1e-8, g (1 - cos x) is zero in double precision, so the energy seems to vary.
     """
     tools, system, values = program.tools, program.declared, trajectory.parameter_values
     if run.W.dtype != np.float64 or run.header.retimed:
-        return seen.total
-    states = kept_states(run, kept, trajectory.steps, seen.places)
+        return samples.total
+    states = select_states(run, stored, trajectory.steps, samples.places)
     if tools is None or system is None:
-        changes = _changes_by_text(program, states, values)
+        changes = _energies_in_python(program, states, values)
     else:
         changes = tools.changes_of_potential(system, *states[:2], values.tolist())
         if changes is not None:
-            changes += seen.kinetic - seen.kinetic[0]
+            changes += samples.kinetic - samples.kinetic[0]
     if changes is None:
-        return seen.total
-    total = seen.total[0] + changes
-    return np.where(np.isfinite(total), total, seen.total)
+        return samples.total
+    total = samples.total[0] + changes
+    return np.where(np.isfinite(total), total, samples.total)
 
 
-def _changes_by_text(
+def _energies_in_python(
     program: Program, states: tuple[Reals, Reals, Reals], values: Reals
 ) -> Floats | None:
-    """Return energies relative to the first, in many digits; None if Python would take long."""
+    """Return multiprecision energies relative to the first; None if Python would be too slow."""
     from symsimpson.program.digits import read_precision  # loads mpmath
 
     if states[1].size > MOST_BY_TEXT:

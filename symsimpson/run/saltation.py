@@ -1,8 +1,8 @@
-"""Derivatives of a run through events: of the length of parts of steps, and of what events do.
+"""Derivatives of a run through events: event times, partial steps and actions (saltation).
 
-Where a variation of the state moves the time of an event, the part of the step before it becomes
-longer, and that behind it shorter. Both are differentiated as they were computed: by the length of
-the step, not by the vector field, which differs from that by the error of the scheme.
+A variation of the state changes the time of an event. The partial step before the event becomes
+longer, and the partial step after it shorter. This module differentiates the scheme itself by the
+duration of a partial step. The vector field would differ from that by the discretisation error.
 """
 
 from __future__ import annotations
@@ -16,35 +16,35 @@ import numpy as np
 
 from symsimpson.errors import ResolutionWarning
 from symsimpson.program.digits import read_precision
-from symsimpson.program.observed import observing_kernel, watching
+from symsimpson.program.observed import make_evaluator, observing_kernel
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import tangents
 from symsimpson.run.event_actions import EventMaps, read_restitution
-from symsimpson.stepping.driving import since
+from symsimpson.stepping.driving import inputs_from_step
 from symsimpson.stepping.event import Impact
-from symsimpson.stepping.inputs import STEP_ITSELF, varied_program
+from symsimpson.stepping.inputs import STEP_ITSELF, program_with_derivatives
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.run_events import RunEvents, check_variations
 from symsimpson.support.array_types import Floats, Reals, State
 from symsimpson.support.calling import warn
 
-#: What is zero with a rate below this part of that over the part of the step is grazed.
-GRAZED = 1e-3
-#: The part of a step over which the vector field is a mean of two derivatives by the length.
-SHORT = 1e-4
-#: What would be zero, or was, within this part of a step is zero, but for rounding.
-AWAY = 1e-6
-#: Parts of a step that are shorter than this part of it have no length.
-NOTHING = 1e-12
-#: So many digits, and differences that leave as many of a derivative as doubles have, and more.
+#: A crossing is grazing if its rate, relative to the mean rate of the partial step, is below this.
+GRAZING_RATE = 1e-3
+#: Duration of the partial steps, as a fraction of a step, whose derivatives give the vector field.
+FIELD_STEP = 1e-4
+#: An expression is zero if it would vanish within this fraction of a step.
+ZERO_WITHIN = 1e-6
+#: Partial steps below this fraction of a step have zero duration.
+ZERO_DURATION = 1e-12
+#: Number of digits, and the increment of differences: both give more than double precision.
 DIGITS, DIFFERENCE = 60, "1e-20"
 
 
 class Saltation:
-    """Carries variations of the state through a step in which events act.
+    """Propagation of variations of the state through a step with events.
 
-    The program is one whose module differentiates by what ``sensitivities`` are asked for. Raises
-    InputError if the system is not known, or inputs vary within a step.
+    The program must have the derivatives of the request. Raises InputError if the program has no
+    T and V, or if inputs vary within a step.
     """
 
     def __init__(
@@ -53,117 +53,133 @@ class Saltation:
         check_variations(program, inputs)
         varied = program.header.varied_by or ()
         by = STEP_ITSELF[:1] if program.header.autonomous else STEP_ITSELF
-        self._program, self._by = varied_program(program, (*varied, *by)), by
+        self._program, self._by = program_with_derivatives(program, (*varied, *by)), by
         self._events, self._parameters = run_events, parameters
-        self._h, self._inputs, self._own = h, inputs, varied
-        self._jumps = Jumps(program, run_events, parameters)
-        #: Variations of the state, those by parameters and inputs last, and of the time at hand.
-        self.columns, self.moved = np.zeros((2 * program.n, 0)), np.zeros(0)
-        #: The event whose time it is that has come.
-        self._timed: int | None = None
+        self._h, self._inputs, self._variables = h, inputs, varied
+        self._derivatives = EventDerivatives(program, run_events, parameters)
+        #: Variations of the state (those by parameters and inputs last), and of the current time.
+        self.columns, self.time_changes = np.zeros((2 * program.n, 0)), np.zeros(0)
+        #: Number of the event that determines the current time, or None on the time grid.
+        self._time_event: int | None = None
 
     def begin(self, rows: Floats) -> None:
-        """Begin a step with variations, one after the other, whose time does not vary."""
+        """Start a step with the variations in ``rows``; the time does not vary."""
         self.columns = rows.reshape(-1, 2 * self._program.n).T.copy()
-        self.moved, self._timed = np.zeros(self.columns.shape[1]), None
+        self.time_changes, self._time_event = np.zeros(self.columns.shape[1]), None
 
-    def put(self, rows: Floats) -> None:
-        """Put the variations there, one after the other."""
+    def write_to(self, rows: Floats) -> None:
+        """Write the variations to ``rows``, one after another."""
         rows[:] = self.columns.T.ravel()
 
-    def flow(self, state: State, t: float, size: float, step: int, event: int | None) -> None:
-        """Carry them through a part of a step, up to an event or to the end of the step."""
-        if abs(size) <= NOTHING * abs(self._h):
+    def propagate(self, state: State, t: float, size: float, step: int, event: int | None) -> None:
+        """Propagate the variations over a partial step, up to an event or the end of the step."""
+        if abs(size) <= ZERO_DURATION * abs(self._h):
             if event is not None:
-                self._retime(t, state, event, step)
+                self._change_time_event(t, state, event, step)
             return
-        columns, by_length, by_time, end = self._carried(state, t, size, step)
-        columns = columns + np.outer(by_time, self.moved)
+        columns, by_length, by_time, end = self._take_partial_step(state, t, size, step)
+        columns = columns + np.outer(by_time, self.time_changes)
         if event is None:
-            longer = -self.moved
+            longer = -self.time_changes
         else:
-            begun = self._jumps.value(event, self._jumps.point(t, *state))
-            longer = self._later(event, t + size, end, columns, by_length, begun / size)
+            initial = self._derivatives.value(event, self._derivatives.point(t, *state))
+            longer = self._event_time_changes(
+                event, t + size, end, columns, by_length, initial / size
+            )
         self.columns = columns + np.outer(by_length, longer)
-        self.moved, self._timed = self.moved + longer, event
+        self.time_changes, self._time_event = self.time_changes + longer, event
 
-    def settle(self, t: float, state: State, step: int) -> None:
-        """Carry them back to the time itself, behind events that are there and move with them."""
-        if self.moved.any():
-            self.columns = self.columns - np.outer(self._field(t, state, step), self.moved)
-            self.moved = 0 * self.moved
+    def fix_time(self, t: float, state: State, step: int) -> None:
+        """Convert the variations to a fixed time after events whose time varies."""
+        if self.time_changes.any():
+            self.columns = self.columns - np.outer(
+                self._vector_field(t, state, step), self.time_changes
+            )
+            self.time_changes = 0 * self.time_changes
 
-    def _retime(self, t: float, state: State, event: int, step: int) -> None:
-        """Let the time that has come be that of another event, which is there, too.
+    def _change_time_event(self, t: float, state: State, event: int, step: int) -> None:
+        """Let another event at the same time determine the current time.
 
-        An impact on a wall behind which a change has led has no zero there, and no time of its own.
+        An impact has no zero at this time if a change has moved the state into the wall. It then
+        does not determine the time.
         """
-        field, self._timed = self._field(t, state, step), event
-        value, at, rate = self._watched(event, t, state, field)
-        if abs(value(at)) > AWAY * abs(rate * self._h):
+        field, self._time_event = self._vector_field(t, state, step), event
+        value, at, rate = self._event_at(event, t, state, field)
+        if abs(value(at)) > ZERO_WITHIN * abs(rate * self._h):
             return
-        self.settle(t, state, step)
-        later = self._later(event, t, state, self.columns, field, 0.0)
+        self.fix_time(t, state, step)
+        later = self._event_time_changes(event, t, state, self.columns, field, 0.0)
         self.columns = self.columns + np.outer(field, later)
-        self.moved = later
+        self.time_changes = later
 
-    def _watched(self, event: int, t: float, state: State, field: Floats) -> tuple[Any, Any, Any]:
-        """Return the expression of an event, the point of a state, and its rate there."""
-        at = self._jumps.point(t, *state)
-        value: Callable[[Any], Any] = partial(self._jumps.value, event)
-        (motion,) = self._jumps.ways(np.ones(1), field[:, None], ())
-        return value, at, self._jumps.slope(value, at, motion)
+    def _event_at(self, event: int, t: float, state: State, field: Floats) -> tuple[Any, Any, Any]:
+        """Return the expression of an event as a function, the point of a state, and the rate."""
+        at = self._derivatives.point(t, *state)
+        value: Callable[[Any], Any] = partial(self._derivatives.value, event)
+        (motion,) = self._derivatives.point_variations(np.ones(1), field[:, None], ())
+        return value, at, self._derivatives.slope(value, at, motion)
 
-    def _field(self, t: float, state: State, step: int) -> Floats:
-        """Return the derivative by the length of parts of no length: the vector field."""
-        sizes = SHORT * self._h, -SHORT * self._h
-        ways = (self._carried(state, t, size, step)[1] for size in sizes)
-        return np.asarray(sum(ways) / 2)
+    def _vector_field(self, t: float, state: State, step: int) -> Floats:
+        """Return the vector field: the derivative by the duration of a very short partial step."""
+        sizes = FIELD_STEP * self._h, -FIELD_STEP * self._h
+        fields = (self._take_partial_step(state, t, size, step)[1] for size in sizes)
+        return np.asarray(sum(fields) / 2)
 
     def act(self, t: float, state: State, event: int, step: int) -> None:
-        """Let an event act on them, at a time of its own."""
-        if event != self._timed:
-            self._retime(t, state, event, step)
-        at, act = self._jumps.point(t, *state), partial(self._jumps.act, event)
-        ways = self._jumps.ways(self.moved, self.columns, self._own)
-        slopes = [self._jumps.slope(act, at, way) for way in ways]
+        """Apply the derivative of the action of an event to the variations."""
+        if event != self._time_event:
+            self._change_time_event(t, state, event, step)
+        at, act = self._derivatives.point(t, *state), partial(self._derivatives.act, event)
+        variations = self._derivatives.point_variations(
+            self.time_changes, self.columns, self._variables
+        )
+        slopes = [self._derivatives.slope(act, at, variation) for variation in variations]
         self.columns = np.array(slopes, dtype=np.float64).T.reshape(self.columns.shape)
 
-    def _later(
+    def _event_time_changes(
         self, event: int, t: float, end: State, columns: Floats, by_length: Floats, mean: Any
     ) -> Floats:
-        """Return by how much the event comes later, for each of the variations.
+        """Return the change of the time of an event for each variation.
 
-        ``mean`` is the rate at which the expression came to be zero, over the part of the step.
+        ``mean`` is the mean rate of the event expression over the partial step.
         """
-        value, at, rate = self._watched(event, t, end, by_length)
-        ways = self._jumps.ways(self.moved, columns, self._own)
-        if abs(rate) <= GRAZED * abs(mean):
+        value, at, rate = self._event_at(event, t, end, by_length)
+        variations = self._derivatives.point_variations(self.time_changes, columns, self._variables)
+        if abs(rate) <= GRAZING_RATE * abs(mean):
             warn(
-                f"{self._program.system}: at t={t:g} {self._events.names[event]!r} is grazed: the "
-                "time of the event depends on the state without bound, and so do derivatives "
-                "after it.\nThey are those of the run, and tell little of runs nearby.",
+                f"{self._program.system}: the motion grazes {self._events.names[event]!r} at "
+                f"t={t:g}. There the derivative of the event time by the state is unbounded.\n"
+                "Later derivatives hold for this run, but hardly for runs nearby.",
                 ResolutionWarning,
             )
         if rate == 0:
-            return np.full(self.moved.shape, np.nan)
-        return np.array([float(-self._jumps.slope(value, at, way) / rate) for way in ways])
+            return np.full(self.time_changes.shape, np.nan)
+        return np.array(
+            [
+                float(-self._derivatives.slope(value, at, variation) / rate)
+                for variation in variations
+            ]
+        )
 
-    def _carried(
+    def _take_partial_step(
         self, state: State, t: float, size: float, step: int
     ) -> tuple[Floats, Floats, Floats, State]:
-        """Return variations behind a part of a step, derivatives by its length and its time."""
+        """Take a partial step with variations.
+
+        Return the variations after it, the derivatives of its end by its duration and by its time,
+        and the end state (q, p).
+        """
         program, count = self._program, self.columns.shape[1]
         n, more = program.n, len(self._by)
-        held = since(self._inputs, min(step, self._inputs.shape[1] - 1))[:, :1]
+        inputs = inputs_from_step(self._inputs, min(step, self._inputs.shape[1] - 1))[:, :1]
         recorders = (tangents(program.header, count + more),)
-        run = Run(program, self._parameters, size, t, 0, 1, inputs=held, recorders=recorders)
+        run = Run(program, self._parameters, size, t, inputs=inputs, recorders=recorders)
         run.begin(*state, velocity=False)
         run.rows("TANGENTS", 1)[:] = count + more
-        begun = np.concatenate([self.columns, np.zeros((2 * n, more))], axis=1)
-        run.rows("TANGENT", begun.size)[:] = begun.T.ravel()
+        initial = np.concatenate([self.columns, np.zeros((2 * n, more))], axis=1)
+        run.rows("TANGENT", initial.size)[:] = initial.T.ravel()
         run.advance(1)
-        columns = run.left().reshape(count + more, 2 * n).T
+        columns = run.recorder_rows().reshape(count + more, 2 * n).T
         if not run.alive:
             columns = np.full_like(columns, np.nan)
         by_time = columns[:, count + 1] if more > 1 else np.zeros(2 * n)
@@ -171,8 +187,8 @@ class Saltation:
         return columns[:, :count], columns[:, count], by_time, (q, p)
 
 
-class Jumps:
-    """Values of expressions of events, and states after them, in many digits.
+class EventDerivatives:
+    """Event expressions and states after events, in multiprecision, with their derivatives.
 
     A point is an array of t, q, p and the parameters.
     """
@@ -181,55 +197,58 @@ class Jumps:
         numbers, header = read_precision(DIGITS, "mpmath"), program.header
         text = f"{program.source}\n\n{observing_kernel(header, run_events.watched)}"
         known = program.findings.many_digits
-        if text not in known:  # reading a text takes 50 ms
+        if text not in known:  # parsing takes 50 ms
             known[text] = numbers.kernels(text, header)
         self._program = replace(program, numbers=numbers, kernels=known[text])
         self._events, self._parameters = run_events, parameters
         self._difference = numbers.read(DIFFERENCE).item()
 
     def point(self, t: float, q: Floats, p: Floats) -> Reals:
-        """Return the point of a state."""
+        """Return the point of a state, in multiprecision."""
         return self._program.numbers.read([t, *q, *p, *self._parameters])
 
-    def ways(self, moved: Floats, columns: Floats, varied: Sequence[str]) -> Floats:
-        """Return variations of points: of the time, the state, and of parameters by the last."""
+    def point_variations(self, moved: Floats, columns: Floats, varied: Sequence[str]) -> Floats:
+        """Return variations of points, one row each, from variations of time and state.
+
+        The last rows also vary the parameters ``varied``.
+        """
         names = self._program.header.parameters
-        ways = np.zeros((columns.shape[1], 1 + len(columns) + len(names)))
-        ways[:, 0], ways[:, 1 : 1 + len(columns)] = moved, columns.T
-        for way, name in zip(ways[len(ways) - len(varied) :], varied, strict=True):
+        rows = np.zeros((columns.shape[1], 1 + len(columns) + len(names)))
+        rows[:, 0], rows[:, 1 : 1 + len(columns)] = moved, columns.T
+        for row, name in zip(rows[len(rows) - len(varied) :], varied, strict=True):
             if name in names:
-                way[1 + len(columns) + names.index(name)] = 1.0
-        return ways
+                row[1 + len(columns) + names.index(name)] = 1.0
+        return rows
 
     def value(self, event: int, z: Reals) -> Any:
-        """Return the expression of an event at a point."""
-        maps, t, state = self._at(z)
+        """Return the value of the expression of an event at a point."""
+        maps, t, state = self._maps_at(z)
         return maps.row(t, state)[event]
 
     def act(self, event: int, z: Reals) -> Reals:
-        """Return q and p after an event."""
-        maps, t, state = self._at(z)
+        """Return the state after an event as one array of q and p."""
+        maps, t, state = self._maps_at(z)
         action, row = self._events.events[event].action, maps.row(t, state)
         if isinstance(action, Impact):
             values = z[1 + 2 * self._program.n :]
             law = read_restitution(self._program, action.restitution, values)
-            state, _ = maps.hit(t, state, row, event, law)
+            state, _ = maps.apply_impact(t, state, row, event, law)
         elif self._events.changes[event]:
-            state, _ = maps.change(t, state, row, event)
+            state, _ = maps.apply_change(t, state, row, event)
         return np.concatenate(state)
 
-    def slope(self, function: Callable[[Reals], Any], at: Reals, way: Floats) -> Any:
-        """Return the derivative of a function along a way, by a central difference."""
-        size = np.abs(way).max()
+    def slope(self, function: Callable[[Reals], Any], at: Reals, variation: Floats) -> Any:
+        """Return the derivative of a function along a ``variation``, by a central difference."""
+        size = np.abs(variation).max()
         if size == 0:
             return 0 * function(at)
         d = self._difference / size
-        return (function(at + way * d) - function(at - way * d)) / (2 * d)
+        return (function(at + variation * d) - function(at - variation * d)) / (2 * d)
 
-    def _at(self, z: Reals) -> tuple[EventMaps, Any, tuple[Reals, Reals]]:
-        """Return the maps for the parameters of a point, its time and its state."""
+    def _maps_at(self, z: Reals) -> tuple[EventMaps, Any, tuple[Reals, Reals]]:
+        """Split a point; return the event maps for its parameters, its time and its state."""
         program, n = self._program, self._program.n
         q, p, values = np.split(z[1:], [n, 2 * n])
         kernel = program.kernels.address("observe")
-        rows = watching(program, self._events.watched, values, kernel)
+        rows = make_evaluator(program, self._events.watched, values, kernel)
         return EventMaps(program, self._events, values, rows), z[0], (q, p)

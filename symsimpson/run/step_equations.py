@@ -1,4 +1,4 @@
-"""The equations of a step at given nodes, or linearised along a run."""
+"""The equations of a step: evaluated at given control points, or linearised along a run."""
 
 from __future__ import annotations
 
@@ -14,9 +14,14 @@ from symsimpson.program.input_values import read_array, read_number, read_vector
 from symsimpson.program.numbers import Numbers, workspace
 from symsimpson.program.program import Program
 from symsimpson.results.motion_derivatives import Linearisation
-from symsimpson.run.gradients import Way
-from symsimpson.stepping.driving import read_driving
-from symsimpson.stepping.inputs import read_step, read_varied, refuse_retimed, varied_program
+from symsimpson.run.gradients import ForwardRun
+from symsimpson.stepping.driving import read_input_values
+from symsimpson.stepping.inputs import (
+    program_with_derivatives,
+    read_step,
+    read_variables,
+    reject_retimed,
+)
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec, read_run
@@ -25,10 +30,9 @@ from symsimpson.support.names import spelled
 from symsimpson.text.quantity import equations_of, held_equations_of
 
 
-class At(NamedTuple):
-    """A step whose control points are given, as users give them."""
+class StepArguments(NamedTuple):
+    """Unchecked arguments of the equations of a step, as for :meth:`Stepper.residual`."""
 
-    #: As :meth:`Stepper.residual` takes them.
     q0: ArrayLike
     nodes: ArrayLike
     h: Any
@@ -38,16 +42,16 @@ class At(NamedTuple):
     multipliers: ArrayLike | None = None
 
 
-def evaluate_equations(program: Program, at: At, p0: ArrayLike) -> tuple[Reals, Reals]:
-    """Evaluate residual and Jacobian of a step at given nodes, and multipliers if they are given.
+def evaluate_equations(program: Program, at: StepArguments, p0: ArrayLike) -> tuple[Reals, Reals]:
+    """Evaluate the residual and the Jacobian of a step at given control points and multipliers.
 
-    Raises InputError if there are no equations, or arrays of other shapes.
+    Raises InputError if the scheme is explicit or an array has the wrong shape.
     """
     header, numbers = program.header, program.numbers
     _check_equations(program)
     with numbers.working():
         p = read_vector("p0", p0, program.names.coordinates, numbers)
-        step = _Step.read(program, at)
+        step = _StepEvaluator.read(program, at)
         step.evaluate("equations", p)
         equations = (
             equations_of(header, step.run)
@@ -59,28 +63,35 @@ def evaluate_equations(program: Program, at: At, p0: ArrayLike) -> tuple[Reals, 
 
 
 def evaluate_curvature(
-    program: Program, at: At, weights: ArrayLike, constraint_weights: ArrayLike | None, wrt: Any
+    program: Program,
+    at: StepArguments,
+    weights: ArrayLike,
+    constraint_weights: ArrayLike | None,
+    wrt: Any,
 ) -> Reals:
-    """Evaluate second derivatives of weighted rows of a step.
+    """Evaluate the second derivatives of a weighted sum of the equations of a step.
 
-    Raises InputError if there are no equations, or arrays of other shapes.
+    Raises InputError if the scheme is explicit or an array has the wrong shape.
     """
     _check_equations(program)
-    names = read_varied(program, wrt, of_steps=True)
-    program = varied_program(program, names, second=True)
+    names = read_variables(program, wrt, of_steps=True)
+    program = program_with_derivatives(program, names, second=True)
     header, n, numbers = program.header, program.n, program.numbers
     d, m = header.degree, len(header.constraints)
     with numbers.working():
-        step = _Step.read(program, at)
-        rows = _shaped("weights", weights, (d + 1, n), numbers)
-        held = numbers.zeros((d + 1, m))
+        step = _StepEvaluator.read(program, at)
+        rows = _read_shaped("weights", weights, (d + 1, n), numbers)
+        of_constraints = numbers.zeros((d + 1, m))
         if constraint_weights is not None:
-            held = _shaped("constraint_weights", constraint_weights, (d + 1, m), numbers)
-        step.run.rows("ROW_WEIGHT", (d + 1) * (n + m))[:] = np.concatenate([rows, held], axis=None)
+            of_constraints = _read_shaped(
+                "constraint_weights", constraint_weights, (d + 1, m), numbers
+            )
+        all_weights = np.concatenate([rows, of_constraints], axis=None)
+        step.run.rows("ROW_WEIGHT", (d + 1) * (n + m))[:] = all_weights
         step.evaluate("curvature", numbers.zeros(n))
         size = header.layout["HESSIAN_SIZE"]
         matrix = numbers.result(step.run.rows("HESSIAN", size**2)).reshape(size, size)
-        # derivatives by a parameter go through all nodes, those by an input through each
+        # a parameter acts at all nodes, an input at each node has a value of its own
         before = (d + 1) * n + d * m
         groups = list(range(before))
         for j, name in enumerate(names):
@@ -88,32 +99,32 @@ def evaluate_curvature(
             groups += nodes if name in header.inputs else nodes[:1]
         for axis in (0, 1):
             matrix = np.add.reduceat(matrix, groups, axis=axis)
-        return np.asarray((matrix + matrix.T) / 2)  # sums over nodes have another order there
+        return np.asarray((matrix + matrix.T) / 2)  # sums over nodes differ by round-off
 
 
 def _check_equations(program: Program) -> None:
-    """Refuse steps that are explicit; raises InputError."""
+    """Raise InputError for an explicit scheme."""
     if "equations" not in program.header.functions:
         reject(
-            f"{program.scheme} is explicit: a step has no equations to evaluate.",
-            remedy="Ask a stepper of another scheme, as 'simpson'.",
+            f"the scheme {program.scheme} is explicit, so its steps have no equations to evaluate.",
+            remedy="Compile with an implicit scheme, such as 'simpson'.",
         )
 
 
-def _shaped(name: str, value: ArrayLike, shape: tuple[int, int], numbers: Numbers) -> Reals:
-    """Read an array of this shape; raises InputError."""
+def _read_shaped(name: str, value: ArrayLike, shape: tuple[int, int], numbers: Numbers) -> Reals:
+    """Read an array; raise InputError if it has another shape."""
     array = read_array(name, value, numbers)
     if array.shape != shape:
         reject(
-            f"{name} has shape {array.shape}, expected {shape}.",
+            f"{name} has shape {array.shape}, but must have shape {shape}.",
             remedy="Pass a row for each control point X_0, ..., X_d.",
         )
     return array
 
 
 @dataclass(frozen=True)
-class _Step:
-    """A step whose control points and multipliers are given."""
+class _StepEvaluator:
+    """A step with given control points and multipliers, in the workspace of a run."""
 
     program: Program
     run: Run
@@ -123,8 +134,8 @@ class _Step:
     inputs: Reals
 
     @classmethod
-    def read(cls, program: Program, at: At) -> _Step:
-        """Read a step, and put its path into a workspace; raises InputError."""
+    def read(cls, program: Program, at: StepArguments) -> _StepEvaluator:
+        """Check the arguments of a step, and write its control points into a workspace."""
         header, n, numbers = program.header, program.n, program.numbers
         d, m = header.degree, len(header.constraints)
         q = read_vector("q0", at.q0, program.names.coordinates, numbers)
@@ -132,33 +143,34 @@ class _Step:
         points = read_array("nodes", at.nodes, numbers)
         if points.shape != (d, n):
             reject(
-                f"nodes has shape {points.shape}, expected ({d}, {n}).",
+                f"nodes has shape {points.shape}, but must have shape ({d}, {n}).",
                 remedy="Pass the inner control points and q1, one row each.",
             )
         mu = at.multipliers
         mu = None if mu is None else read_array("multipliers", mu, numbers)
         if mu is not None and (mu.shape != (d, m) or not m):
             reject(
-                f"multipliers has shape {mu.shape}, but {program.system} has {m} constraints and "
-                f"{program.scheme} {d} points at which they pull.",
-                remedy=f"Pass shape ({d}, {m}): those "
-                "at X_0, ..., X_(d-1); none to a system without constraints.",
+                f"multipliers has shape {mu.shape}, but must have shape ({d}, {m}).",
+                why=f"{program.system} has {m} constraints, and {program.scheme} applies their "
+                f"forces at {d} control points.",
+                remedy="Pass the multipliers at X_0, ..., X_(d-1). Omit them for a system without "
+                "constraints.",
             )
-        run = Run(program, program.values(at.parameters), h, h * 0, 0, 1)
+        run = Run(program, program.values(at.parameters), h, h * 0)
         run.rows("INCREMENT", d * n)[:] = (points - q).ravel()
         if mu is not None:
             run.rows("INCREMENT", d * (n + m))[d * n :] = (mu * h).ravel()
-        return cls(program, run, q, h, t, read_driving(program, at.inputs, h, 1, t))
+        return cls(program, run, q, h, t, read_input_values(program, at.inputs, h, 1, t))
 
     def evaluate(self, kernel: str, p: Reals) -> None:
-        """Call a kernel for it, with a momentum at its start."""
+        """Call a kernel for the step, with the momentum ``p`` at its start."""
         program, run = self.program, self.run
         numbers, header = program.numbers, program.header
         unknowns = run.rows("INCREMENT", header.degree * (program.n + len(header.constraints)))
         given = unknowns.copy()
         run.rows("POSITION", program.n)[:] = self.q
         run.rows("MOMENTUM", program.n)[:] = p
-        for name in ("start", kernel):  # what depends on q0 alone may be known before
+        for name in ("start", kernel):  # "start" computes the terms that depend on q0 only
             numbers.driver("evaluate")(
                 (program.kernels.address("prepare"), 0, program.kernels.address(name)),
                 self.h,
@@ -177,23 +189,23 @@ def linearise(program: Program, request: Request, wrt: Any, progress: bool | Non
 
     Raises InputError, SchemeError, ConvergenceError or Interrupted.
     """
-    refuse_retimed(program, "linearisations")
-    asked: Sequence[Any] = wrt if isinstance(wrt, (tuple, list)) else (wrt,)
-    program = varied_program(program, read_varied(program, asked, of_steps=True))
+    reject_retimed(program, "linearisations")
+    names: Sequence[Any] = wrt if isinstance(wrt, (tuple, list)) else (wrt,)
+    program = program_with_derivatives(program, read_variables(program, names, of_steps=True))
     spec = read_run(program, request)
     n, size = program.n, 2 * program.n
     header, numbers = program.header, program.numbers
     with numbers.working():
-        way = Way(program, spec, progress)
+        forward = ForwardRun(program, spec, progress)
         q, p = numbers.zeros((2, spec.steps + 1, n))
         rows = numbers.zeros((spec.steps, size, size))
         slopes = numbers.zeros((spec.steps, size, len(header.varied_by or ()), header.nodes))
-        for first, records, *states in way.segments():
+        for first, records, *states in forward.segments():
             here = slice(first, first + len(records))
             q[here], p[here] = states
-            _linearise(program, spec, first, records, rows[here], slopes[here])
-        q[-1], p[-1] = way.q1, way.p1
-        by_name = dict(zip(map(spelled, asked), np.moveaxis(slopes, 2, 0), strict=True))
+            _linearise_segment(program, spec, first, records, rows[here], slopes[here])
+        q[-1], p[-1] = forward.q1, forward.p1
+        by_name = dict(zip(map(spelled, names), np.moveaxis(slopes, 2, 0), strict=True))
         inputs = {name for name in by_name if program.names.inputs.place(name) is not None}
         result = numbers.result
         return Linearisation(
@@ -206,10 +218,13 @@ def linearise(program: Program, request: Request, wrt: Any, progress: bool | Non
         )
 
 
-def _linearise(
+def _linearise_segment(
     program: Program, spec: RunSpec, first: int, records: Reals, rows: Reals, slopes: Reals
 ) -> None:
-    """Fill in the derivatives of the steps of a segment, row by row."""
+    """Compute the derivatives of the steps of a segment into ``rows`` and ``slopes``.
+
+    One adjoint sweep over a step gives one row of its matrix.
+    """
     header, numbers = program.header, program.numbers
     size, W = 2 * program.n, workspace(header, numbers, spec.parameters)
     begun, every = header.layout["ADJOINT"], np.arange(slopes[0, 0].size)

@@ -1,1 +1,1 @@
-"""Schemes as data: a quadrature, a basis and the tables that follow from them."""
+"""Schemes as tables of numbers, from a quadrature and a polynomial basis."""

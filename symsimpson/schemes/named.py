@@ -1,4 +1,4 @@
-"""Schemes by their names."""
+"""Search of a scheme by its name."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from symsimpson.schemes.composition import COMPOSITIONS, composition
 from symsimpson.schemes.scheme import MIDPOINT, SIMPSON, Scheme, galerkin
 from symsimpson.support.names import did_you_mean
 
-#: Names that schemes have elsewhere.
+#: Names of schemes in other packages, with the names here.
 ELSEWHERE = {
     **dict.fromkeys(("verlet", "stormer_verlet", "velocity_verlet", "leapfrog"), "lobatto2"),
     **dict.fromkeys(("trapezoid", "trapezoidal"), "lobatto2"),
@@ -18,7 +18,7 @@ ELSEWHERE = {
 
 
 def read_scheme(scheme: str | Scheme) -> Scheme:
-    """Find a scheme by its name; raises SchemeError if no scheme has this name."""
+    """Return the scheme of this name, or the scheme itself."""
     if isinstance(scheme, Scheme):
         return scheme
     named = {s.name: s for s in (MIDPOINT, SIMPSON)}
@@ -43,11 +43,11 @@ def read_scheme(scheme: str | Scheme) -> Scheme:
     hint = ""
     if isinstance(scheme, str):
         here = ELSEWHERE.get(scheme.lower())
-        hint = f" Here it is {here!r}." if here else did_you_mean(scheme, known)
+        hint = f" Its name here is {here!r}." if here else did_you_mean(scheme, known)
     reject(
         f"there is no scheme {scheme!r}.{hint}",
-        remedy="Choose 'midpoint', 'simpson', 'lobatto6', "
-        "'gauss4', ... (the family by its even order), an explicit one as 'kahan_li8' "
-        "(symsimpson.composition), or make one with symsimpson.galerkin.",
+        remedy="Choose 'midpoint', 'simpson', a Gauss or Lobatto scheme of even order ('gauss4', "
+        "'lobatto6') or an explicit scheme ('kahan_li8', see symsimpson.composition). Or make a "
+        "scheme with symsimpson.galerkin.",
         error=SchemeError,
     )

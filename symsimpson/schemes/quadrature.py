@@ -9,13 +9,14 @@ import sympy as sp
 from sympy.integrals.quadrature import gauss_legendre, gauss_lobatto
 
 from symsimpson.errors import SchemeError, reject
+from symsimpson.support.names import counted
 
-#: Roots of Legendre polynomials and of their derivatives are written in radicals up to here; with
-#: one node more, products of them fill pages.
+#: Largest number of nodes that are written in radicals. With one node more, their products are
+#: many pages long.
 CLOSED_FORM = {"gauss": 4, "lobatto": 5, "radau": 3}
-#: Beyond that they are decimal numbers here; modules make them with as many digits as they need.
+#: Digits of decimal nodes. Modules with more digits compute their own.
 SHOWN_DIGITS = 60
-#: So many nodes at most.
+#: Largest number of nodes.
 MOST = 16
 
 _x = sp.Symbol("x", real=True)
@@ -28,11 +29,17 @@ class Quadrature:
     Attributes
     ----------
     kind : str
-        ``"gauss"``, ``"lobatto"`` or ``"radau"``.
+        The name of the rule: ``"gauss"``, ``"lobatto"``, ``"radau"`` or ``"composition"``.
     nodes, weights : tuple of sympy numbers
-        c_i in increasing order, and b_i.
+        The nodes c_i and their weights b_i.
     order : int
-        Polynomials of degree ``order - 1`` are integrated exactly.
+        The order p: polynomials of degree p - 1 are integrated exactly.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> ss.SIMPSON.quadrature.nodes, ss.SIMPSON.quadrature.weights
+    ((0, 1/2, 1), (1/6, 2/3, 1/6))
     """
 
     kind: str
@@ -42,31 +49,31 @@ class Quadrature:
 
     @property
     def symmetric(self) -> bool:
-        """Whether the rule is the same from both ends."""
+        """True if nodes and weights are symmetric about the midpoint."""
         return self.kind != "radau"
 
     @property
     def exact(self) -> bool:
-        """Whether nodes and weights are exact numbers, not decimal ones."""
+        """True if nodes and weights are exact numbers instead of decimal numbers."""
         return not any(node.is_Float for node in self.nodes)
 
 
 @cache
 def gauss(nodes: int) -> Quadrature:
-    """Return the Gauss rule: the zeros of the Legendre polynomial, order 2s."""
-    _check("gauss", nodes, 1)
+    """Return the Gauss rule of order 2s, with the zeros of the Legendre polynomial."""
+    _check_nodes("gauss", nodes, 1)
     if nodes > CLOSED_FORM["gauss"]:
-        return Quadrature("gauss", *_decimal(gauss_legendre(nodes, SHOWN_DIGITS)), 2 * nodes)
+        return Quadrature("gauss", *_map_rule(gauss_legendre(nodes, SHOWN_DIGITS)), 2 * nodes)
     points = _unit_roots(sp.legendre(nodes, _x))
     return Quadrature("gauss", points, _weights(points), 2 * nodes)
 
 
 @cache
 def lobatto(nodes: int) -> Quadrature:
-    """Return the Lobatto rule: both ends and the extrema of a Legendre polynomial, order 2s - 2."""
-    _check("lobatto", nodes, 2)
+    """Return the Lobatto rule of order 2s - 2, with both ends and extrema of P_(s-1)."""
+    _check_nodes("lobatto", nodes, 2)
     if nodes > CLOSED_FORM["lobatto"]:
-        abscissae, weights = _decimal(gauss_lobatto(nodes, SHOWN_DIGITS))
+        abscissae, weights = _map_rule(gauss_lobatto(nodes, SHOWN_DIGITS))
         points = (sp.S.Zero, *abscissae[1:-1], sp.S.One)
         return Quadrature("lobatto", points, weights, 2 * nodes - 2)
     inner = _unit_roots(sp.diff(sp.legendre(nodes - 1, _x), _x)) if nodes > 2 else ()
@@ -76,15 +83,15 @@ def lobatto(nodes: int) -> Quadrature:
 
 @cache
 def radau(nodes: int) -> Quadrature:
-    """Return the left Radau rule: the start and s - 1 nodes inside, order 2s - 1."""
-    _check("radau", nodes, 1)
+    """Return the left Radau rule of order 2s - 1, with the start and s - 1 inner nodes."""
+    _check_nodes("radau", nodes, 1)
     if nodes > CLOSED_FORM["radau"]:
         reject(
-            f"a Radau quadrature has at most {CLOSED_FORM['radau']} nodes here, not {nodes}.",
+            f"a Radau quadrature can have at most {CLOSED_FORM['radau']} nodes, not {nodes}.",
             remedy="Choose 'radau5', or a Gauss scheme of higher order.",
             error=SchemeError,
         )
-    # zeros of P_(s-1) + P_s on [-1, 1], of which -1 is one
+    # the zeros of P_(s-1) + P_s on [-1, 1], one of which is -1
     points = _unit_roots(sp.expand(sp.legendre(nodes - 1, _x) + sp.legendre(nodes, _x)))
     return Quadrature("radau", points, _weights(points), 2 * nodes - 1)
 
@@ -97,38 +104,39 @@ def lagrange_basis(points: tuple[sp.Expr, ...], x: sp.Expr) -> tuple[sp.Expr, ..
     )
 
 
-def _check(kind: str, nodes: int, least: int) -> None:
+def _check_nodes(kind: str, nodes: int, least: int) -> None:
+    """Reject a number of nodes that is not an integer from ``least`` to MOST."""
     if isinstance(nodes, bool) or not isinstance(nodes, int) or nodes < least:
         reject(
-            f"a {kind} quadrature has at least {least} node(s), not {nodes!r}.",
-            remedy=f"Choose nodes={least} or more.",
+            f"a {kind} quadrature has at least {counted(least, 'node')}, not {nodes!r}.",
+            remedy=f"Pass nodes={least} or more.",
             error=SchemeError,
         )
     if nodes > MOST:
         reject(
-            f"a quadrature has at most {MOST} nodes here, not {nodes!r}.",
-            remedy="Rounding leaves nothing of an order beyond 20 in double precision. "
-            "Use fewer nodes.",
+            f"a quadrature can have at most {MOST} nodes, not {nodes!r}.",
+            why="In double precision, round-off errors hide orders beyond 20.",
+            remedy="Use fewer nodes.",
             error=SchemeError,
         )
 
 
-def _decimal(
+def _map_rule(
     rule: tuple[list[sp.Expr], list[sp.Expr]],
 ) -> tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]:
-    """Move nodes and weights from [-1, 1] to [0, 1]."""
+    """Map nodes and weights from [-1, 1] to [0, 1]."""
     nodes, weights = rule
     return tuple((1 + x) / 2 for x in nodes), tuple(w / 2 for w in weights)
 
 
 def _unit_roots(polynomial: sp.Expr) -> tuple[sp.Expr, ...]:
-    """Return the real roots on [-1, 1], moved to [0, 1] and sorted."""
+    """Return the sorted real roots on [-1, 1], mapped to [0, 1]."""
     roots = sorted(sp.roots(polynomial, _x), key=lambda root: float(sp.N(root, 30)))
     return tuple(sp.radsimp(sp.expand((1 + root) / 2)) for root in roots)
 
 
 def _weights(points: tuple[sp.Expr, ...]) -> tuple[sp.Expr, ...]:
-    """Integrate the Lagrange polynomials over [0, 1], term by term."""
+    """Return the integrals of the Lagrange polynomials over [0, 1]."""
     weights = []
     for basis in lagrange_basis(points, _x):
         terms = sp.expand(basis).as_coefficients_dict(_x)

@@ -1,4 +1,4 @@
-"""Galerkin variational integrators as tables."""
+"""Galerkin variational integrators, with their tables of coefficients."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from symsimpson.support.markup import aligned, in_text
 from symsimpson.support.names import counted
 
 Table = tuple[tuple[sp.Expr, ...], ...]
-#: Tables of more numbers than this are not shown.
+#: Largest number of table entries that LaTeX output shows.
 MOST_NUMBERS = 42
 _QUADRATURES = {"gauss": gauss, "lobatto": lobatto, "radau": radau}
 
 
 def _number(expression: sp.Expr) -> sp.Expr:
+    """Simplify an exact number, and round a tiny decimal number to zero."""
     if expression.is_Float:
         return expression if abs(expression) > 1e-50 else sp.S.Zero
     return sp.radsimp(sp.expand(expression))
@@ -32,18 +33,18 @@ class Scheme:
     r"""A Galerkin variational integrator.
 
     The path over one step is a polynomial of degree d through control points X_0 = q0, ...,
-    X_d = q1 at the Lobatto points; the action is summed by a quadrature (b_i, c_i):
+    X_d = q1 at the Lobatto points. A quadrature (b_i, c_i) approximates the action:
 
     .. math:: L_d = h \sum_i b_i L\bigl(\sum_k A_{ik} X_k, \tfrac1h \sum_k B_{ik} X_k\bigr).
 
     Attributes
     ----------
     name : str
-        As given to ``compile`` and used in file names.
+        The name of the scheme for ``compile`` and in file names.
     quadrature : Quadrature
-        Nodes c_i and weights b_i, i = 1..s.
+        The quadrature with nodes c_i and weights b_i, i = 1..s.
     degree : int
-        Degree d of the path.
+        The degree d of the path.
 
     References
     ----------
@@ -69,21 +70,21 @@ class Scheme:
 
     @property
     def exact(self) -> bool:
-        """Whether the tables are exact numbers; if not, modules make their own."""
+        """True if the tables are exact numbers. If not, modules compute their own."""
         return self.quadrature.exact and lobatto(self.degree + 1).exact
 
     @property
     def by_stages(self) -> bool:
-        """Whether a step may be iterated by velocities and forces at the nodes.
+        """True if a step may iterate over velocities and forces at the nodes (stages).
 
-        With as many nodes as the path has degrees these determine the path, and the scheme is a
-        symplectic partitioned Runge-Kutta method; with fewer than three, Newton's is as cheap.
+        If s = d, the stages determine the path, and the scheme is a symplectic partitioned
+        Runge-Kutta method. For s < 3, Newton's method has the same cost.
         """
         return self.quadrature.symmetric and self.degree == self.stages > 2
 
     @property
     def symmetric(self) -> bool:
-        """Whether a step with -h undoes one with h."""
+        """True if a step with -h is the inverse of a step with h."""
         return self.quadrature.symmetric
 
     @property
@@ -93,15 +94,12 @@ class Scheme:
 
     @property
     def unbounded(self) -> bool:
-        """Whether a linear oscillator is stable at any step.
-
-        Gauss methods turn its phase, whatever the step.
-        """
+        """True if a linear oscillator is stable at any step size, as for Gauss methods."""
         return self.quadrature.kind == "gauss" and self.degree == self.stages
 
     @property
     def formula(self) -> Sequence[str]:
-        """The discrete Lagrangian, in lines."""
+        """The discrete Lagrangian, as lines of text."""
         kind, nodes = self.quadrature.kind.capitalize(), counted(self.stages, "node")
         return (
             "    L_d(X_0, ..., X_d) = h sum_i b_i L(sum_k A_ik X_k, 1/h sum_k B_ik X_k),",
@@ -111,12 +109,12 @@ class Scheme:
 
     @property
     def legend(self) -> str:
-        """A legend to the tables."""
+        """The legend of the tables."""
         return "nodes, weights b_i, A_ik = l_k(c_i), B_ik = l_k'(c_i), and the predictor"
 
     @property
     def references(self) -> Sequence[str]:
-        """Where it comes from, in lines."""
+        """The publications, as lines of text."""
         return (
             "J. E. Marsden and M. West, Acta Numerica 10 (2001); S. Ober-Bloebaum, IMA J.",
             "Numer. Anal. 37 (2017).",
@@ -124,7 +122,7 @@ class Scheme:
 
     @property
     def tables(self) -> Mapping[str, tuple[sp.Expr, ...] | Table]:
-        """The tables, as modules state them; none where they are no exact numbers."""
+        """The tables by their names in modules; empty if they are not exact numbers."""
         if not self.exact:
             return {}
         return {
@@ -140,23 +138,23 @@ class Scheme:
 
     @property
     def at_gauss_points(self) -> tuple[tuple[sp.Expr, ...], Table, Table]:
-        """The d Gauss points, and the basis and its slopes there: d by d + 1."""
+        """The d Gauss points, and two d by d + 1 tables: the basis and its slopes there."""
         points = gauss(self.degree).nodes
         values = (lagrange_basis(self.points, c) for c in points)
         basis = tuple(tuple(map(_number, row)) for row in values)
         return points, basis, tuple(map(self._slopes, points))
 
     def oscillator(self, x: float) -> NDArray[np.float64]:
-        """Return the matrix of a step of q'' = -q with h = x.
+        """Return the matrix of a step with h = x of the oscillator q'' = -q.
 
         Examples
         --------
         >>> import numpy as np, symsimpson as ss
-        >>> round(float(np.linalg.det(ss.SIMPSON.oscillator(0.5))), 12)  # it keeps areas
+        >>> round(float(np.linalg.det(ss.SIMPSON.oscillator(0.5))), 12)  # area is preserved
         1.0
         """
         A, B, b = self._doubles
-        # D_k L_d = sum_m K_km X_m with X the control points themselves
+        # D_k L_d = sum_m K_km X_m for the control points X
         K = B.T @ (b[:, None] * B) / x - x * A.T @ (b[:, None] * A)
         ends, inner = np.ix_([0, -1], [0, -1]), slice(1, -1)
         if self.degree > 1:
@@ -167,18 +165,18 @@ class Scheme:
 
     @cached_property
     def _doubles(self) -> tuple[NDArray[np.float64], ...]:
-        """A, B and the weights, rounded."""
+        """A, B and the weights as doubles."""
         tables = self.A, self.B, self.quadrature.weights
         return tuple(np.array(table, dtype=np.float64) for table in tables)
 
     @cached_property
     def points(self) -> tuple[sp.Expr, ...]:
-        """Lobatto points of the control points, d + 1 of them."""
+        """The d + 1 Lobatto points at which the control points are."""
         return lobatto(self.degree + 1).nodes
 
     @cached_property
     def A(self) -> Table:
-        """A_ik = l_k(c_i), s by d + 1."""
+        """The s by d + 1 table A_ik = l_k(c_i)."""
         return tuple(
             tuple(_number(value) for value in lagrange_basis(self.points, c))
             for c in self.quadrature.nodes
@@ -186,12 +184,12 @@ class Scheme:
 
     @cached_property
     def B(self) -> Table:
-        """B_ik = l_k'(c_i), s by d + 1."""
+        """The s by d + 1 table B_ik = l_k'(c_i)."""
         return tuple(self._slopes(c) for c in self.quadrature.nodes)
 
     @cached_property
     def stiffness(self) -> Table:
-        """S_km = sum_i b_i B_ik B_im: kinetic energy of the path is X.S.X M/(2h), M constant."""
+        """S_km = sum_i b_i B_ik B_im. For constant M, the path has T = X.S.X M/(2h)."""
         b, d = self.quadrature.weights, self.degree
 
         def entry(k: int, m: int) -> sp.Expr:
@@ -201,7 +199,7 @@ class Scheme:
 
     @cached_property
     def extrapolation(self) -> Table:
-        """E_kj: the last step's path at 1 + c_k from its increments X_j - X_0, k, j = 1..d."""
+        """E_kj: the path of the last step at 1 + c_k from its increments X_j - X_0, k, j = 1..d."""
         d = self.degree
         rows = [lagrange_basis(self.points, 1 + c) for c in self.points[1:]]
         return tuple(
@@ -215,10 +213,10 @@ class Scheme:
 
     @cached_property
     def correction(self) -> tuple[sp.Expr, ...]:
-        """g_k, k = 1..d: what one unit of slope at the start adds to the extrapolation.
+        """g_k, k = 1..d: the change of the extrapolation per unit of the slope at the start.
 
-        The predictor is the polynomial of degree d + 1 through the last step's control points
-        with the slope h v0 at the new start: X_k = sum_j E_kj X_j' + g_k (h v0 - slope').
+        The predictor is the polynomial of degree d + 1 through the control points of the last
+        step with the slope h v0 at the new start: X_k = sum_j E_kj X_j' + g_k (h v0 - slope').
         """
         x = sp.Symbol("x", real=True)
         omega = sp.prod([x - (point - 1) for point in self.points])
@@ -226,6 +224,7 @@ class Scheme:
         return tuple(_number(omega.subs(x, c) / slope) for c in self.points[1:])
 
     def _slopes(self, c: sp.Expr) -> tuple[sp.Expr, ...]:
+        """Return l_k'(c), k = 0..d."""
         x = sp.Symbol("x", real=True)
         basis = lagrange_basis(self.points, x)
         return tuple(_number(sp.diff(sp.expand(value), x).subs(x, c)) for value in basis)
@@ -241,6 +240,7 @@ class Scheme:
         return aligned([self._title(f"{rule.kind} quadrature"), ("d", str(self.degree)), *rows])
 
     def _title(self, kind: str) -> tuple[str, str]:
+        """Return the first row of LaTeX output."""
         return "", rf"\text{{{in_text(self.name)}: {kind}, order {self.order}}}"
 
     def __repr__(self) -> str:
@@ -257,22 +257,22 @@ def galerkin(quadrature: str, nodes: int, degree: int) -> Scheme:
     Parameters
     ----------
     quadrature : {"lobatto", "gauss", "radau"}
-        "radau" has a node at the start and none at the end: with as many nodes as degrees its steps
-        let momenta under strong damping decay, where those of the others keep a part of them.
+        The quadrature. "radau" has a node at the start of a step and none at its end. With
+        s = d, "radau" makes momenta decay under strong damping; the others do not.
     nodes : int
-        Number s of quadrature nodes.
+        The number s of quadrature nodes.
     degree : int
-        Degree d of the path, at most s.
+        The degree d of the path, at most s.
 
     Returns
     -------
     Scheme
-        Of order min(2d, order of the quadrature).
+        The scheme, of order min(2d, order of the quadrature).
 
     Raises
     ------
     SchemeError
-        If there is no such quadrature, or the degree exceeds the number of nodes.
+        If the quadrature is unknown, or the degree exceeds the number of nodes.
 
     Examples
     --------
@@ -291,21 +291,21 @@ def galerkin(quadrature: str, nodes: int, degree: int) -> Scheme:
     if isinstance(nodes, bool) or not isinstance(nodes, int):
         reject(
             f"a {quadrature} quadrature has a whole number of nodes, not {nodes!r}.",
-            remedy="Use nodes=2, say.",
+            remedy="Pass an integer, such as nodes=2.",
             error=SchemeError,
         )
     rule = _QUADRATURES[quadrature](nodes)
     if isinstance(degree, bool) or not isinstance(degree, int) or degree < 1:
         reject(
-            f"the degree of a path is at least 1, not {degree!r}.",
-            remedy="Use degree=1.",
+            f"the degree of a path is an integer of at least 1, not {degree!r}.",
+            remedy="Pass degree=1 or more.",
             error=SchemeError,
         )
     if degree > nodes:
         reject(
-            f"a path of degree {degree} is not determined by {nodes} quadrature nodes.",
-            remedy="The order would drop and the Newton matrix be singular for free motion. "
-            f"Use degree={nodes} or less, or more nodes.",
+            f"{counted(nodes, 'quadrature node')} cannot determine a path of degree {degree}.",
+            why="The order would drop, and the Newton matrix would be singular for free motion.",
+            remedy=f"Pass degree={nodes} or less, or more nodes.",
             error=SchemeError,
         )
     return _scheme(rule, degree)
@@ -318,7 +318,7 @@ def _scheme(rule: Quadrature, degree: int) -> Scheme:
 
 
 def _name(quadrature: str, nodes: int, degree: int) -> str:
-    """Name a scheme: the two of the paper, the family by order, the rest by its tables."""
+    """Return the name: "midpoint", "simpson", kind and order, or kind, nodes and degree."""
     if (quadrature, nodes, degree) == ("gauss", 1, 1):
         return "midpoint"
     if (quadrature, nodes, degree) == ("lobatto", 3, 2):
@@ -332,7 +332,7 @@ def _name(quadrature: str, nodes: int, degree: int) -> str:
     return f"{quadrature}_{nodes}_{degree}"
 
 
-#: Order 2: one Gauss node, straight path (the implicit midpoint rule).
+#: The implicit midpoint rule: order 2, one Gauss node, a straight path.
 MIDPOINT = galerkin("gauss", 1, 1)
-#: Order 4: Simpson's rule, parabolic path.
+#: Order 4: Simpson's rule, a parabolic path.
 SIMPSON = galerkin("lobatto", 3, 2)

@@ -1,4 +1,4 @@
-"""Starts of systems with constraints: checked, and brought onto them to rounding."""
+"""Initial states with constraints: check them, and project q0 onto the constraints."""
 
 from __future__ import annotations
 
@@ -16,49 +16,50 @@ from symsimpson.support.lengths import bending_length
 from symsimpson.support.names import constraint_called
 from symsimpson.text.quantity import slopes_of
 
-#: Starts that miss constraints by more than this, relative to their slopes and to q, are refused,
-#: whatever the unit of q. Velocities are held against v, or what the forces make of rest. Each
-#: coordinate has its own size, or this part of the largest one, if a constraint bends no earlier.
-MISSED, OTHERS = 1e-9, 1e-4
-#: Constraints are dependent where INDEPENDENCE, between 0 and 1, is below this.
+#: Largest accepted violation of a constraint, relative to its gradient and to q. Velocity
+#: constraints use v, or the speed that the forces produce from rest.
+LARGEST_VIOLATION = 1e-9
+#: Smallest size of a coordinate, relative to the largest coordinate.
+SMALLEST_RELATIVE_SIZE = 1e-4
+#: Constraints are dependent if INDEPENDENCE, between 0 and 1, is below this.
 DEPENDENT = 1e-10
-#: Newton's method from a start that misses by less needs so many iterations, with many digits too.
-MOST = 12
-#: A constraint is flat whose slope is made of what q misses it by: it doubles over so much of q,
-#: which is more than a start may miss by.
-FLAT = 4 * MISSED
-#: What rounding leaves of a constraint, in units of it, where terms cancel.
-ROUNDED = 1e4
-#: What rounding leaves of terms that are large against q, in units of it, where they cancel.
-CANCELLED = 16.0
+#: Most Newton iterations from a q0 that is accepted, in multiprecision as well.
+MOST_ITERATIONS = 12
+#: A constraint is flat if its gradient doubles over this change of q, relative to q. The change
+#: exceeds the largest violation that is accepted.
+FLAT_CHANGE = 4 * LARGEST_VIOLATION
+#: Round-off of a constraint whose terms cancel, in units of machine epsilon.
+ROUND_OFF = 1e4
+#: Round-off of cancelling terms that are large relative to q, in units of machine epsilon.
+CANCELLATION = 16.0
 
 
 def project_start(
     program: Program,
     q: Reals,
     other: Reals,
-    given: str,
+    kind: str,
     values: Reals,
     t: Any,
-    missed: float = MISSED,
+    missed: float = LARGEST_VIOLATION,
 ) -> tuple[Reals, Reals]:
-    """Correct q0 onto the constraints by Newton's method; check v0 or p0, unchanged.
+    """Project q0 onto the constraints by Newton's method; check v0 or p0 and return it unchanged.
 
-    Positions, velocities or momenta, and values of parameters have a row for each member; ``given``
-    says what the second are, "" if they are not to be looked at. By ``missed`` a start may miss the
-    constraints, relative to their slopes and to q.
+    The arrays ``q``, ``other`` and ``values`` have one row for each ensemble member. ``kind`` is
+    "v0" if ``other`` has velocities, "p0" for momenta, and "" to skip the check of ``other``.
+    ``missed`` is the largest accepted violation, relative to the gradients and to q.
 
     Raises
     ------
     ModelError
-        If constraints depend on each other there.
+        If the constraints are linearly dependent at q0.
     InputError
-        If q does not satisfy them and is not led there, or velocities are not allowed by them.
+        If q0, v0 or p0 violates the constraints, or Newton's method does not converge.
     """
-    numbers, held = program.numbers, program.header.constraints
-    if not held:
+    numbers, header, n = program.numbers, program.header, program.n
+    m = len(header.constraints)
+    if not m:
         return q, other
-    m, n, header = len(held), program.n, program.header
     times = numbers.read([t])
 
     def at(
@@ -77,11 +78,11 @@ def project_start(
     extents = np.abs(q.astype(np.float64))
     reach = extents.max(axis=1)[:, None]
     whole, sizes = size * reach, _sizes(q, reach)
-    met = _scaled(slopes, sizes)
-    ahead = np.where(q < 0, -1.0, 1.0) * FLAT
+    typical = _scaled(slopes, sizes)
+    ahead = np.where(q < 0, -1.0, 1.0) * FLAT_CHANGE
     flat = np.linalg.norm(slopes_at(q + ahead * reach) - slopes, axis=2) > size
-    if flat.any():  # far from the origin positions have other sizes than what depends on them
-        flat &= _scaled(slopes_at(q + ahead * sizes) - slopes, sizes) > met
+    if flat.any():  # far from the origin, q is larger than its part in the constraint
+        flat &= _scaled(slopes_at(q + ahead * sizes) - slopes, sizes) > typical
     flat |= size == 0
     _check_rank(program, q, slopes, flat, at("INDEPENDENCE", 1, rest)[:, 0])
 
@@ -89,73 +90,69 @@ def project_start(
         return _relative(np.abs(phi.astype(np.float64)) - noise, scale)
 
     def rounded(lengths: Reals) -> Reals:
-        noise: Reals = CANCELLED * numbers.epsilon * size * lengths
+        noise: Reals = CANCELLATION * numbers.epsilon * size * lengths
         return noise
 
-    scale = np.minimum(met, whole) if given else whole
-    alone = np.minimum(_scaled(slopes, extents), scale) if given else whole
-    for attempt in range(MOST):
+    scale = np.minimum(typical, whole) if kind else whole
+    coordinate_scale = np.minimum(_scaled(slopes, extents), scale) if kind else whole
+    for attempt in range(MOST_ITERATIONS):
         phi = at("CONSTRAINT", m, rest)
         off = missed_by(phi)
         if off.max() <= 4 * numbers.epsilon:
             break
-        if attempt == 0 and not missed_by(phi, scale=alone).max() <= missed:
+        if attempt == 0 and not missed_by(phi, scale=coordinate_scale).max() <= missed:
             lengths = bending_length(slopes_at, q)
-            if given:
+            if kind:
                 bent = np.where(lengths > 0, lengths, np.inf)[..., None]
                 bent = np.maximum(np.minimum(sizes[:, None], bent), extents[:, None])
                 scale = np.minimum(scale, (np.abs(slopes) * bent).sum(axis=2))
             off = missed_by(phi, rounded(lengths), scale)
             if not off.max() <= missed:
-                raise _violation_error(
-                    program, t, q, other, given, values, off, "q0 does not satisfy"
-                )
+                raise _violation_error(program, t, q, other, kind, values, off, "q0 violates")
         q = q + at("HELD_CHANGE", n, rest)
     else:
         off = missed_by(phi, rounded(bending_length(slopes_at, q)))
-        if not off.max() <= max(missed**2, ROUNDED * numbers.epsilon):
-            raise _violation_error(program, t, q, other, given, values, off, "q0 is not led to")
-    if not given:
+        if not off.max() <= max(missed**2, ROUND_OFF * numbers.epsilon):
+            what = "Newton's method from q0 does not reach"
+            raise _violation_error(program, t, q, other, kind, values, off, what)
+    if not kind:
         return q, other
     speeds = other.astype(np.float64)
     pulled = np.abs(at("VELOCITY", n, rest).astype(np.float64)).max(axis=1)
-    # where the motion turns, v is a rounding: it is held against what an acceleration gains on q
+    # at a turning point v is only round-off: compare it with the speed that forces produce over q
     gained = np.sqrt(np.nan_to_num(pulled[:, None] * reach))
     fastest = np.abs(speeds).max(axis=1)[:, None]
-    if given == "v0":
-        asked = at("CURVATURE", m, rest, "start").astype(np.float64)
-        taken = (slopes @ speeds[..., None])[..., 0] - asked
+    if kind == "v0":
+        required = at("CURVATURE", m, rest, "start").astype(np.float64)
+        violation = (slopes @ speeds[..., None])[..., 0] - required
         most = np.maximum(fastest, gained)
         scale = np.minimum(_scaled(slopes, _sizes(speeds, most)), size * most)
-    else:  # what the constraints take from p is of no effect, but was surely meant otherwise
-        pulls = at("MULTIPLIER", m, other, "start").astype(np.float64)
-        taken = pulls * size**2
+    else:  # the projection removes a part of p without effect, but the user surely meant it
+        multipliers = at("MULTIPLIER", m, other, "start").astype(np.float64)
+        violation = multipliers * size**2
         gained = gained * at("CONSTRAINT_WEIGHT", m, rest).astype(np.float64) * size**2  # by M
         scale = size * np.maximum(fastest, gained)
-    off = _relative(np.abs(taken), scale)
+    off = _relative(np.abs(violation), scale)
     if not off.max() <= missed:
-        what = "v0 is not allowed by" if given == "v0" else "p0 has a part that is taken by"
-        raise _violation_error(program, t, q, other, given, values, off, what)
+        what = "v0 violates" if kind == "v0" else "p0 has a component along"
+        raise _violation_error(program, t, q, other, kind, values, off, what)
     return q, other
 
 
 def _sizes(x: Reals, most: Reals) -> Reals:
-    """Return the sizes of coordinates or velocities, which may have units of their own."""
-    sizes: Reals = np.maximum(np.abs(x.astype(np.float64)), OTHERS * most)
+    """Return the sizes of coordinates or velocities, at least a fraction of the largest."""
+    sizes: Reals = np.maximum(np.abs(x.astype(np.float64)), SMALLEST_RELATIVE_SIZE * most)
     return sizes
 
 
 def _scaled(slopes: Reals, sizes: Reals) -> Reals:
-    """Return how large slopes are in units of what they multiply."""
+    """Return the sum of |gradient| times size over the coordinates, one number a constraint."""
     terms: Reals = (np.abs(slopes) @ sizes[..., None])[..., 0]
     return terms
 
 
 def _relative(miss: Reals, scale: Reals) -> Reals:
-    """Return what constraints are missed by in units of their slopes and of a state.
-
-    It is 0 where nothing is missed, and infinite where the state is zero and misses something.
-    """
+    """Return violations divided by ``scale``: infinite if only the scale is zero, 0 if both are."""
     miss = np.maximum(miss, 0.0)
     off: Reals = np.where(miss > 0, np.inf, 0.0)
     np.divide(miss, scale, out=off, where=(scale > 0) & (miss != 0))
@@ -165,7 +162,7 @@ def _relative(miss: Reals, scale: Reals) -> Reals:
 def _check_rank(
     program: Program, q: Reals, slopes: Reals, flat: NDArray[np.bool_], independence: Reals
 ) -> None:
-    """Refuse a start where gradients of constraints are not finite, zero or dependent."""
+    """Reject q0 if gradients of constraints are not finite, zero or linearly dependent."""
     finite = np.isfinite(slopes).all()
     worst = int(np.argmin(np.where(flat.any(axis=1), 0.0, independence.astype(np.float64))))
     if finite and independence[worst] >= DEPENDENT and not flat.any():
@@ -176,31 +173,34 @@ def _check_rank(
     where = f"q0={[float(x) for x in q[worst]]}"
     if not np.isfinite(rows).all():
         reject(
-            f"{program.system}: constraints have no finite slope at {where}.",
-            remedy="Begin elsewhere.",
+            f"the gradient of a constraint is not finite at {where}.",
+            where=program.system,
+            remedy="Start from another position.",
         )
     if none.any():
         which = ", ".join(constraint_called(names[c]) for c in np.flatnonzero(none))
         if none[len(rows) - rolling :].any():
             reject(
-                f"{program.system}: the constraint {which} asks for nothing at {where}: all its "
-                "factors of velocities are zero there, so its force has no direction.",
-                remedy="Begin elsewhere, or look at the parameters in it.",
+                f"all velocity coefficients of the constraint {which} are zero at {where}.",
+                where=program.system,
+                why="The constraint force then has no direction.",
+                remedy="Start from another position, or check the parameters in the constraint.",
                 error=ModelError,
             )
         reject(
-            f"{program.system}: the constraint {which} has no slope at {where}: its gradient is "
-            "zero there, so the constraint force has no direction.",
-            remedy="Write phi so that its gradient "
-            "does not vanish where phi = 0, as x**2 + y**2 - 1 and not its square.",
+            f"the gradient of the constraint {which} is zero at {where}.",
+            where=program.system,
+            why="The constraint force then has no direction.",
+            remedy="Write phi with a nonzero gradient where phi = 0. For example, write "
+            "x**2 + y**2 - 1 and not its square.",
             error=ModelError,
         )
     reject(
-        f"{program.system}: the constraints {name_dependent(names, rows)} depend on each other at "
-        f"{where}.",
-        remedy="One of them follows from the others there, so the constraint forces are not "
-        "determined. If this holds everywhere, leave one out; if the mechanism is folded there, "
-        "begin elsewhere.",
+        f"the constraints {name_dependent(names, rows)} are linearly dependent at {where}.",
+        where=program.system,
+        why="One of them follows from the others, so the constraint forces are not determined.",
+        remedy="If they depend on each other everywhere, remove one. If the mechanism is only "
+        "folded at this position, start from another one.",
         error=ModelError,
     )
 
@@ -218,23 +218,23 @@ def _violation_error(
     t: Any,
     q: Reals,
     other: Reals,
-    given: str,
+    kind: str,
     values: Reals,
     off: Reals,
     what: str,
 ) -> InputError:
-    """Return the error that names the worst violation and suggests a consistent start."""
+    """Make the error that names the worst violation and suggests a consistent start."""
     worst = np.nan_to_num(off, nan=np.inf)
     member, c = np.unravel_index(int(np.argmax(worst)), off.shape)
     name = program.names.constraints.shown[int(c)]
     which = f" of member {member}" if len(q) > 1 else ""
     text = (
-        f"{program.system}: {what} the constraint {constraint_called(name)}{which}: it is off by "
-        f"{off[member, c]:.2g}, relative to its slope and the size of the state."
+        f"{program.system}: {what} the constraint {constraint_called(name)}{which}. "
+        f"The error is {off[member, c]:.2g}, relative to its gradient and the size of the state."
     )
     system = program.declared
     if system is None:
-        return InputError(f"{text}\nGive a start with phi = 0, dphi/dq.v = 0 and A v = b.")
+        return InputError(f"{text}\nPass a start with phi = 0, dphi/dq.v = 0 and A v = b.")
     parameters = dict(zip(program.parameters, map(float, values[member]), strict=True))
     usual = map(float, system.parameters.values())
     other_values = {
@@ -242,18 +242,18 @@ def _violation_error(
         for (name, value), default in zip(parameters.items(), usual, strict=True)
         if value != default
     }
-    more = f", parameters={other_values}" if other_values else ""
-    call = f"system.consistent(q0, v0{more}" + (
+    arguments = f", parameters={other_values}" if other_values else ""
+    call = f"system.consistent(q0, v0{arguments}" + (
         f", t={float(t)!r})" if t and system.velocity_constraints else ")"
     )
     try:
-        velocities = other[member] if given == "v0" else 0 * other[member]
+        velocities = other[member] if kind == "v0" else 0 * other[member]
         near = system.consistent(
             q[member].astype(np.float64), velocities.astype(np.float64), (), parameters, float(t)
         )
         rounded = [[float(f"{number:.6g}") for number in x] for x in near]
         shown = f"q0={rounded[0]}, v0={rounded[1]}"
-        text += f"\n{call} gives the nearest start" + (f": {shown}." if given == "v0" else ".")
+        text += f"\n{call} returns the nearest start" + (f": {shown}." if kind == "v0" else ".")
     except InputError:
-        text += f"\n{call} finds none nearby."
-    return InputError(text + (" Or give v0." if given == "p0" else ""))
+        text += f"\n{call} finds no consistent start nearby."
+    return InputError(text + (" Or pass v0 instead of p0." if kind == "p0" else ""))

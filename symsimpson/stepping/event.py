@@ -1,4 +1,4 @@
-"""Events that act on a run, as users declare them: impacts, changes, and points of a split."""
+"""Events that act on a run, as users declare them: impacts, state changes and switches."""
 
 from __future__ import annotations
 
@@ -11,32 +11,34 @@ import numpy as np
 
 from symsimpson.errors import reject
 from symsimpson.program.input_values import whole_number
-from symsimpson.support.calling import explaining
+from symsimpson.support.calling import explain_methods
 from symsimpson.support.markup import fields_given
 from symsimpson.support.names import spelled
 
-#: What may be changed, and the blocks of a state that it stands in.
+#: Arguments of :class:`Change`, and the block of the state that each one changes.
 CHANGED = {"positions": "q", "velocities": "v", "momenta": "p"}
 
 
-@explaining(also=("__init__",))
+@explain_methods(also=("__init__",))
 @dataclass(frozen=True)
 class Impact:
-    """An impact on a gap g(q, t) >= 0, by Newton's law of restitution.
+    """An impact at a gap g(q, t) >= 0, by Newton's law of restitution.
 
-    The momentum jumps along n = dg/dq, so that the rate of the gap becomes -e times what it was;
-    tangential motion is kept, and for e = 1 and a wall at rest the energy.
+    The momentum jumps along n = dg/dq. After the impact, the rate of the gap is -e times the rate
+    before it. The tangential motion does not change. For e = 1 and a wall at rest, the impact
+    conserves energy.
 
     Parameters
     ----------
-    restitution : number or expression
-        e, between 0 (plastic) and 1 (elastic); of parameters and of the speed of approach,
-        :data:`symsimpson.approach`, if it is an expression.
+    restitution : number or expression, default 1.0
+        Coefficient of restitution e, between 0 (plastic) and 1 (elastic), dimensionless. An
+        expression may contain parameters and the speed of approach,
+        :data:`symsimpson.approach`.
 
     Raises
     ------
     InputError
-        If the number is not between 0 and 1.
+        If a number is not between 0 and 1.
 
     Examples
     --------
@@ -56,27 +58,32 @@ class Impact:
             number = float(given) if real and abs(given) <= 1 else float("nan")
             if not 0.0 <= number <= 1.0:
                 reject(
-                    f"restitution is {given!r}.",
-                    remedy="Give a number between 0 (plastic) and 1 "
-                    "(elastic); for a bumper that gives energy, take Change.",
+                    f"restitution is {given!r}, but must be between 0 (plastic) and 1 (elastic).",
+                    remedy="For a bumper that adds energy, use Change.",
                 )
 
 
-@explaining(also=("__init__",))
+@explain_methods(also=("__init__",))
 @dataclass(frozen=True)
 class Change:
-    """New values of coordinates, and of velocities or momenta, as expressions in the state before.
+    """New values of positions, velocities or momenta at an event.
 
-    Those that are not named stay.
+    All expressions are evaluated at the state before the event. Positions and velocities that you
+    do not list keep their values.
 
     Parameters
     ----------
-    positions, velocities, momenta : mapping from coordinate to expression, optional
+    positions : mapping from coordinate to expression, optional
+        New position of each listed coordinate.
+    velocities : mapping from coordinate to expression, optional
+        New velocity of each listed coordinate.
+    momenta : mapping from coordinate to expression, optional
+        New momentum of each listed coordinate. It excludes the velocity of the same coordinate.
 
     Raises
     ------
     InputError
-        If nothing is changed, or both the velocity and the momentum of a coordinate.
+        If no value changes, or if a coordinate has both a new velocity and a new momentum.
 
     Examples
     --------
@@ -95,26 +102,28 @@ class Change:
             if not isinstance(getattr(self, what), Mapping):
                 reject(
                     f"{what} is {getattr(self, what)!r}, not a mapping.",
-                    remedy="Name coordinates: Change(velocities={x: -x.diff()}).",
+                    remedy="Pass coordinates as keys: Change(velocities={x: -x.diff()}).",
                 )
         if not any(getattr(self, what) for what in CHANGED):
             reject(
                 "Change changes nothing.",
-                remedy="Name coordinates: Change(velocities={x: -x.diff()}). To "
-                "split a step alone, take Switch().",
+                remedy="Pass coordinates as keys: Change(velocities={x: -x.diff()}). To split a "
+                "step without a change, use Switch().",
             )
         both = {spelled(x) for x in self.velocities} & {spelled(x) for x in self.momenta}
         if both:
             reject(
-                f"Change gives a velocity and a momentum of {', '.join(sorted(both))}.",
-                remedy="Give one of them; the other follows.",
+                f"Change sets both the velocity and the momentum of {', '.join(sorted(both))}.",
+                remedy="Set one of them; the other follows from it.",
             )
 
 
-@explaining(also=("__init__",))
+@explain_methods(also=("__init__",))
 @dataclass(frozen=True)
 class Switch:
-    """Nothing but an end of one part of a step: forces that have a kink there keep the order.
+    """Split the step at the event without a change of the state.
+
+    Use it where a force has a kink or a jump, so that the scheme keeps its order.
 
     Examples
     --------
@@ -124,37 +133,40 @@ class Switch:
     """
 
 
-@explaining(also=("__init__",))
+@explain_methods(also=("__init__",))
 @dataclass(frozen=True)
 class Event:
-    """A change of sign of an expression along a run, which acts on the run, or ends it.
+    """A sign change of an expression that acts on the run, ends it or is recorded.
 
-    It is located to rounding, by a shorter step of the same scheme from the state before; then its
-    action changes the state, and the rest of the step leads back to the grid of times.
+    The run locates the sign change up to round-off, with a shorter step of the same scheme. Then
+    the action changes the state. The rest of the step returns to the uniform time grid.
 
     Parameters
     ----------
     expression : SymPy expression, equation or str
-        As for :meth:`Trajectory.events`: coordinates, velocities, momenta, parameters, t. For an
-        :class:`Impact` it is a gap, a SymPy expression of positions and t, positive where the body
-        is free, or an inequality that holds there.
+        Expression whose sign change is the event, as for :meth:`Trajectory.events`. It may contain
+        coordinates, velocities, momenta, parameters and t. For an :class:`Impact` it is the gap: a
+        SymPy expression of positions and t that is positive where the body is free. An inequality
+        that holds where the body is free is accepted as well.
     name : str, optional
-        By which ``run.events(name)`` gives its record; that of the expression unless given.
-    direction : {0, 1, -1}
-        Whether it acts where the expression changes its sign in both ways, up, or down. An impact
+        Name of the record: ``run.events(name)`` returns it. The default is the text of the
+        expression.
+    direction : {0, 1, -1}, default 0
+        Sign change that counts: 0 for both, 1 for rising and -1 for falling. An impact always
         takes place where the gap falls.
     action : Impact, Change or Switch, optional
-        None where the run is to be ended, or the event to be recorded alone.
-    when : expression, optional
-        It acts only where this is positive.
-    terminal : bool or int
-        Whether the run ends there, at the first one or at that of a number; its state is then that
-        after the action.
+        What the event does to the state. With None, the run only records the event or ends.
+    when : expression or inequality, optional
+        Condition: the event acts only if the expression is positive or the inequality holds. By
+        default it always acts.
+    terminal : bool or int, default False
+        If True, the run ends at the first event; a number k ends the run at the k-th event. The
+        final state is the state after the action.
 
     Raises
     ------
     InputError
-        If these make no sense.
+        If an argument has the wrong type or an invalid value.
 
     Examples
     --------
@@ -178,36 +190,39 @@ class Event:
         if self.action is not None and not isinstance(self.action, (Impact, Change, Switch)):
             reject(
                 f"the action of an event is {self.action!r}.",
-                remedy="It is an Impact, a Change or a Switch, or None.",
+                remedy="Pass an Impact, a Change, a Switch or None.",
             )
         if self.name is not None and not (isinstance(self.name, str) and self.name.strip()):
-            reject(f"the name of an event is {self.name!r}.", remedy="It is a text.")
+            reject(
+                f"the name of an event is {self.name!r}, not a text.",
+                remedy="Pass a string: Event(..., name='floor').",
+            )
         if whole_number(self.direction) not in (-1, 0, 1):
             reject(
-                f"direction is {self.direction!r}.",
-                remedy="Pass 1 for a change of sign on the way up, -1 "
-                "for one on the way down, or 0 for both.",
+                f"direction is {self.direction!r}, but must be 1, -1 or 0.",
+                remedy="Pass 1 for rising sign changes, -1 for falling ones, or 0 for both.",
             )
         if isinstance(self.action, Impact) and self.direction == 1:
             reject(
-                "an impact takes place where the gap falls: direction=-1.",
-                remedy="Turn the sign of the gap, which is positive where the body is free.",
+                "direction=1 does not apply to an impact.",
+                why="An impact takes place where the gap falls: direction=-1.",
+                remedy="Change the sign of the gap. It must be positive where the body is free.",
             )
         count = self.terminal
         if not isinstance(count, (Integral, np.bool_)) or count < 0:
             reject(
-                f"terminal is {count!r}.",
-                remedy="It is True, or the number of times after which the run ends.",
+                f"terminal is {count!r}, but must be True, False or a count.",
+                remedy="Pass True to end at the first event, or k to end at the k-th event.",
             )
 
     @property
     def key(self) -> str:
-        """The name of its record."""
+        """Name of the record: ``name``, or the text of the expression."""
         return str(self.expression) if self.name is None else self.name
 
     @property
     def sign(self) -> int:
-        """The direction in which it acts."""
+        """Direction of the sign change that counts; -1 for an impact."""
         return -1 if isinstance(self.action, Impact) else self.direction
 
     def _repr_html_(self) -> str:

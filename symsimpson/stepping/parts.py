@@ -1,4 +1,4 @@
-"""Parts of steps: shorter steps of the same scheme, from any state or up to any time."""
+"""Partial steps: shorter steps of the same scheme, from any state or up to any time."""
 
 from __future__ import annotations
 
@@ -9,22 +9,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.program.numbers import NO_INPUTS, Numbers, workspace
-from symsimpson.program.observed import Reduction, watching
+from symsimpson.program.observed import Reduction, make_evaluator
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import with_clock, work
 from symsimpson.program.status import Status
-from symsimpson.stepping.driving import at_places, places
+from symsimpson.stepping.driving import interpolate_inputs, node_places
 from symsimpson.stepping.run import Run
 from symsimpson.support.array_types import Floats, Ints, Reals
 
-#: Parts of steps that end beside a place are shorter, or longer, by so much of a step.
+#: Changes of the length of a partial step, as fractions of a step, tried one after another.
 NUDGES = [sign * 2.0**k for k in range(-50, -16, 4) for sign in (-1, 1)]
-#: Those of whole steps: their ends are those of the grid, but for rounding.
-LEAST = NUDGES[:8]
+#: The smallest of these changes: with them, a whole step ends at its grid time up to round-off.
+SMALLEST_NUDGES = NUDGES[:8]
 
 
-class Parts:
-    """Takes parts of the steps of a run with their inputs, and their work if it ``works``."""
+class PartialSteps:
+    """Integrator of partial steps of a run with its inputs.
+
+    With ``works``, it also computes the work of forces over partial steps.
+    """
 
     def __init__(
         self, program: Program, parameters: Floats, h: float, inputs: Floats, *, works: bool = False
@@ -32,24 +35,24 @@ class Parts:
         numbers, header = program.numbers, program.header
         self._program, self.parameters, self._h, self._inputs = program, parameters, h, inputs
         kernels = program.kernels.set(program.kernels.fallbacks[0], again=True)
-        #: The kernels that take a part, their workspace, and the layout for the driver.
+        #: The kernels for a partial step, their workspace, and the layout for the driver.
         W = workspace(header, numbers, numbers.read(parameters))
-        self.parting = kernels, W, header.driver_layout
+        self.setup = kernels, W, header.driver_layout
         self._between = numbers.driver("between")
-        self._places = places(program)
+        self._places = node_places(program)
         self.works = works
 
     def __call__(self, state: Any, t: float, size: float, step: int, share: float) -> Any:
-        """Return q and p after a part of a step, and whether it could be taken.
+        """Take a partial step; return the state (q, p) after it and the status.
 
-        The part begins at t, and is as long as ``size``; ``share`` says where in the step it
-        begins, from 0 to 1.
+        The partial step starts at time t and has the duration ``size``. ``share`` is the place of
+        its start within step number ``step``, from 0 to 1.
         """
         q, p = state
         if size == 0.0:
             return (q, p), Status.SUCCESS
-        (kernels, W, driver_layout), n = self.parting, len(q)
-        rests = self.inputs(size, step, share)
+        (kernels, W, driver_layout), n = self.setup, len(q)
+        inputs = self.inputs(size, step, share)
         ends, fine = np.zeros((2, 2, n)), np.zeros(1, dtype=np.bool_)
         zero = np.zeros(1, dtype=np.int64)
         self._between(
@@ -60,13 +63,13 @@ class Parts:
             (ends[0], ends[1], fine),
             1,
             self._inputs,
-            rests,
+            inputs,
         )
         if fine[0]:
             return (ends[0, 0], ends[1, 0]), Status.SUCCESS
-        return steps_from(self._program, self.parameters, t, state, size, 1, rests)
+        return take_steps_from(self._program, self.parameters, t, state, size, 1, inputs)
 
-    def beside(
+    def take_near(
         self,
         state: Any,
         t: float,
@@ -75,9 +78,9 @@ class Parts:
         share: float,
         nudges: Sequence[float] = NUDGES,
     ) -> tuple[Any, Status]:
-        """Take a part of a step, or one that ends beside it where the equations have no value.
+        """Take a partial step; if it fails, try slightly different lengths.
 
-        They have none on a kink that is written as sqrt(x**2), and events are looked for there.
+        The equations have no value on a kink such as sqrt(x**2), where an event may be located.
         """
         end, status = self(state, t, size, step, share)
         for nudge in nudges:
@@ -87,73 +90,74 @@ class Parts:
         return end, status
 
     def work(self, state: Any, t: float, size: float, step: int, share: float) -> Floats:
-        """Return the work of forces and the integral of dL/dt, if that is asked for."""
+        """Return the work of forces and the integral of dL/dt over a partial step, if enabled."""
         program, recorder = self._program, work(self._program.header) if self.works else None
         if recorder is None or size == 0.0:
             return np.zeros(self.works * program.header.powers)
         inputs = self.inputs(size, step, share)
-        run = Run(program, self.parameters, size, t, 0, 1, inputs=inputs, recorders=[recorder])
+        run = Run(program, self.parameters, size, t, inputs=inputs, recorders=[recorder])
         run.begin(*state, velocity=False)
         run.advance(1)
         return run.rows("WORK", program.header.powers).copy()
 
     def inputs(self, size: float, step: int, share: float) -> Floats:
-        """Return the inputs of a part of a step, at its own nodes."""
+        """Return the inputs at the nodes of a partial step."""
         if not self._inputs.size:
             return self._inputs
         at = share + size / self._h * self._places
-        return at_places(self._program, self._inputs, np.array([step]), at[None])
+        return interpolate_inputs(self._program, self._inputs, np.array([step]), at[None])
 
 
-def steps_from(
+def take_steps_from(
     program: Program, parameters: Any, t: Any, state: Any, h: Any, steps: int, inputs: Any
 ) -> tuple[Any, Status]:
-    """Take steps from a state with all that a run has against what goes wrong.
+    """Take steps from a state with all fallback kernels of a run.
 
-    Returned are q and p behind them, or where they ended, and the status.
+    Return the last state (q, p) that was reached, and the status.
     """
     numbers = program.numbers
-    run = Run(program, numbers.read(parameters), numbers.read(h).item(), t, 0, 1, inputs=inputs)
+    run = Run(program, numbers.read(parameters), numbers.read(h).item(), t, inputs=inputs)
     run.begin(*state, velocity=False)
     run.advance(steps)
     return [x[0] for x in run.end()], run.status
 
 
-#: Where no states are asked for, each so-many-th step is stored to be looked at.
+#: Number of steps between states that a run examines if it stores none.
 STRIDE = 16
 
 
-def last_part(program: Program, run: Run, t_end: Any) -> tuple[Any, Reals, Reals, Status]:
-    """Take the part of a step from where a run has arrived to its end.
+def take_last_part(program: Program, run: Run, t_end: Any) -> tuple[Any, Reals, Reals, Status]:
+    """Take the partial step from the current state of a run with time transformation to ``t_end``.
 
-    Returned are the part, of tau, q and p there, each of shape (1, n), and the status.
+    Return its duration in tau, q and p at ``t_end``, each of shape (1, n), and the status.
     """
     q, p = run.end()
     states, start = (run.rows("TIME", 1).copy(), q, p), np.zeros(1, dtype=np.int64)
     ends = np.full(1, t_end)
-    part, q, p, fine = states_at(program, run.parameters, run.h, states, start, ends, 1)
+    part, q, p, fine = compute_states_at(program, run.parameters, run.h, states, start, ends, 1)
     return part[0], q, p, Status.SUCCESS if fine[0] else Status.NOT_CONVERGED
 
 
-def states_at(
+def compute_states_at(
     program: Program,
     values: Reals,
     h: Any,
     states: tuple[Reals, Reals, Reals],
     start: Ints,
-    asked: Reals,
+    times: Reals,
     every: int,
 ) -> tuple[Reals, Reals, Reals, NDArray[np.bool_]]:
-    """Find states at times behind some of the stored ones, t, q and p.
+    """Compute states of a run with time transformation at ``times`` between its stored states.
 
-    ``values`` are parameters, a row of them for each state or one for all. Returned are how far
-    each is into its step, in tau, then q and p, and whether its steps could be taken as usual.
+    ``states`` are the stored times, q and p. ``start`` has the index of the stored state before
+    each time. ``values`` are parameters, one row for each time or one row for all. Return the
+    duration in tau of each partial step, then q and p, and whether each partial step succeeded.
     """
     numbers, header, kernels = (program.numbers, program.header, program.kernels)
-    many, near, rows = start.size, resolution(numbers), np.atleast_2d(values)
+    many, near, rows = start.size, time_resolution(numbers), np.atleast_2d(values)
     part, (q, p) = numbers.zeros(many), numbers.zeros((2, many, header.n))
     fine = np.zeros(many, dtype=np.bool_)
-    for name in kernels.fallbacks:  # each where the one before fails
+    for name in kernels.fallbacks:  # each one takes the times at which the one before failed
         some = np.flatnonzero(~fine)
         if not some.size:
             break
@@ -164,7 +168,7 @@ def states_at(
             kernels.address("energy"),
             (h, states[0], workspace(header, numbers, rows[0]), header.driver_layout),
             states[1:],
-            (start[some], asked[some], near),
+            (start[some], times[some], near),
             (q_out, p_out, part_out, well),
             every,
             (NO_INPUTS, rows if len(rows) == 1 else rows[some]),
@@ -173,7 +177,7 @@ def states_at(
     return part, q, p, fine
 
 
-def reduced_at_ends(
+def update_reductions(
     program: Program,
     reductions: Sequence[Reduction],
     values: Reals,
@@ -181,33 +185,35 @@ def reduced_at_ends(
     ends: tuple[Reals, ...],
     reduced: Reals,
 ) -> Reals:
-    """Return what observed values came to, shape (K, ...), with those at ends within a step.
+    """Update the reductions of K runs, shape (K, ...), with their final states.
 
-    ``before`` and ``ends`` are t, q and p of K runs, the last ones that were looked at and those
-    behind them; ``values`` are their parameters, shape (K, m).
+    ``before`` has t, q and p of the last states that the runs observed. ``ends`` has t, q and p of
+    the final states, which follow partial steps. ``values`` are the parameters, shape (K, m).
     """
     watched, known = [k for k, x in enumerate(reductions) if x.of_states], reduced.copy()
     if not (watched and len(known)):
         return known
-    watch = watching(program, [reductions[k] for k in watched], values)
+    watch = make_evaluator(program, [reductions[k] for k in watched], values)
     pairs = (np.stack(pair, axis=1) for pair in zip(before, ends, strict=True))
     seen = watch(*(x.reshape(2 * len(values), *x.shape[2:]) for x in pairs))
     earlier, late = seen.reshape(len(values), 2, -1).swapaxes(0, 1)
     begin, end = before[0][:, None], ends[0][:, None]
     kind = np.array([reductions[k].kind for k in watched])
-    kept, rise = known[:, watched], late - earlier
-    met = (kind == "first") & np.isnan(kept) & (late > 0)
-    kept = np.where(met, end - (end - begin) * late / np.where(rise == 0, 1.0, rise), kept)
-    kept = np.where(kind == "max", np.fmax(kept, late), kept)
-    known[:, watched] = np.where(kind == "min", np.fmin(kept, late), kept)
+    values_so_far, rise = known[:, watched], late - earlier
+    crossed = (kind == "first") & np.isnan(values_so_far) & (late > 0)
+    values_so_far = np.where(
+        crossed, end - (end - begin) * late / np.where(rise == 0, 1.0, rise), values_so_far
+    )
+    values_so_far = np.where(kind == "max", np.fmax(values_so_far, late), values_so_far)
+    known[:, watched] = np.where(kind == "min", np.fmin(values_so_far, late), values_so_far)
     return known
 
 
-def with_end(states: tuple[Reals, ...], end: tuple[Any, ...], every: bool) -> tuple[Reals, ...]:
-    """Return times, tau, positions, momenta and iterations with the end of the run behind them.
+def append_end(states: tuple[Reals, ...], end: tuple[Any, ...], every: bool) -> tuple[Reals, ...]:
+    """Append the end of a run to its times, tau, positions, momenta and iterations.
 
-    The ``end`` has the iterations since the last stored state, too. It takes the place of the state
-    before it where that alone is kept.
+    ``end`` has one value for each, with the iterations since the last stored state. If ``every`` is
+    False, the run stores only its final state, and the end replaces the stored state.
     """
     t, tau, q, p, iterations = states
     t_end, tau_end, q_end, p_end, last = end
@@ -219,7 +225,7 @@ def with_end(states: tuple[Reals, ...], end: tuple[Any, ...], every: bool) -> tu
     return t, tau, np.vstack([q, q_end]), np.vstack([p, p_end]), np.append(iterations, last)
 
 
-def resolution(numbers: Numbers) -> float:
-    """Return the relative size of what rounding makes of a time."""
+def time_resolution(numbers: Numbers) -> float:
+    """Return the relative round-off of a time."""
     digits = getattr(numbers, "digits", None)
     return 4e-16 if digits is None else 10.0 ** (1 - digits)

@@ -1,4 +1,4 @@
-"""Arguments of runs as users give them: the one form in which all readers take them."""
+"""The arguments of a run as the user passed them, before they are checked."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from symsimpson.stepping.event import Event
 class Request(NamedTuple):
     """Unread arguments of :meth:`Stepper.integrate` and :meth:`Stepper.ensemble`."""
 
-    #: Where it begins; one of the last two is None.
+    #: Initial state; exactly one of v0 and p0 is not None.
     q0: Any
     v0: Any = None
     p0: Any = None
-    #: One of ``t_end`` and ``steps`` is None.
+    #: Step size and length; exactly one of ``t_end`` and ``steps`` is not None.
     h: Any = None
     t_end: Any = None
     steps: Any = None
@@ -28,49 +28,52 @@ class Request(NamedTuple):
     #: Values by symbol or by name.
     parameters: Any = None
     inputs: Any = None
-    every: Any = None  #: Steps from one stored state to the next, or None.
-    #: What is differentiated.
+    every: Any = None  #: Number of steps between stored states; None for the last state only.
+    #: Derivatives of the final state, by the initial state and by parameters or inputs.
     tangents: Any = None
     sensitivities: Any = None
-    #: Times, or quantities, that alone are kept.
+    #: Times, or quantities, that the run stores instead of all states.
     t_eval: Any = None
     save: Any = None
-    checkpoint: Any = None  #: A file to resume from.
-    #: What is added up over steps, and what values of states are reduced to.
+    checkpoint: Any = None  #: Path of the checkpoint file.
+    #: Sums over steps, and reductions of observed values.
     record: Any = None
     reduce: Any = None
     events: Any = None  #: Events that act on the run.
-    exact_h: bool = False  #: Whether ``h`` must divide the time up to ``t_end``.
+    exact_h: bool = False  #: Whether ``h`` must divide the duration up to ``t_end``.
 
     @property
     def varied(self) -> bool:
-        """Whether derivatives are asked for."""
+        """True if the request includes derivatives."""
         return self.tangents is not None or self.sensitivities is not None
 
     @property
     def recorded(self) -> bool:
-        """Whether something is recorded beside states."""
+        """True if the run records rows in addition to states."""
         return self.varied or self.record is not None or self.reduce is not None
 
     @property
     def carried(self) -> Any:
-        """The variations of the state that are asked for: none where it is parameters alone."""
-        alone = self.tangents is None and self.sensitivities is not None
-        return 0 if alone else self.tangents
+        """Requested variations of the initial state: 0 with sensitivities only."""
+        if self.tangents is None and self.sensitivities is not None:
+            return 0
+        return self.tangents
 
 
 def step_request(q: Any, v: Any, p: Any, h: Any, t: Any, parameters: Any, inputs: Any) -> Request:
-    """Return the request for one step; raise InputError unless it has one of v and p."""
+    """Make the request for one step; raise InputError unless exactly one of v and p is given."""
     if (v is None) == (p is None):
         reject(
-            f"a step needs exactly one of v and p, and has {'neither' if v is None else 'both'}.",
+            f"a step needs exactly one of v and p, but has {'neither' if v is None else 'both'}.",
             remedy="Pass velocities as v=[...], or momenta as p=[...].",
         )
-    return Request(q, v, p, h, steps=1, t0=t, parameters=parameters, inputs=of_a_step(inputs))
+    return Request(
+        q, v, p, h, steps=1, t0=t, parameters=parameters, inputs=inputs_for_one_step(inputs)
+    )
 
 
-def of_a_step(inputs: Any) -> Any:
-    """Return inputs of one step as those of a run of one step."""
+def inputs_for_one_step(inputs: Any) -> Any:
+    """Convert the inputs of one step to inputs of a run of one step."""
     if isinstance(inputs, Mapping):
         return {key: _first_axis(value) for key, value in inputs.items()}
     return inputs if inputs is None else _first_axis(inputs)
@@ -79,13 +82,13 @@ def of_a_step(inputs: Any) -> Any:
 def _first_axis(value: Any) -> Any:
     try:
         array = np.asarray(value)
-    except ValueError:  # rows of several lengths: what reads them says what is wrong
+    except ValueError:  # rows of different lengths: the reader of inputs rejects them
         return value
     return array[None] if array.ndim else value
 
 
 class Options(TypedDict, total=False):
-    """Arguments of all runs."""
+    """Keyword arguments that all runs accept."""
 
     h: Required[Any]
     p0: ArrayLike | None
@@ -101,7 +104,7 @@ class Options(TypedDict, total=False):
 
 
 class RunOptions(Options, total=False):
-    """Arguments of a run that keeps its states."""
+    """Keyword arguments of a run that stores its states."""
 
     every: int | None
     t_eval: None
@@ -115,14 +118,14 @@ class RunOptions(Options, total=False):
 
 
 class TimesOptions(Options, total=False):
-    """Arguments of a run that keeps states at chosen times."""
+    """Keyword arguments of a run that stores states at times ``t_eval``."""
 
     t_eval: Required[ArrayLike]
     save: None
 
 
 class SavedOptions(Options, total=False):
-    """Arguments of a run that keeps chosen quantities."""
+    """Keyword arguments of a run that stores the quantities ``save``."""
 
     save: Required[Any]
     t_eval: ArrayLike | None

@@ -1,4 +1,4 @@
-"""One run of the driver: its workspace, the states that it stores, why a step failed."""
+"""A run in progress: its workspace, its stored states, and the reason if a step fails."""
 
 from __future__ import annotations
 
@@ -18,41 +18,43 @@ from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder, driver_layout, split, with_clock
 from symsimpson.program.status import Status
 from symsimpson.support.array_types import Floats, Ints, Reals
-from symsimpson.support.interpreter import listening
+from symsimpson.support.interpreter import catch_interrupts
 from symsimpson.support.progress import Watcher
 from symsimpson.text.interface import ARRIVED, RATE_NOT_POSITIVE
 
 
-class KeptStates(NamedTuple):
-    """States of a run at equal strides; the last one may stand behind a part of a stride."""
+class StoredStates(NamedTuple):
+    """Stored states of a run, a fixed number of steps apart; the last interval may be shorter."""
 
-    #: Both of shape (N, n).
+    #: Positions and momenta, both of shape (N, n).
     q: Reals
     p: Reals
-    #: Since the state before, shape (N,); or, of a run of which none is asked for, all of them,
-    #: shape (1,).
+    #: Iterations since the state before, shape (N,). If the run stores only the final state: the
+    #: total over all steps, shape (1,).
     iterations: Ints
-    recorded: Reals  #: What recorders left beside them, shape (N, k).
-    every: int  #: Steps from one to the next; 0 where none were kept.
+    recorded: Reals  #: Rows that recorders stored with each state, shape (N, k).
+    every: int  #: Number of steps between stored states; 0 if the run stored none.
 
 
 LOG = logging.getLogger(__name__)
-#: The compiled loop is left after about so many seconds, so that Ctrl-C is heard.
+#: Duration of one call of the compiled loop in seconds, so that the run notices Ctrl-C.
 PATIENCE = 0.02
-#: After so many steps in which it does not change at all, the time of a retimed run stands still.
+#: The time of a retimed run has stopped if it does not change at all during this many steps.
 STANDSTILL = 1024
-#: Failures that no other kernels would help.
+#: Failures that no fallback kernels can avoid.
 HOPELESS = Status.COORDINATE_SINGULARITY, Status.SINGULAR_LEGENDRE, Status.RATE_NOT_POSITIVE
-#: After a step that only slower and more robust kernels could take, they take so many more.
+#: Number of steps that fallback kernels take after a step at which the usual ones failed.
 FALLBACK_STRETCH = 64
-#: What stops a run behind a step that is not taken then.
-BEHIND_A_STEP = (ARRIVED, RATE_NOT_POSITIVE)
+#: Status values that are found only after a step; the run then undoes this step.
+FOUND_AFTER_STEP = (ARRIVED, RATE_NOT_POSITIVE)
 
 
 class Run:
-    """A trajectory under way: its workspace, and the arrays in which states are stored.
+    """A run in progress: its workspace, and the arrays of its stored states.
 
-    ``advance(a)`` and then ``advance(b)`` leave the same bits as ``advance(b)`` alone.
+    ``storage`` has the number of steps between stored states (0: store none), and the number of
+    states in the arrays. ``advance(a)`` followed by ``advance(b)`` is bitwise identical to
+    ``advance(b)``.
     """
 
     def __init__(
@@ -61,14 +63,14 @@ class Run:
         parameters: Reals,
         h: Any,
         t0: Any,
-        every: int,
-        stored: int,
+        storage: tuple[int, int] = (0, 1),
         fallbacks: Sequence[str] | None = None,
         inputs: Reals = NO_INPUTS,
         recorders: Sequence[Recorder] = (),
     ) -> None:
         header, kernels, numbers = program.header, program.kernels, program.numbers
-        self.header, self.kernels, self.h, self.t0, self.every = header, kernels, h, t0, every
+        self.header, self.kernels, self.h, self.t0 = header, kernels, h, t0
+        self.every, stored = storage
         self._declared, self._tools = program.declared, program.tools
         self._parameters, self._inputs = parameters, inputs
         self._driver = numbers.driver
@@ -81,25 +83,30 @@ class Run:
         self._column, self._status = self.W[:, 0], header.layout["STATUS"]
         self._watcher: Watcher | None = None
         self._fallbacks = kernels.fallbacks if fallbacks is None else fallbacks
-        self._stretch = self._longest = numbers.stretch
+        self._batch = self._longest_batch = numbers.stretch
         self.q, self.p = numbers.zeros((2, stored, header.n, 1))
-        #: What recorders left beside them, of one after the other.
+        #: Rows of all recorders for each stored state, one recorder after another.
         width = sum(recorder.rows for recorder in self._recorders)
         self.recorded = numbers.zeros((stored, width, 1))
         self.iterations = np.zeros((stored, 1), dtype=np.int64)
         self._stores = self.q, self.p, self.recorded, self.iterations
-        #: Steps before those whose states stand in the arrays; and what was done since.
-        self.first, self._progress = 0, np.zeros(4, dtype=np.int64)
-        #: Ctrl-C, as it is pressed; and whether it has ended the run.
-        self._heard, self._interrupted = list[int](), False
-        #: What events did, in the order of time.
+        #: Number of the step at the first stored state.
+        self.first = 0
+        #: Counters that the compiled loop updates; the first counts steps since ``first``.
+        self._progress = np.zeros(4, dtype=np.int64)
+        #: Signals of Ctrl-C, and whether one has ended the run.
+        self._signals, self._interrupted = list[int](), False
+        #: Records of events, in the order of time.
         self.records: list[Any] = []
-        #: What the message says in place of its status; the event that ended it, time and state.
+        #: Message of a failure; if empty, the message follows from the status.
         self.reason = ""
+        #: Name of the terminal event that ended the run; time, q and p at the event.
         self.ended_by: str | None = None
         self.end_within: tuple[Any, Any, Any] | None = None
-        self._set, self._set_until, self._still = 0, -1, 0
-        #: The time at the start, and q and p there, shape (2, n).
+        #: Index of the fallback kernels in use, the step up to which they are used, and the number
+        #: of steps during which the time has not changed.
+        self._fallback, self._fallback_until, self._steps_at_rest = 0, -1, 0
+        #: Initial time, and initial q and p, shape (2, n).
         self.begun: tuple[Any, Reals] = t0, numbers.zeros((2, header.n))
 
     def begin(
@@ -112,26 +119,26 @@ class Run:
         t_end: Any = None,
         onward: bool = False,
     ) -> None:
-        """Begin at (q, p), or at (q, v); with kernels that take any angle, if that is needed.
+        """Set the initial state (q, p), or (q, v) with ``velocity``.
 
-        A retimed run ends before ``t_end``; where it is ``onward`` from another, it has the E0 and
-        the first rate of that one.
+        ``any_angle`` selects kernels for angles of any size. A retimed run ends before ``t_end``.
+        With ``onward``, a retimed run continues another one and uses its E0 and its first rate.
         """
         if any_angle:
-            self._set, self._set_until = len(self._fallbacks) - 1, FALLBACK_STRETCH
+            self._fallback, self._fallback_until = len(self._fallbacks) - 1, FALLBACK_STRETCH
         legendre = self.kernels.address("legendre", any_angle=any_angle) if velocity else 0
         begin_anew, start = self._driver("begin_anew"), (self._parameters, q, other)
-        begin_anew(self._kernels(), legendre, self._setting, start)
+        begin_anew(self._kernels(), legendre, self._driver_arguments, start)
         if self.header.retimed:
             if not onward:
                 self.apply("retime")
-                self._driver("begin")(self._kernels(), 0, *self._setting)
+                self._driver("begin")(self._kernels(), 0, *self._driver_arguments)
             self.rows("TIME", 1)[:] = self.t0
             self.rows("TIME_END", 2)[:] = (0, 0) if t_end is None else (1, t_end)
         self.store(0)
 
     @property
-    def _setting(self) -> tuple[Any, ...]:
+    def _driver_arguments(self) -> tuple[Any, ...]:
         return self.h, self.t0, self.W, self.driver_layout
 
     @cached_property
@@ -139,8 +146,8 @@ class Run:
         explicit = self.header.newton_unknowns == 0
         return self._driver("take_explicit_steps" if explicit else "take_steps")
 
-    def look(self) -> None:
-        """Let recorders of states look at that where the run begins."""
+    def observe_start(self) -> None:
+        """Call the recorders of states at the initial state."""
         for candidate in self._recorders:
             if candidate.kernel == "observe":
                 rows = self._column[candidate.first : candidate.first + candidate.room]
@@ -149,8 +156,8 @@ class Run:
         for kernel in self._kernels()[len(self._kernels()) - number :]:
             self._driver("apply")(kernel, self.h, self.t0, self.W)
 
-    def reduced(self, reductions: Sequence[Reduction]) -> tuple[tuple[str, float], ...]:
-        """Return names of observed values, and what they came to by now."""
+    def reduction_values(self, reductions: Sequence[Reduction]) -> tuple[tuple[str, float], ...]:
+        """Return the names of the reductions and their current values."""
         first = next((x.first for x in self._recorders if x.kernel == "observe"), None)
         if first is None:
             return ()
@@ -160,84 +167,87 @@ class Run:
         )
 
     def apply(self, kernel: str) -> None:
-        """Call a kernel of the state where the run is."""
+        """Call a kernel at the current state."""
         address = self.kernels.address(kernel)
-        self._driver("apply")(address, self.h, self._time(), self.W)
+        self._driver("apply")(address, self.h, self._grid_time(), self.W)
 
     def begin_growth(self, columns: Reals) -> None:
-        """Begin variations of the state, orthonormal columns; the last column has the weights."""
+        """Set the initial variations, orthonormal columns; the last column has the weights."""
         self._driver("begin_growth")(self.W, self.driver_layout, 0, columns)
 
     def store(self, place: int) -> None:
-        """Store the present state, and what recorders have left."""
+        """Store the current state and the rows of recorders at index ``place``."""
         n = self.header.n
         self.q[place, :, 0] = self.rows("POSITION", n)
         self.p[place, :, 0] = self.rows("MOMENTUM", n)
-        self.recorded[place, :, 0] = self.left()
+        self.recorded[place, :, 0] = self.recorder_rows()
 
-    def left(self) -> Reals:
-        """Return what recorders have left beside the present state."""
+    def recorder_rows(self) -> Reals:
+        """Return the current rows of all recorders, shape (k,)."""
         rows = [self._column[x.first : x.first + x.rows] for x in self._recorders]
         return np.concatenate([self._column[:0], *rows])
 
-    def beside(self, recorded: Reals, result: Callable[[Any], Any]) -> dict[str, Any]:
-        """Return what was recorded at states, numbers as results, as trajectories have it."""
+    def recorded_fields(self, recorded: Reals, result: Callable[[Any], Any]) -> dict[str, Any]:
+        """Split recorded rows into the fields of a trajectory; ``result`` converts the numbers."""
         variations, named = split(self._recorders, result(recorded), self.header.n)
         return {"variations": variations, "recorded_values": tuple(named.items())}
 
     @contextmanager
     def watched(self, steps: int, progress: bool | None) -> Iterator[None]:
-        """Count the steps that are taken inside on a bar; Ctrl-C ends them, as the status tells."""
+        """Show the steps inside this context on a progress bar; Ctrl-C ends the run.
+
+        After Ctrl-C, the status is INTERRUPTED.
+        """
         bar = NOTHING if progress is False else closing(Watcher(steps, progress))
         try:
-            with bar as self._watcher, listening() as self._heard:
+            with bar as self._watcher, catch_interrupts() as self._signals:
                 yield
         except KeyboardInterrupt:
             self._interrupted = True
-        self._interrupted |= bool(self._heard)
+        self._interrupted |= bool(self._signals)
         self._watcher = None
 
     def rows(self, block: str, count: int) -> Reals:
-        """Return rows of the workspace."""
+        """Return the first ``count`` rows of a block of the workspace, as a view."""
         first = self.header.layout[block]
         return self._column[first : first + count]
 
     def value(self, block: str) -> Any:
-        """Return the number in a block of one row."""
+        """Return the number in the first row of a block."""
         return self._column[self.header.layout[block]]
 
     def end(self) -> tuple[Reals, Reals]:
-        """Return q and p where the run is, shape (1, n)."""
+        """Return a copy of the current q and p, each of shape (1, n)."""
         n = self.header.n
         return self.rows("POSITION", n)[None].copy(), self.rows("MOMENTUM", n)[None].copy()
 
-    def stored(self) -> KeptStates:
-        """Return the states that stand in the arrays."""
-        kept = self._progress.item(0) // self.every + 1 if self.every else 0
-        q, p, rows, iterations = (x[:kept] for x in self._stores)
-        return KeptStates(q[..., 0], p[..., 0], iterations[:, 0], rows[..., 0], self.every)
+    def stored_states(self) -> StoredStates:
+        """Return the stored states in the arrays, as views."""
+        count = self._progress.item(0) // self.every + 1 if self.every else 0
+        q, p, rows, iterations = (x[:count] for x in self._stores)
+        return StoredStates(q[..., 0], p[..., 0], iterations[:, 0], rows[..., 0], self.every)
 
     @property
     def room(self) -> int:
-        """The last step of which there is room for the state, if it is to be stored."""
+        """Number of the last step that the run can take before the arrays are full."""
         return self.first + len(self.q) * self.every - 1 if self.every else sys.maxsize
 
     @property
     def step(self) -> int:
-        """Number of steps done."""
+        """Number of completed steps."""
         return self.first + self._progress.item(0)
 
     @property
-    def now(self) -> Any:
-        """The time that has come, which is not that of the steps if the system is retimed."""
-        return self.value("TIME") if self.header.retimed else self._time()
+    def current_time(self) -> Any:
+        """Current physical time; a retimed run reads it from the workspace."""
+        return self.value("TIME") if self.header.retimed else self._grid_time()
 
     @property
     def status(self) -> Status:
-        """The state of the run."""
+        """Status of the run: SUCCESS, or the reason for its failure."""
         if self._interrupted:
             return Status.INTERRUPTED
-        if self.alive or self.arrived:
+        if self.alive or self.has_arrived:
             return Status.SUCCESS
         status = Status(int(self._column[self._status]))
         if status is Status.NOT_CONVERGED and self._diverged():
@@ -248,7 +258,7 @@ class Run:
         return Status.RATE_NOT_POSITIVE if lost and self._loses_rate() else status
 
     def _diverged(self) -> bool:
-        """Return whether the increments became ten times those predicted and those before."""
+        """Return whether increments exceed ten times the predicted ones and all before."""
         n, d = self.header.n, self.header.degree
         predicted = self.rows("PREDICTED", d * n).reshape(d, n)
         expected = (self.rows("MASS_DIAGONAL", n) * predicted**2).sum()
@@ -256,19 +266,19 @@ class Run:
         return bool(self.value("INCREMENT_SQUARED") > 100 * expected)
 
     def _meets_zero_pivot(self) -> bool:
-        """Return whether the kernels that eliminate with pivoting met a pivot of zero."""
+        """Return whether the elimination with pivoting met a zero pivot."""
         at = self.header.layout
-        if self._fallbacks[self._set] != "robust":
+        if self._fallbacks[self._fallback] != "robust":
             return False
         places = np.arange(at["SOLVE_UNKNOWNS"]) * (at["SOLVE_STRIDE"] + 1)
         return bool((self._column[at["JACOBIAN"] + at["SOLVE_OFFSET"] + places] == 0).any())
 
     def _loses_rate(self) -> bool:
-        """Return whether dt/dtau, by which M is divided, is not positive within two steps."""
+        """Return whether the rate dt/dtau, a divisor of M, ceases to be positive in two steps."""
         W, at, n = self.W.copy(), self.header.layout, self.header.n
         energy, q = self.kernels.address("energy", any_angle=True), W[at["POSITION"] :][:n].copy()
         for ahead in range(3):
-            self._driver("apply")(energy, self.h, self._time(), W)
+            self._driver("apply")(energy, self.h, self._grid_time(), W)
             rate, v = W[at["RATE"], 0], W[at["VELOCITY"] :][:n]
             if not rate > 0:
                 return True
@@ -277,7 +287,7 @@ class Run:
 
     @property
     def last_correction(self) -> float:
-        """Size of the last Newton correction relative to the increment."""
+        """Size of the last Newton correction relative to the increment of the step."""
         return float(self.value("RELATIVE")) ** 0.5
 
     @property
@@ -287,67 +297,67 @@ class Run:
 
     @property
     def alive(self) -> bool:
-        """Whether no step has failed."""
+        """True if no step has failed."""
         return bool(self._column[self._status] == 0)
 
     @property
-    def arrived(self) -> bool:
-        """Whether the next step would go beyond the end."""
+    def has_arrived(self) -> bool:
+        """True if the next step of a retimed run would pass ``t_end``."""
         return bool(self._column[self._status] == ARRIVED)
 
     @property
-    def hopeful(self) -> bool:
-        """Whether other kernels may take a step that failed."""
-        return not (self.alive or self.arrived) and self.status not in HOPELESS
+    def can_recover(self) -> bool:
+        """True if fallback kernels may succeed at the failed step."""
+        return not (self.alive or self.has_arrived) and self.status not in HOPELESS
 
     @property
     def parameters(self) -> Reals:
-        """Values of the parameters, with those that follow from the start."""
+        """Values of the parameters, including those that follow from the initial state."""
         return self.rows("PARAMETER", self._parameters.size).copy()
 
     def advance(self, stop: int) -> None:
-        """Take steps until ``stop`` or failure; leaves the compiled loop now and then."""
+        """Take steps until ``stop`` or failure; check for Ctrl-C every ``PATIENCE`` seconds."""
         while self.step < stop and self.alive:
-            self._take_some(stop)
-            if self._heard:  # before, it would have left a step half done
+            self._take_batch(stop)
+            if self._signals:  # not earlier: a step would be incomplete
                 raise KeyboardInterrupt
 
-    def _take_some(self, stop: int) -> None:
-        """Take so many steps as are over soon; change to other kernels if one failed."""
-        until = min(stop, self.step + self._stretch)
-        if self._set:
-            until = min(until, self._set_until)
-        before, start, now = self.step, time.perf_counter(), self.now
+    def _take_batch(self, stop: int) -> None:
+        """Take steps for about ``PATIENCE`` seconds; change to fallback kernels on failure."""
+        until = min(stop, self.step + self._batch)
+        if self._fallback:
+            until = min(until, self._fallback_until)
+        before, start, now = self.step, time.perf_counter(), self.current_time
         self.take(until)
         spent, done = time.perf_counter() - start, self.step - before
-        self._still = self._still + done if now == self.now else 0
-        if self._still >= STANDSTILL:
+        self._steps_at_rest = self._steps_at_rest + done if now == self.current_time else 0
+        if self._steps_at_rest >= STANDSTILL:
             self._column[self._status] = RATE_NOT_POSITIVE
         if self._watcher is not None:
             self._watcher(done)
         if done and spent > PATIENCE / 8:
-            self._stretch = max(1, int(PATIENCE / spent * done))
+            self._batch = max(1, int(PATIENCE / spent * done))
         else:
-            self._stretch = min(2 * self._stretch, self._longest)
-        if self.hopeful and self._expect_rounding():
-            self._change_to(self._set)
-        elif self.hopeful and self._set + 1 < len(self._fallbacks):
-            self._set_until = self.step + FALLBACK_STRETCH
-            self._change_to(self._set + 1)
-        elif self._set and self.step == self._set_until:
+            self._batch = min(2 * self._batch, self._longest_batch)
+        if self.can_recover and self._expect_rounding():
+            self._change_to(self._fallback)
+        elif self.can_recover and self._fallback + 1 < len(self._fallbacks):
+            self._fallback_until = self.step + FALLBACK_STRETCH
+            self._change_to(self._fallback + 1)
+        elif self._fallback and self.step == self._fallback_until:
             self._change_to(0)
 
     def _expect_rounding(self) -> bool:
-        """Let corrections be as large as rounding makes them where the terms of forces cancel.
+        """Raise the tolerance of corrections to the round-off of cancelling terms of forces.
 
-        Tells whether they are larger than any before; then a step that failed may be taken.
+        Return whether the tolerance has grown; then it is worth repeating the failed step.
         """
         if self._tools is None or self._declared is None:
             return False
         n, number = self.header.n, self.step
         inputs = self._inputs[0, min(number, self._inputs.shape[1] - 1), 0]
         values = [*map(float, self._parameters), *map(float, inputs)]
-        q, t = map(float, self.rows("POSITION", n)), float(self._time())
+        q, t = map(float, self.rows("POSITION", n)), float(self._grid_time())
         terms = self._tools.force_terms(self._declared, q, values, t)
         masses = self.rows("MASS_DIAGONAL", n).astype(np.float64)
         with np.errstate(over="ignore"):
@@ -358,63 +368,64 @@ class Run:
         return larger
 
     def _kernels(self) -> Any:
-        return self.kernels.set(self._fallbacks[self._set], self._recorders)
+        return self.kernels.set(self._fallbacks[self._fallback], self._recorders)
 
     def _change_to(self, number: int) -> None:
-        """Go on with other kernels; between stages and Newton's method nothing is handed over."""
-        before, after = self._fallbacks[self._set], self._fallbacks[number]
+        """Continue with other kernels; stage iterations and Newton's method exchange no values."""
+        before, after = self._fallbacks[self._fallback], self._fallbacks[number]
         where = self.header.system, self.step
         if before != after:
-            LOG.info("%s: from step %d on with kernels %r, before with %r", *where, after, before)
-        self._set, anew = number, "stages" in (before, after)
-        here = self.h, self._time(), self.W, self.driver_layout
-        self._driver("change_to")(self._kernels(), anew, *here)
+            LOG.info("%s: step %d: kernels %r replace kernels %r", *where, after, before)
+        self._fallback, fresh = number, "stages" in (before, after)
+        here = self.h, self._grid_time(), self.W, self.driver_layout
+        self._driver("change_to")(self._kernels(), fresh, *here)
 
-    def _time(self) -> Any:
+    def _grid_time(self) -> Any:
         return self.t0 + self.h * self.step
 
     def take(self, stop: int) -> None:
-        """Take steps in one go, with the same kernels, recovering those at which the loop stops."""
-        kernels, setting, stop = self._kernels(), self._setting, stop - self.first
+        """Take steps up to ``stop`` with the current kernels; recover rejected steps."""
+        kernels, setting, stop = self._kernels(), self._driver_arguments, stop - self.first
         self._progress[2:] = self.first
-        rest = stop, self.every, self._stores, self._inputs
         while True:
-            self._take_steps(kernels, setting, self._progress, *rest)
+            self._take_steps(
+                kernels, setting, self._progress, stop, self.every, self._stores, self._inputs
+            )
             event = self._progress.item(1)
             if event == 0:
-                if self.header.retimed and self._column[self._status] in BEHIND_A_STEP:
+                if self.header.retimed and self._column[self._status] in FOUND_AFTER_STEP:
                     self._step_back()
                 return
-            LOG.info("%s: step %d is solved again, or checked", self.header.system, self.step)
-            here = self.h, self._time(), self.W, self.driver_layout
+            LOG.info("%s: step %d is repeated or checked", self.header.system, self.step)
+            here = self.h, self._grid_time(), self.W, self.driver_layout
             self._driver("recover")(kernels, *here, event)
             if not self.alive:
                 self._progress[1] = 0
                 return
 
     def _step_back(self) -> None:
-        """Return to before the last step, the time too."""
+        """Undo the last step, including its time."""
         size = 4 * self.header.n
         self.rows("POSITION", size)[:] = self.rows("PREVIOUS", size)
         self.rows("TIME", 2)[:] = self.rows("TIME", 4)[2:]
         self._progress[0] -= 1
 
-    def forget(self) -> int:
-        """Keep only the last stored state in the arrays; returns the number of those forgotten."""
-        kept = self._progress.item(0) // self.every if self.every else 0
-        if kept:
-            self.first += kept * self.every
-            self._progress[0] -= kept * self.every
+    def discard_stored(self) -> int:
+        """Discard all stored states but the last; return how many were discarded."""
+        count = self._progress.item(0) // self.every if self.every else 0
+        if count:
+            self.first += count * self.every
+            self._progress[0] -= count * self.every
             for stored in self._stores:
-                stored[0] = stored[kept]
-        return kept
+                stored[0] = stored[count]
+        return count
 
     def position(self) -> list[Any]:
-        """Return what tells, beside the workspace, where the run is."""
-        return [self.first, self._progress.item(0), self._set, self._set_until]
+        """Return the counters that, with the workspace, restore the run."""
+        return [self.first, self._progress.item(0), self._fallback, self._fallback_until]
 
-    def put_back(self, position: Sequence[Any], workspace: Floats) -> None:
-        """Go on where another run was."""
-        self.first, self._progress[0], self._set, self._set_until = position
-        later = len(self._column) - len(workspace)  # rows that an older module had not
+    def restore(self, position: Sequence[Any], workspace: Floats) -> None:
+        """Restore the counters and the workspace of another run."""
+        self.first, self._progress[0], self._fallback, self._fallback_until = position
+        later = len(self._column) - len(workspace)  # rows that older modules do not have
         self._column[:] = np.insert(workspace, [self.header.rows - later] * later, 0.0)

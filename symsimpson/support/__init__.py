@@ -1,1 +1,1 @@
-"""Helpers that know nothing of mechanics: messages, files, bars, names; anybody may import them."""
+"""Helpers without mechanics: names, messages, files, progress bars. Every room may import them."""

@@ -1,4 +1,4 @@
-"""Arrays of numbers, as annotations name them."""
+"""Types of arrays for annotations."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-#: float64, or numbers of mpmath in an object array.
+#: Array of float64, or an object array of mpmath numbers.
 Reals = NDArray[Any]
-#: Positions and momenta.
+#: Positions and momenta (q, p).
 State = tuple[Floats, Floats]

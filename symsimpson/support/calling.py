@@ -1,4 +1,4 @@
-"""Calls of a user: arguments that a function does not have, and warnings, where they belong."""
+"""Calls of the user: messages for wrong arguments, and warnings at the line of the caller."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ P = ParamSpec("P")
 Result = TypeVar("Result")
 Kind = TypeVar("Kind", bound=type)
 
-#: What arguments of functions of one kind and another are called elsewhere.
+#: Names that other libraries give to arguments of this package.
 ELSEWHERE = {
     "h": "dt step step_size stepsize timestep delta_t",
     "t_end": "t_span tf t_final t_max tmax T duration",
@@ -46,13 +46,13 @@ ELSEWHERE = {
     "v": "v0",
     "p": "p0",
 }
-#: What times are called, told to who asks for another name of one of them.
+#: The arguments for times. A message lists them if an unknown argument means one of them.
 TIMES = {
-    "h": "the step is h=",
-    "t_end": "the end t_end= or steps=",
-    "every": "every= says which states are stored",
+    "h": "the step size is h=",
+    "t_end": "the end is t_end= or steps=",
+    "every": "every= selects the states to store",
 }
-#: What to call in place of a function that does not have an argument, or without it.
+#: Advice by function and argument: another call that has this argument, or does not need it.
 CHOOSING = "ss.integrate(system, ..., error=1e-6)"
 ADVICE = {
     "Stepper.integrate": {"error": f" Use {CHOOSING}: it chooses the step size."},
@@ -61,16 +61,16 @@ ADVICE = {
         " Use stepper.integrate with the step size in run.h.",
     ),
 }
-NO_STEP = f": missing step size h. Pass it, or use {CHOOSING}, which chooses it"
+NO_STEP = f", the step size. Pass it, or use {CHOOSING}, which chooses it"
 
 
-def explained(
+def explain_arguments(
     kind: type[SymsimpsonError] = InputError, hint: str = ""
 ) -> Callable[[Callable[P, Result]], Callable[P, Result]]:
-    """Have a function raise an error of the package for arguments that it does not have.
+    """Decorate a function: wrong arguments raise an error of the package, not a TypeError.
 
-    It is of a ``kind``, in place of a TypeError, and gives a ``hint`` behind what it says. Nothing
-    is looked at before a call has failed, so that calls take no longer.
+    ``kind`` is the class of the error, and ``hint`` is the end of its message. The arguments are
+    examined only after a call has failed, so that successful calls cost nothing.
     """
 
     def around(function: Callable[P, Result]) -> Callable[P, Result]:
@@ -79,7 +79,7 @@ def explained(
             try:
                 return function(*given, **named)
             except TypeError as error:
-                # one that comes from within belongs to somebody else
+                # a TypeError from inside the function is a different mistake
                 within = error.__traceback__ is not None and error.__traceback__.tb_next
                 problem = None if within else _problem(function, given, named)
                 if problem is None:
@@ -91,26 +91,26 @@ def explained(
     return around
 
 
-def explaining(
+def explain_methods(
     kind: type[SymsimpsonError] = InputError, also: tuple[str, ...] = ()
 ) -> Callable[[Kind], Kind]:
-    """Have the public methods of a class, and others by name, be :func:`explained`."""
+    """Decorate public methods of a class, and those in ``also``, with :func:`explain_arguments`."""
 
     def around(cls: Kind) -> Kind:
         for name, member in list(vars(cls).items()):
             if name.startswith("_") and name not in also:
                 continue
             if isinstance(member, FunctionType):
-                setattr(cls, name, explained(kind)(member))
+                setattr(cls, name, explain_arguments(kind)(member))
             elif isinstance(member, classmethod):
-                setattr(cls, name, classmethod(explained(kind)(member.__func__)))
+                setattr(cls, name, classmethod(explain_arguments(kind)(member.__func__)))
         return cls
 
     return around
 
 
 def warn(message: str, category: type[Warning]) -> None:
-    """Warn of what a call outside of the package has led to, there."""
+    """Issue a warning at the line outside of the package that led to it."""
     level, frame = 0, sys._getframe().f_back
     while frame is not None and _inside(frame):
         level, frame = level + 1, frame.f_back
@@ -119,7 +119,7 @@ def warn(message: str, category: type[Warning]) -> None:
 
 @contextmanager
 def without_step_warnings(*kinds: type[Warning]) -> Iterator[None]:
-    """Let no warning of step sizes be heard inside a block, or none of some kinds."""
+    """Ignore warnings of some kinds in this context; by default all warnings of step sizes."""
     with warnings.catch_warnings():
         for kind in kinds or (StabilityWarning, ResolutionWarning, ConstraintWarning):
             warnings.simplefilter("ignore", kind)
@@ -127,7 +127,7 @@ def without_step_warnings(*kinds: type[Warning]) -> Iterator[None]:
 
 
 def _inside(frame: FrameType) -> bool:
-    """Return whether a frame is one of the package, or of contexts around its functions."""
+    """Return whether a frame belongs to the package or to contextlib, which calls the package."""
     module: Any = frame.f_globals.get("__name__", "")
     return str(module).partition(".")[0] in ("symsimpson", "contextlib")
 
@@ -135,10 +135,10 @@ def _inside(frame: FrameType) -> bool:
 def _problem(
     function: Callable[..., object], given: tuple[object, ...], named: dict[str, object]
 ) -> str | None:
-    """Say what is wrong with the arguments of a call; None where Python says it well."""
+    """Return a message for the wrong arguments of a call; None if Python's message is as good."""
     method = "." in function.__qualname__ and "<locals>" not in function.__qualname__
     name = function.__qualname__
-    if method and given:  # of what a user has, whatever class the method was written in
+    if method and given:  # the class of the user's object, which may inherit the method
         owner = given[0] if isinstance(given[0], type) else type(given[0])
         name = f"{owner.__name__}.{function.__name__}"
     name = name.removesuffix(".__init__")
@@ -167,24 +167,26 @@ def _problem(
     count = len(given) - int(method)
     if count > len(placed):
         others = [key for key in named_here if key not in placed]
-        most = f"at most {len(placed)}: {', '.join(placed)}" if placed else "none"
-        said = f"{name} is given {counted(count, 'argument')} without a name, and takes {most}.\n"
+        most = f"at most {counted(len(placed), 'positional argument')}" if placed else "none"
+        listed = f": {', '.join(placed)}" if placed else ""
+        passed = counted(count, "positional argument")
+        said = f"{name} got {passed}, and takes {most}{listed}.\n"
         short = name.rpartition(".")[2]
         if not arguments:
-            return f"{said}Call it without any: {short}()."
+            return f"{said}Call it without arguments: {short}()."
         several, numbers = "", all(hasattr(x, "__float__") for x in given[int(method) :])
         if numbers and placed and "ArrayLike" in str(known[placed[0]].annotation):
             what = "inputs" if placed[0] == "u" else "numbers"
             several = f" Pass several {what} as one list: {placed[0]}=[a, b]."
         if not others:
-            return said + (several.lstrip() or "Leave out what is behind.")
+            return said + (several.lstrip() or "Remove the others.")
         every = ", ".join([*placed, *(f"{key}=..." for key in others)])
-        return f"{said}Name the others: {short}({every}).{several}"
+        return f"{said}Pass the others by name: {short}({every}).{several}"
     filled = {*placed[:count], *named}
     needed = [key for key in named_here if known[key].default is inspect.Parameter.empty]
     missing = [f"{key}=" for key in needed if key not in filled]
     if missing:
-        alone = missing == ["h="] and function.__qualname__ in ADVICE
-        what = f"{', '.join(missing)}{NO_STEP if alone else ''}"
-        return f"{name.rpartition('.')[2]} is not given {what}.\n{takes}"
+        only_step = missing == ["h="] and function.__qualname__ in ADVICE
+        what = f"{', '.join(missing)}{NO_STEP if only_step else ''}"
+        return f"{name.rpartition('.')[2]} is missing {what}.\n{takes}"
     return None

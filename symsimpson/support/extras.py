@@ -1,4 +1,4 @@
-"""Libraries that only some need."""
+"""Imports of optional libraries."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any
 from symsimpson.errors import reject
 
 
-def library(name: str, use: str, extra: str) -> Any:
-    """Import a library that comes with an extra of the package.
+def import_library(name: str, use: str, extra: str) -> Any:
+    """Import an optional library, which an extra of the package installs.
 
-    Raises InputError if it is not installed.
+    ``use`` names the feature in the message. Raises InputError if the library is not installed.
     """
     try:
         return importlib.import_module(name)

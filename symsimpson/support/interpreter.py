@@ -1,4 +1,4 @@
-"""Settings of the running interpreter: when it compiles, frees memory, hears Ctrl-C."""
+"""Settings of the interpreter: when to compile, collect garbage, and handle Ctrl-C."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from types import FrameType
 
-#: The environment variable by which "late" puts off what no run has called for yet.
+#: This environment variable with the value "late" postpones each compilation to the first call.
 LATE = "SYMSIMPSON_COMPILE"
 
 _late: ContextVar[bool] = ContextVar("late", default=False)
 
 
 def compiles_late() -> bool:
-    """Tell whether each function is compiled when it is first called, and none ahead."""
+    """Return whether functions are compiled at their first call, and none in advance."""
     return _late.get() or os.environ.get(LATE) == "late"
 
 
 @contextlib.contextmanager
-def late() -> Iterator[None]:
-    """Compile nothing ahead inside: of many steppers most are used once."""
+def compile_late() -> Iterator[None]:
+    """Compile functions at their first call in this context, as for many short-lived steppers."""
     token = _late.set(True)
     try:
         yield
@@ -34,8 +34,8 @@ def late() -> Iterator[None]:
         _late.reset(token)
 
 
-#: New objects between two searches. With Python's own number a compilation takes a sixth longer;
-#: without any search it takes a fifth more memory.
+#: New objects between two garbage collections. With Python's default a compilation takes one sixth
+#: longer. Without any collection it takes one fifth more memory.
 THRESHOLD = 100_000
 
 _lock = threading.Lock()
@@ -44,10 +44,11 @@ _outside = gc.get_threshold()
 
 
 @contextmanager
-def rarely_collected() -> Iterator[None]:
-    """Have Python look for unreachable objects less often, and as before when the last one left.
+def collect_rarely() -> Iterator[None]:
+    """Collect garbage less often in this context.
 
-    Settings of the user's that are as rare, or none, stay.
+    The user's threshold returns when the last thread leaves the context. A threshold that is larger
+    than THRESHOLD, or 0, does not change.
     """
     global _inside, _outside
     with _lock:
@@ -65,61 +66,61 @@ def rarely_collected() -> Iterator[None]:
                 gc.set_threshold(*_outside)
 
 
-#: What Ctrl-C is put into, the innermost last; in the main thread alone.
+#: Signal lists of the nested contexts in the main thread, the innermost last.
 _listening: list[list[int]] = []
 
 
 @contextmanager
-def listening() -> Iterator[list[int]]:
-    """Let Ctrl-C put its number into a list, for code that reads the list and stops.
+def catch_interrupts() -> Iterator[list[int]]:
+    """Collect the signal number of Ctrl-C in a list. The code inside reads the list and stops.
 
-    A second Ctrl-C stops the code at once. Listeners around this one get the number, too.
+    A second Ctrl-C raises KeyboardInterrupt at once. The next outer context gets the numbers, too.
     """
-    heard: list[int] = []
-    if not _disturbed():
-        yield heard
+    signals: list[int] = []
+    if not _catches_interrupts():
+        yield signals
         return
 
-    def hear(number: int, frame: FrameType | None) -> None:
-        if heard:
+    def collect(number: int, frame: FrameType | None) -> None:
+        if signals:
             raise KeyboardInterrupt
-        heard.append(number)
+        signals.append(number)
 
-    before = signal.signal(signal.SIGINT, hear)
-    _listening.append(heard)
+    before = signal.signal(signal.SIGINT, collect)
+    _listening.append(signals)
     try:
-        yield heard
+        yield signals
     finally:
         _listening.pop()
         for outer in _listening[-1:]:
-            outer.extend(heard)
+            outer.extend(signals)
         signal.signal(signal.SIGINT, before)
 
 
 @contextmanager
-def undisturbed(most: float = math.inf) -> Iterator[None]:
-    """Put off Ctrl-C to the end of what must not be left half done, ``most`` times at most."""
-    if not _disturbed():
+def defer_interrupts(most: float = math.inf) -> Iterator[None]:
+    """Postpone Ctrl-C to the end of code that must not stop half-way, at most ``most`` times."""
+    if not _catches_interrupts():
         yield
         return
-    heard: list[tuple[int, FrameType | None]] = []
+    signals: list[tuple[int, FrameType | None]] = []
     before = signal.getsignal(signal.SIGINT)
 
-    def hear(number: int, frame: FrameType | None) -> None:
-        if len(heard) >= most and callable(before):
+    def collect(number: int, frame: FrameType | None) -> None:
+        if len(signals) >= most and callable(before):
             before(number, frame)
-        heard.append((number, frame))
+        signals.append((number, frame))
 
-    signal.signal(signal.SIGINT, hear)
+    signal.signal(signal.SIGINT, collect)
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-    if heard and callable(before):
-        before(*heard[0])
+    if signals and callable(before):
+        before(*signals[0])
 
 
-def _disturbed() -> bool:
-    """Return whether Ctrl-C is heard here: in the main thread, unless another program hears it."""
-    alone = threading.current_thread() is threading.main_thread()
-    return alone and signal.getsignal(signal.SIGINT) is not None
+def _catches_interrupts() -> bool:
+    """Return whether this code can handle Ctrl-C: in the main thread, with a handler of Python."""
+    in_main = threading.current_thread() is threading.main_thread()
+    return in_main and signal.getsignal(signal.SIGINT) is not None

@@ -1,4 +1,4 @@
-"""Lengths that are natural to functions of positions, whatever the unit."""
+"""Characteristic lengths of functions of positions, in any unit."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ import numpy as np
 
 from symsimpson.support.array_types import Reals
 
-#: Displacements that are tried, and the part of itself by which a slope is to change.
+#: Trial displacements, and the relative change of a slope that a displacement must cause.
 TRIED, CHANGED = 10.0 ** np.arange(-24, 25), 1e-3
 
 
 def bending_length(slopes: Callable[[Reals], Reals], q: Reals) -> Reals:
-    """Estimate the length on which slopes change by as much as they are.
+    """Estimate the displacement that changes the slopes of functions by 100 %.
 
-    It is the radius of a circle, 1 for functions of angles, and 0 where slopes are constant. So
-    large are the terms of a function, in units of its slope, where it is zero as they cancel.
-    Slopes are of shape (..., m, n) at positions of the shape of q, (..., n), and lengths of shape
-    (..., m).
+    The length is the radius for a circle, 1 for functions of angles, and 0 for constant slopes.
+    If the terms of a function cancel to zero, their size is about this length times the slope.
+    ``slopes`` maps positions of shape (..., n) to slopes of shape (..., m, n). ``q`` has shape
+    (..., n). The result has shape (..., m).
     """
     first = slopes(q).astype(np.float64)
     size = np.linalg.norm(first, axis=-1)
     lengths = np.zeros(size.shape)
-    way = np.linspace(0.7, 1.3, q.shape[-1])  # along no axis
+    direction = np.linspace(0.7, 1.3, q.shape[-1])  # parallel to no axis
     for length in TRIED:
         with np.errstate(all="ignore"):
-            change = np.linalg.norm(slopes(q + length * way).astype(np.float64) - first, axis=-1)
-            part = change / size
-        new = (lengths == 0) & (part > CHANGED) & np.isfinite(part)
-        lengths[new] = length / part[new]
+            moved = slopes(q + length * direction).astype(np.float64)
+            change = np.linalg.norm(moved - first, axis=-1) / size
+        new = (lengths == 0) & (change > CHANGED) & np.isfinite(change)
+        lengths[new] = length / change[new]
         if (lengths > 0).all():
             break
     return lengths

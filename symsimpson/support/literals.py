@@ -1,18 +1,18 @@
-"""Numbers in expressions as functions of floats can take them."""
+"""Replacement of integers that are too large for NumPy in SymPy expressions."""
 
 from __future__ import annotations
 
 from typing import Any
 
-#: NumPy and Numba take no larger whole numbers: arrays of them are of objects.
+#: The largest int64. NumPy stores larger integers in arrays of objects, which Numba rejects.
 LARGEST = 2**63 - 1
 
 
 def float_literals(expression: Any) -> Any:
-    """Write whole numbers and parts of fractions that no int64 holds as floats.
+    """Replace rational numbers whose numerator or denominator exceeds int64 by floats.
 
-    Printed as they are, they would be integers of Python, of which NumPy makes arrays of objects.
-    Expressions and matrices of SymPy are taken, and lists or tuples of such, of any depth.
+    Otherwise ``lambdify`` prints them as Python integers, and NumPy makes arrays of objects.
+    ``expression`` is a SymPy expression or matrix, or a nested list or tuple of these.
 
     Examples
     --------
@@ -21,7 +21,7 @@ def float_literals(expression: Any) -> Any:
     >>> float_literals([10**20 * x, 3 * x])
     [1.0e+20*x, 3*x]
     """
-    import sympy as sp  # slow to import, and there by now
+    import sympy as sp  # slow to import; the caller has imported it
 
     if isinstance(expression, (list, tuple)):
         return type(expression)(float_literals(part) for part in expression)

@@ -1,4 +1,4 @@
-"""Tables and small pictures in HTML. Whatever comes from a user is escaped here."""
+"""Tables and small pictures in HTML. This module escapes all texts of the user."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ import numpy as np
 
 from symsimpson.support.array_types import Reals
 
-#: Points of a picture; more would not be seen.
+#: Points of a picture: one for each pixel of its width.
 POINTS = 240
-#: A value that a user gave is shown up to so many characters.
+#: Longer values of the user are cut to this number of characters.
 LONGEST = 400
 WIDTH, HEIGHT, MARGIN = 240.0, 48.0, 2.0
-#: Colours that are told apart on a light page and on a dark one.
+#: Colours that differ clearly on a light and on a dark page.
 COLOURS = ("#3b7dd8", "#e07b39", "#3a9e6b", "#b455a0", "#8a7f2f", "#d1495b")
 LEFT = ' style="text-align: left"'
 
 
 def box(title: str, *parts: str) -> str:
-    """Put parts under a title."""
+    """Return a title with HTML parts below it."""
     return f"<div><b>{html.escape(title)}</b>{''.join(parts)}</div>"
 
 
 def facts(pairs: Sequence[tuple[str, object]]) -> str:
-    """Lay out names and what they are; a part that is markup already is given as ``Markup``."""
+    """Return a table of names and values. A value of type ``Markup`` is not escaped."""
     return f"<table><tbody>{''.join(map(_row, pairs))}</tbody></table>"
 
 
 def _row(cells: Sequence[object], names: int = 1) -> str:
-    """Lay out cells; the first ones are names."""
+    """Return a row of a table. The first ``names`` cells are headings."""
     tags = ["th"] * names + ["td"] * (len(cells) - names)
     escaped = (x if isinstance(x, Markup) else html.escape(str(x)) for x in cells)
     shown = zip(tags, escaped, strict=True)
@@ -42,7 +42,7 @@ def _row(cells: Sequence[object], names: int = 1) -> str:
 
 
 def fields_given(title: str, value: Any) -> str:
-    """Put the fields of a dataclass that differ from their defaults under a title."""
+    """Return a title, and a table of the fields of a dataclass that differ from their defaults."""
     pairs = []
     for field in dataclasses.fields(value):
         given = getattr(value, field.name)
@@ -56,18 +56,18 @@ def fields_given(title: str, value: Any) -> str:
 
 
 def table(rows: Sequence[Sequence[object]]) -> str:
-    """Lay out rows, the first of which is their head."""
+    """Return a table. The first row contains the headings."""
     head, *body = rows
     lines = "".join(map(_row, body))
     return f"<table><thead>{_row(head, len(head))}</thead><tbody>{lines}</tbody></table>"
 
 
 class Markup(str):
-    """Text that is HTML already."""
+    """A text that is already HTML."""
 
 
 def curves(x: Reals, columns: Sequence[Reals]) -> Markup:
-    """Draw columns over x in one picture, each in its colour."""
+    """Draw curves over x in one picture, each in its own colour."""
     some = slice(None, None, max(1, -(-len(x) // POINTS)))
     across, rows = _scaled(x[some], WIDTH), [column[some] for column in columns]
     drawn = [_points(across, y) for y in HEIGHT - _scaled(rows, HEIGHT)]
@@ -79,7 +79,7 @@ def curves(x: Reals, columns: Sequence[Reals]) -> Markup:
 
 
 def scatter(x: Reals, y: Reals) -> Markup:
-    """Draw points."""
+    """Draw the points (x, y) as dots."""
     some = slice(None, None, max(1, -(-len(x) // (4 * POINTS))))
     dots = "".join(
         '<circle cx="{}" cy="{}" r="0.9" fill="{}"/>'.format(*point.split(","), COLOURS[0])
@@ -89,7 +89,7 @@ def scatter(x: Reals, y: Reals) -> Markup:
 
 
 def _scaled(given: Any, size: float) -> Any:
-    """Return where numbers lie along a picture of some size, within its margins."""
+    """Scale numbers to the width or height ``size`` of a picture, within the margins."""
     values = np.asarray(given, dtype=float)
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
@@ -107,11 +107,11 @@ def _picture(content: str) -> Markup:
 
 
 def in_text(name: str) -> str:
-    r"""Return a name for \text{...} in LaTeX, without what means something there."""
+    r"""Escape a name for \text{...} in LaTeX."""
     return re.sub(r"[^A-Za-z0-9 ,()]", r"\\_", name)
 
 
 def aligned(rows: Sequence[tuple[str, str]]) -> str:
-    """Return equations in LaTeX, one below the other; lines without a left side are text."""
+    """Return aligned LaTeX equations, one a line. Rows without a left side are text."""
     text = r" \\ ".join(f"{left} &= {right}" if left else f"& {right}" for left, right in rows)
     return rf"$\displaystyle \begin{{aligned}} {text} \end{{aligned}}$"

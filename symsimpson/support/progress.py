@@ -1,7 +1,8 @@
-"""A bar on what takes longer than one second, if tqdm is there and somebody looks.
+"""Progress bars (tqdm) for calls that take longer than one second.
 
-A bar is drawn in a terminal or a notebook, one at a time; into a file or a pipe only where it is
-asked for. ``progress=False`` keeps a call silent, and tqdm's own TQDM_DISABLE=1 all of them.
+By default a bar appears only in a terminal or a notebook, and one bar at a time. ``progress=True``
+shows it in a file or a pipe, too. ``progress=False`` turns the bar of a call off, and tqdm's
+variable TQDM_DISABLE=1 turns all bars off.
 """
 
 from __future__ import annotations
@@ -16,32 +17,35 @@ from contextvars import ContextVar
 from typing import Any
 
 from symsimpson.errors import InputError, reject
-from symsimpson.support.extras import library
+from symsimpson.support.extras import import_library
 
-#: What is done sooner shows no bar.
+#: Seconds before a bar appears.
 DELAY = 1.0
 
 
-#: Whether nothing is to be shown; or something is shown already that this is part of.
+#: True if bars are turned off, or an outer call already shows a bar.
 _silent: ContextVar[bool] = ContextVar("silent", default=False)
-#: Held by the bar that is drawn, in whatever thread: two would be drawn over each other.
+#: The visible bar owns this lock. Bars of two threads would overwrite each other.
 _drawn = threading.Lock()
 
 
-def watched() -> bool:
-    """Return whether somebody sees what is drawn: in a terminal or a notebook."""
+def is_watched() -> bool:
+    """Return whether the output is a terminal or a notebook."""
     return "ipykernel" in sys.modules or bool(getattr(sys.stderr, "isatty", bool)())
 
 
 def read_progress(wanted: Any) -> None:
-    """Check whether a bar is wanted; raises InputError."""
+    """Check the argument ``progress``: True, False or None. Raises InputError."""
     if not (wanted is None or isinstance(wanted, bool)):
-        reject(f"progress is {wanted!r}.", remedy="Pass True, False or None.")
+        reject(
+            f"progress is {wanted!r}, which is neither a truth value nor None.",
+            remedy="Pass True, False or None.",
+        )
 
 
 @contextlib.contextmanager
 def silence(wanted: bool = True) -> Iterator[None]:
-    """Show no waiting inside, where that is wanted."""
+    """Show no bars in this context, if ``wanted``."""
     token = _silent.set(_silent.get() or wanted)
     try:
         yield
@@ -50,19 +54,20 @@ def silence(wanted: bool = True) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def waiting(what: str, wanted: bool | None = None) -> Iterator[list[str]]:
-    """Tell after a second what is being waited for, and for how long; at once if wanted.
+def announce(what: str, wanted: bool | None = None) -> Iterator[list[str]]:
+    """Show after one second what the caller waits for, and since when.
 
-    Texts that are added to the list inside take the place of the first.
+    The text appears at once if ``wanted`` is True, and never if it is False. The last text in the
+    list that this context yields replaces ``what``.
     """
     read_progress(wanted)
     texts = [what]
-    if _silent.get() or wanted is False or not (wanted or watched()):
+    if _silent.get() or wanted is False or not (wanted or is_watched()):
         with silence(wanted is False):
             yield texts
         return
     done = threading.Event()
-    shown = threading.Thread(target=_tell, args=(texts, done, wanted), daemon=True)
+    shown = threading.Thread(target=_show_texts, args=(texts, done, wanted), daemon=True)
     shown.start()
     try:
         with silence():
@@ -72,21 +77,22 @@ def waiting(what: str, wanted: bool | None = None) -> Iterator[list[str]]:
         shown.join()
 
 
-def _tell(texts: list[str], done: threading.Event, wanted: bool | None) -> None:
+def _show_texts(texts: list[str], done: threading.Event, wanted: bool | None) -> None:
     if done.wait(0.0 if wanted else DELAY):
         return
     with Progress(0, True, look="{desc}: {elapsed}", what=texts[-1]) as bar:
-        # a file keeps all that is ever drawn: there, once is enough
-        while not done.wait(0.5 if watched() else None):
+        # in a file each update is a new line, so one is enough
+        while not done.wait(0.5 if is_watched() else None):
             bar.say(texts[-1])
             bar.refresh()
 
 
 class Progress:
-    """Counts what is done; a context manager.
+    """A progress bar that counts up to ``total``. It is a context manager.
 
-    A bar is shown after a second if ``wanted`` is None and tqdm is installed, and at once for True.
-    It counts in a ``unit``, looks as ``look`` says in the words of tqdm, and is about ``what``.
+    The bar appears after one second if ``wanted`` is None and tqdm is installed, and at once if it
+    is True. ``unit`` names what it counts, ``look`` is the format string of tqdm, and ``what`` is
+    the description.
     """
 
     def __init__(
@@ -101,12 +107,12 @@ class Progress:
         self._lock = threading.Lock()
         self._bar: Any = None
         self._at_once = wanted is True
-        if wanted is False or not (wanted or watched()):
+        if wanted is False or not (wanted or is_watched()):
             return
         try:
-            with warnings.catch_warnings():  # in a notebook without widgets bars are text
+            with warnings.catch_warnings():  # tqdm warns in a notebook without widgets
                 warnings.simplefilter("ignore")
-                bars = library("tqdm.auto", "progress=True", "progress")
+                bars = import_library("tqdm.auto", "progress=True", "progress")
         except InputError:
             if wanted:
                 raise
@@ -119,27 +125,27 @@ class Progress:
                 leave=False,
                 bar_format=look,
                 desc=what,
-                mininterval=0.1 if watched() else 10.0,
+                mininterval=0.1 if is_watched() else 10.0,
             )
 
     @property
     def count(self) -> int:
-        """How much is done, if a bar is drawn."""
+        """The present count; 0 without a bar."""
         return 0 if self._bar is None else int(self._bar.n)
 
     def add(self, count: int) -> None:
-        """Count what is done."""
+        """Increase the count, at most to the total."""
         if self._bar is not None and count:
             with self._lock:
                 self._bar.update(min(count, self._bar.total - self._bar.n))
 
     def say(self, what: str) -> None:
-        """Let the bar say what it is about by now, when it is drawn next."""
+        """Set the description that the next redraw shows."""
         if self._bar is not None:
             self._bar.set_description_str(what, refresh=False)
 
     def refresh(self) -> None:
-        """Draw the bar anew."""
+        """Redraw the bar."""
         if self._bar is not None:
             self._bar.refresh()
 
@@ -156,7 +162,7 @@ class Progress:
 
 
 class Watcher:
-    """Counts steps of a run, and makes a bar when it has taken long: tqdm is slow to import."""
+    """A counter of the steps of a run. It imports tqdm, which is slow, only for long runs."""
 
     def __init__(self, total: int, wanted: bool | None) -> None:
         read_progress(wanted)
@@ -165,15 +171,15 @@ class Watcher:
         self._bar = Progress(total, True, "step") if wanted else None
 
     def __call__(self, steps: int) -> None:
-        """Count steps."""
+        """Add ``steps`` to the count."""
         self._done += steps
         if self._bar is not None:
             self._bar.add(steps)
-        elif time.monotonic() - self._since > DELAY and watched():
+        elif time.monotonic() - self._since > DELAY and is_watched():
             self._bar = Progress(self._total, None, "step")
             self._bar.add(self._done)
 
     def close(self) -> None:
-        """Take the bar away."""
+        """Remove the bar."""
         if self._bar is not None:
             self._bar.__exit__()

@@ -1,11 +1,11 @@
-"""Well-known systems, one file each; every function gives a system with a state to start from."""
+"""A catalogue of well-known systems; each function returns a system with an initial state."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 from symsimpson.errors import ModelError
-from symsimpson.support.calling import explained
+from symsimpson.support.calling import explain_arguments
 from symsimpson.support.names import did_you_mean
 from symsimpson.systems.entry import CatalogueSystem
 from symsimpson.systems.geodesics import ellipsoid_geodesic, torus_geodesic
@@ -67,15 +67,16 @@ from symsimpson.systems.tops import (
 Catalogue = dict[str, Callable[[], CatalogueSystem]]
 
 
-REMEDY = " Values of parameters are given to runs: stepper.integrate(..., parameters={'g': 1.62})."
+#: How to change a parameter, for calls with an unknown argument.
+REMEDY = " Pass values of parameters to runs: stepper.integrate(..., parameters={'g': 1.62})."
 
 
 def _by_name(*makers: Callable[[], CatalogueSystem]) -> Catalogue:
-    """Return functions by their names, which say how parameters are given."""
-    return {make.__name__: explained(ModelError, REMEDY)(make) for make in makers}
+    """Return the functions by name, with errors that explain how to change parameters."""
+    return {make.__name__: explain_arguments(ModelError, REMEDY)(make) for make in makers}
 
 
-#: Functions of the catalogue by their names.
+#: Models whose generated modules the repository contains.
 CATALOGUE = _by_name(
     pendulum,
     double_pendulum,
@@ -94,7 +95,7 @@ CATALOGUE = _by_name(
     torus_geodesic,
     ellipsoid_geodesic,
 )
-#: Models with many coordinates or long energies, of which no modules are kept.
+#: Models with many coordinates or long energies, without generated modules.
 MODELS = _by_name(puma560, water, argon, argon_cluster, n_body, outer_solar_system, cloth)
 #: Models with forces, a drive or inputs.
 FORCED = _by_name(
@@ -121,9 +122,9 @@ CONSTRAINED = _by_name(
 )
 #: Models with velocity constraints.
 ROLLING = _by_name(chaplygin_sleigh, rolling_disc, snakeboard, ball_on_turntable, whipple_bicycle)
-#: Models with close encounters, to be retimed.
+#: Models with close encounters, which need a time transformation.
 MEETING = _by_name(kepler_plane, pythagorean, figure_eight)
-#: All of these.
+#: All models.
 EVERY: Catalogue = {**CATALOGUE, **MODELS, **FORCED, **CONSTRAINED, **ROLLING, **MEETING}
 globals().update(EVERY)
 

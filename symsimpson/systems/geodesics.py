@@ -1,4 +1,4 @@
-"""Free motion on curved surfaces."""
+"""Free particles on curved surfaces."""
 
 from __future__ import annotations
 

@@ -8,12 +8,11 @@ from collections.abc import Sequence
 import sympy as sp
 
 from symsimpson.declare.coordinates import coordinates
-from symsimpson.errors import ModelError, reject
-from symsimpson.systems.entry import CatalogueSystem
+from symsimpson.systems.entry import CatalogueSystem, check_count
 
 
 def kepler() -> CatalogueSystem:
-    """A planet in polar coordinates, started at the pericentre of an ellipse, period 2 pi."""
+    """A planet in polar coordinates, from the pericentre of an ellipse, with the period 2 pi."""
     r, phi = coordinates("r phi")
     m, mu = sp.symbols("m mu", positive=True)
     x, y = r * sp.cos(phi), r * sp.sin(phi)
@@ -40,9 +39,9 @@ def kepler() -> CatalogueSystem:
 
 
 def kepler_plane() -> CatalogueSystem:
-    """A comet in Cartesian coordinates, started at the apocentre of a narrow ellipse, period 2 pi.
+    """A comet in the plane, from the apocentre of a narrow ellipse, with the period 2 pi.
 
-    Fixed steps miss its pericentre: for ``kepler_plane().retimed("encounters")``.
+    Fixed steps do not resolve its pericentre. Use ``kepler_plane().retimed("encounters")``.
     """
     x, y = coordinates("x y")
     m, mu = sp.symbols("m mu", positive=True)
@@ -68,8 +67,8 @@ def kepler_plane() -> CatalogueSystem:
     )
 
 
-#: Sun with the inner planets, and the outer planets: mass in units of the Sun's, position in
-#: astronomical units, velocity in these a day, on 5 September 1994.
+#: Sun with the inner planets, and the outer planets, on 5 September 1994: mass in solar masses,
+#: position in astronomical units (AU), velocity in AU per day.
 SOLAR_SYSTEM = """
     1.00000597682       0.0         0.0         0.0         0.0         0.0         0.0
     0.000954786104043  -3.5023653  -3.8169847  -1.5507963   0.00565429 -0.00412490 -0.00190589
@@ -81,7 +80,7 @@ SOLAR_SYSTEM = """
 
 
 def outer_solar_system() -> CatalogueSystem:
-    """The Sun, the four outer planets and Pluto; days, astronomical units, solar masses."""
+    """The Sun, the four outer planets and Pluto, in days, astronomical units and solar masses."""
     rows = [tuple(map(float, row.split())) for row in SOLAR_SYSTEM.strip().splitlines()]
     masses, places, velocities = zip(*((row[0], row[1:4], row[4:]) for row in rows), strict=True)
     return _bodies(
@@ -95,13 +94,8 @@ def outer_solar_system() -> CatalogueSystem:
 
 
 def n_body(n: int = 3) -> CatalogueSystem:
-    """Bodies of mass 1 at the corners of a regular polygon of radius 1 that turns, for G = 1."""
-    if isinstance(n, bool) or not isinstance(n, int) or n < 2:
-        reject(
-            f"bodies that attract each other are two at least, not {n!r}.",
-            remedy="Use 3.",
-            error=ModelError,
-        )
+    """Bodies of mass 1 at the corners of a turning regular polygon of radius 1, with G = 1."""
+    check_count("n_body", "bodies", n, 2)
     angles = [2 * math.pi * k / n for k in range(n)]
     square = sum(1 / math.sin(math.pi * k / n) for k in range(1, n)) / 4
     omega = math.sqrt(square)
@@ -119,10 +113,10 @@ def n_body(n: int = 3) -> CatalogueSystem:
 
 
 def pythagorean() -> CatalogueSystem:
-    """Bodies of mass 3, 4 and 5 at rest at the corners of a right-angled triangle, in the plane.
+    """Bodies of mass 3, 4 and 5 in the plane, at rest at the corners of a right-angled triangle.
 
-    They meet closely again and again, until the lightest escapes: steps must adapt, as those of
-    ``pythagorean().retimed("encounters")`` do.
+    They have many close encounters until the lightest escapes, so steps must adapt. Use
+    ``pythagorean().retimed("encounters")``.
     """
     return _bodies(
         "pythagorean",
@@ -136,7 +130,7 @@ def pythagorean() -> CatalogueSystem:
 
 
 def figure_eight() -> CatalogueSystem:
-    """Three bodies of mass 1 that follow each other along a figure of eight, for G = 1.
+    """Three bodies of mass 1 that follow each other along a figure of eight, with G = 1.
 
     The period is 6.3259.
     """

@@ -1,4 +1,4 @@
-"""Chains, cloth, molecules: points that attract their neighbours."""
+"""Chains, cloth and molecules: points with forces between neighbours."""
 
 from __future__ import annotations
 
@@ -7,21 +7,15 @@ import math
 import sympy as sp
 
 from symsimpson.declare.coordinates import coordinates
-from symsimpson.errors import ModelError, reject
-from symsimpson.systems.entry import CatalogueSystem
+from symsimpson.systems.entry import CatalogueSystem, check_count
 
 
 def fermi_pasta_ulam(n: int = 3) -> CatalogueSystem:
-    """A chain of n stiff linear and n + 1 soft quartic springs, between fixed ends.
+    """A chain of n stiff linear and n + 1 soft quartic springs between fixed ends.
 
-    ``x_i`` is the displacement of the i-th stiff spring and ``y_i`` its expansion, both scaled.
+    ``x_i`` is the scaled displacement of the i-th stiff spring, and ``y_i`` its scaled expansion.
     """
-    if isinstance(n, bool) or not isinstance(n, int) or n < 1:
-        reject(
-            f"a chain has a whole number of stiff springs, not {n!r}.",
-            remedy="Use 3.",
-            error=ModelError,
-        )
+    check_count("fermi_pasta_ulam", "stiff springs", n, 1)
     x, y = coordinates(f"x1:{n + 1}"), coordinates(f"y1:{n + 1}")
     omega = sp.Symbol("omega", positive=True)
     soft = [
@@ -46,13 +40,8 @@ def fermi_pasta_ulam(n: int = 3) -> CatalogueSystem:
 
 
 def cloth(k: int = 10) -> CatalogueSystem:
-    """K by k points in space, springs between neighbours, two corners held by springs."""
-    if isinstance(k, bool) or not isinstance(k, int) or k < 2:
-        reject(
-            f"a cloth has a whole number of points a side, not {k!r}.",
-            remedy="Use 10.",
-            error=ModelError,
-        )
+    """A cloth of k by k points in space, with springs at neighbours and at two corners."""
+    check_count("cloth", "points on each side", k, 2)
     places = [(i, j) for i in range(k) for j in range(k)]
     q = coordinates(" ".join(f"{axis}_{i}_{j}" for i, j in places for axis in "xyz"))
     point = {place: q[3 * n : 3 * n + 3] for n, place in enumerate(places)}
@@ -89,11 +78,11 @@ def cloth(k: int = 10) -> CatalogueSystem:
 
 
 SOURCE = "E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, section I.4"
-#: Boltzmann's constant in joules a kelvin; energies are in kelvins, lengths in nanometres, times in
-#: nanoseconds, so that masses of 1 kg are 1/BOLTZMANN.
+#: Boltzmann's constant in J/K. Energies are in kelvins, lengths in nanometres and times in
+#: nanoseconds, so a mass of 1 kg is 1/BOLTZMANN.
 BOLTZMANN = 1.380658e-23
 PARAMETERS = {"epsilon": 119.8, "sigma": 0.341, "m": 66.34e-27 / BOLTZMANN}
-#: Places and velocities of seven atoms in a plane.
+#: Positions and velocities of seven atoms in a plane.
 PLACES = (
     (0.00, 0.00),
     (0.02, 0.39),
@@ -107,27 +96,16 @@ VELOCITIES = ((-30, -20), (50, -90), (-70, -60), (90, 40), (80, 90), (-40, 100),
 
 
 def argon() -> CatalogueSystem:
-    """Seven atoms of argon in a plane: six around one, in a frozen crystal."""
+    """Seven atoms of argon in a plane: six around one, as in a frozen crystal."""
     state = [tuple(map(float, sum(table, ()))) for table in (PLACES, VELOCITIES)]
     return _atoms("argon", 7, 2, *state)
 
 
 def argon_cluster(n: int = 20) -> CatalogueSystem:
-    """Atoms of argon in space, at rest on a face-centred cubic lattice around its centre."""
-    if isinstance(n, bool) or not isinstance(n, int) or n < 2:
-        reject(
-            f"a cluster has two atoms at least, not {n!r}.",
-            remedy="Use argon_cluster(20).",
-            error=ModelError,
-        )
+    """Atoms of argon in space, at rest on the inner points of a face-centred cubic lattice."""
     reach = range(-4, 5)
     corners = [(i, j, k) for i in reach for j in reach for k in reach if (i + j + k) % 2 == 0]
-    if n > len(corners):
-        reject(
-            f"the lattice is made for {len(corners)} atoms, not {n}.",
-            remedy="Use fewer.",
-            error=ModelError,
-        )
+    check_count("argon_cluster", "atoms", n, 2, len(corners))
     nearest = sorted(corners, key=lambda c: (c[0] ** 2 + c[1] ** 2 + c[2] ** 2, c))[:n]
     distance = 2 ** (1 / 6) * PARAMETERS["sigma"] / math.sqrt(2)
     places = tuple(distance * x for corner in nearest for x in corner)
@@ -137,7 +115,7 @@ def argon_cluster(n: int = 20) -> CatalogueSystem:
 def _atoms(
     name: str, n: int, dimension: int, places: tuple[float, ...], velocities: tuple[float, ...]
 ) -> CatalogueSystem:
-    """Declare atoms by Lennard and Jones's potential."""
+    """Declare atoms with the Lennard-Jones potential."""
     epsilon, sigma, m = sp.symbols("epsilon sigma m", positive=True)
     axes = "xyz"[:dimension]
     q = coordinates(" ".join(f"{axis}{i}" for i in range(n) for axis in axes))
@@ -159,12 +137,12 @@ def _atoms(
     )
 
 
-#: A kilocalorie a mole in atomic mass units times square angstroms over square femtoseconds.
+#: 1 kcal/mol in atomic mass units, angstroms and femtoseconds.
 KILOCALORIE = 4.184e-4
 
 
 def water() -> CatalogueSystem:
-    """Two bonds and the angle between them as springs; angstroms, femtoseconds, mass units."""
+    """Water with springs for bonds and angle, in angstroms, femtoseconds and mass units."""
     names = [f"{axis}_{atom}" for atom in ("O", "H1", "H2") for axis in "xyz"]
     q = coordinates(" ".join(names))
     oxygen, *hydrogens = (sp.Matrix(q[3 * i : 3 * i + 3]) for i in range(3))

@@ -1,4 +1,4 @@
-"""Mechanisms: linkages, an arm, a cart with a pole."""
+"""Mechanisms: linkages, a robot arm, and a cart with a pole."""
 
 from __future__ import annotations
 
@@ -11,18 +11,12 @@ import sympy as sp
 
 from symsimpson.declare.arms import Link, arm_energies
 from symsimpson.declare.coordinates import coordinates
-from symsimpson.errors import ModelError, reject
-from symsimpson.systems.entry import CatalogueSystem, read_numbers
+from symsimpson.systems.entry import CatalogueSystem, check_count, read_numbers
 
 
 def hanging_chain(n: int = 8) -> CatalogueSystem:
-    """Point masses on n rods, one after the other, in coordinates x and y of each."""
-    if isinstance(n, bool) or not isinstance(n, int) or n < 1:
-        reject(
-            f"a chain has a whole number of links, not {n!r}.",
-            remedy="Use hanging_chain(8).",
-            error=ModelError,
-        )
+    """A chain of n point masses on rods, in the Cartesian coordinates of each mass."""
+    check_count("hanging_chain", "links", n, 1)
     x, y = coordinates(f"x1:{n + 1}"), coordinates(f"y1:{n + 1}")
     m, l, g = sp.symbols("m l g", positive=True)
     points = list(zip(x, y, strict=True))
@@ -43,14 +37,16 @@ def hanging_chain(n: int = 8) -> CatalogueSystem:
         potential=sp.Add(*(m * g * q for q in y)),
         constraints={f"rod {i + 1}": rod for i, rod in enumerate(rods)},
         parameters={m: 1.0, l: 1.0, g: 9.81},
-        positions={"chain": [(0, 0), *points, *points[-2::-1]]},  # there and back: an open line
+        positions={
+            "chain": [(0, 0), *points, *points[-2::-1]]
+        },  # back again, because outlines are closed
         reference_state={"q0": hanging, "v0": (0.0,) * (2 * n)},
         source="E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, section VII.1.3",
     )
 
 
 def four_bar() -> CatalogueSystem:
-    """Three bars in a loop with the ground, in their angles: a crank, a coupler and a rocker."""
+    """A crank, a coupler and a rocker that form a loop with the ground, in their angles."""
     t1, t2, t3 = coordinates("t1 t2 t3")
     l1, l2, l3, l0, m1, m2, m3, g = sp.symbols("l1 l2 l3 l0 m1 m2 m3 g", positive=True)
     w1, w2, w3 = (angle.diff() for angle in (t1, t2, t3))
@@ -82,7 +78,7 @@ def four_bar() -> CatalogueSystem:
 
 
 def slider_crank() -> CatalogueSystem:
-    """A crank, a connecting rod and a piston, with a spring on the piston."""
+    """A crank, a connecting rod and a piston with a spring."""
     theta, beta, x = coordinates("theta beta x")
     l1, l2, m1, m2, m3, k, g = sp.symbols("l1 l2 m1 m2 m3 k g", positive=True)
     pin = l1 * sp.Matrix([sp.cos(theta), sp.sin(theta)])
@@ -120,7 +116,7 @@ _SQUEEZER = {
 
 
 def andrews_squeezer() -> CatalogueSystem:
-    """Seven bodies in three loops, driven by a motor: a test of solvers with constraints.
+    """Seven bodies in three loops, a test problem for solvers with constraints.
 
     A constant torque turns the first body, and a spring acts on the third.
     """
@@ -132,7 +128,7 @@ def andrews_squeezer() -> CatalogueSystem:
     da, ea, fa, ra, sa, sb = (a[name] for name in ("da", "ea", "fa", "ra", "sa", "sb"))
     ta, tb, ua, ub = (a[name] for name in ("ta", "tb", "ua", "ub"))
     rod, bar, slide = e - ea, zf - fa, sp.cos(th)
-    # of the mass matrix of the Test Set, entries on and above the diagonal
+    # entries of the mass matrix of the Test Set, on and above the diagonal
     entries = {
         (be, be): m1 * ra**2 + m2 * (rr**2 - 2 * da * rr * slide + da**2) + i1 + i2,
         (be, th): m2 * (da**2 - da * rr * slide) + i2,
@@ -192,7 +188,7 @@ def andrews_squeezer() -> CatalogueSystem:
 
 
 RIGHT = math.pi / 2
-#: Links in the standard convention of Denavit and Hartenberg, metres, kilograms and radians.
+#: Links in the standard Denavit-Hartenberg convention, in metres, kilograms and radians.
 LINKS = (
     Link(alpha=RIGHT, inertia=(0, 0.35, 0), rotor=200e-6 * 62.6111**2),
     Link(
@@ -230,13 +226,8 @@ LINKS = (
 
 
 def puma560(joints: int = 6) -> CatalogueSystem:
-    """The first joints of the PUMA 560 with its motors, swinging freely under gravity."""
-    if isinstance(joints, bool) or joints not in range(1, 7):
-        reject(
-            f"the PUMA 560 has one to six joints, not {joints!r}.",
-            remedy="Use puma560(6).",
-            error=ModelError,
-        )
+    """The first joints of the robot arm PUMA 560, which swings freely under gravity."""
+    check_count("puma560", "joints", joints, 1, 6)
     name = "puma560" if joints == 6 else f"puma560_{joints}"
     q = coordinates(f"q1:{joints + 1}")
     kinetic, potential, positions = arm_energies(name, LINKS[:joints], q)
@@ -256,7 +247,7 @@ def puma560(joints: int = 6) -> CatalogueSystem:
 
 
 def cart_pole() -> CatalogueSystem:
-    """A cart free to roll that carries a pendulum, theta = 0 hanging down."""
+    """A rolling cart that carries a pendulum, with theta = 0 hanging down."""
     x, theta = coordinates("x theta")
     cart, pole, l, g = sp.symbols("m_cart m_pole l g", positive=True)
     coupling = pole * l * x.diff() * theta.diff() * sp.cos(theta)
@@ -274,7 +265,7 @@ def cart_pole() -> CatalogueSystem:
 
 
 def driven_cart_pole() -> CatalogueSystem:
-    """The cart with a pole, a motor of force u at its wheels and friction in wheels and joint."""
+    """The cart with a pole, with a motor of force u and with friction in wheels and joint."""
     free = cart_pole()
     x, theta = free.coordinates
     u = sp.Symbol("u", real=True)

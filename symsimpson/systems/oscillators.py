@@ -1,4 +1,4 @@
-"""Oscillators, free or driven."""
+"""Oscillators with one or a few coordinates, free or driven."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from symsimpson.systems.entry import CatalogueSystem
 
 
 def harmonic_oscillator() -> CatalogueSystem:
-    """A mass on a linear spring; too simple to show a scheme's order."""
+    """A mass on a linear spring."""
     (x,) = coordinates("x")
     m, k = sp.symbols("m k", positive=True)
     return CatalogueSystem(
@@ -25,7 +25,7 @@ def harmonic_oscillator() -> CatalogueSystem:
 
 
 def henon_heiles() -> CatalogueSystem:
-    """A star in the plane of a galaxy with a cubic potential; bounded for energies below 1/6."""
+    """A star in a cubic potential of a galaxy, whose motion is bounded for energies below 1/6."""
     x, y = coordinates("x y")
     return CatalogueSystem(
         "henon_heiles",
@@ -40,7 +40,7 @@ def henon_heiles() -> CatalogueSystem:
 
 
 def charged_particle() -> CatalogueSystem:
-    """A charge in a uniform magnetic field, which the drag of its own radiation slows down."""
+    """A charge in a uniform magnetic field, with the drag of its own radiation."""
     x, y, z = coordinates("x y z")
     m, e, B, k = sp.symbols("m e B k", positive=True)
     return CatalogueSystem(
@@ -50,7 +50,7 @@ def charged_particle() -> CatalogueSystem:
         gyroscopic=e * B * (x * y.diff() - y * x.diff()) / 2,
         potential=sp.S.Zero,
         parameters={m: 1.0, e: 1.0, B: 1.0, k: 0.02},
-        # its rate is e^2 B^2 2 e^2/(3 m^3 c^3): what is left of the third derivative of x
+        # the rate is e^2 B^2 2 e^2/(3 m^3 c^3), from the third derivative of x
         forces={"radiation": {x: -k * m * x.diff(), y: -k * m * y.diff()}},
         positions={"charge": (x, y, z)},
         reference_state={"q0": (0.0, 1.0, 0.0), "v0": (1.0, 0.0, 0.2)},
@@ -59,7 +59,7 @@ def charged_particle() -> CatalogueSystem:
 
 
 def damped_oscillator() -> CatalogueSystem:
-    """A mass on a spring, with friction in proportion to its velocity."""
+    """A mass on a spring, with friction proportional to its velocity."""
     (x,) = coordinates("x")
     m, k, c = sp.symbols("m k c", positive=True)
     return CatalogueSystem(
@@ -75,7 +75,7 @@ def damped_oscillator() -> CatalogueSystem:
 
 
 def damped_pendulum() -> CatalogueSystem:
-    """A pendulum with friction in its joint, and a torque there that swings."""
+    """A pendulum with friction and a periodic torque in its joint."""
     (theta,) = coordinates("theta")
     m, l, g, c, a, w = sp.symbols("m l g c a w", positive=True)
     return CatalogueSystem(
@@ -93,7 +93,7 @@ def damped_pendulum() -> CatalogueSystem:
 
 
 def duffing() -> CatalogueSystem:
-    """Duffing's oscillator between two wells, with friction and a drive."""
+    """The Duffing oscillator: two potential wells, friction and a periodic force."""
     (x,) = coordinates("x")
     alpha, beta, delta, gamma, w = sp.symbols("alpha beta delta gamma w", positive=True)
     return CatalogueSystem(
@@ -110,7 +110,7 @@ def duffing() -> CatalogueSystem:
 
 
 def dust_grain() -> CatalogueSystem:
-    """A grain of dust on its way around the sun, which Poynting and Robertson's drag shrinks."""
+    """A grain of dust around the Sun, whose orbit shrinks by Poynting-Robertson drag."""
     x, y = coordinates("x y")
     mu, beta, light = sp.symbols("mu beta light", positive=True)
     r2 = x**2 + y**2
@@ -130,7 +130,7 @@ def dust_grain() -> CatalogueSystem:
 
 
 def kapitza() -> CatalogueSystem:
-    """A pendulum whose pivot shakes up and down: it stands if (a w)^2 > 2 g l."""
+    """A pendulum whose pivot moves up and down; it is stable upright if (a w)^2 > 2 g l."""
     (theta,) = coordinates("theta")
     m, l, g, a, w = sp.symbols("m l g a w", positive=True)
     pivot = a * sp.cos(w * time)
@@ -148,7 +148,7 @@ def kapitza() -> CatalogueSystem:
 
 
 def van_der_pol() -> CatalogueSystem:
-    """Van der Pol's oscillator: friction that drives small motions and damps large ones."""
+    """The van der Pol oscillator, whose friction drives small motions and damps large ones."""
     (x,) = coordinates("x")
     mu = sp.Symbol("mu", positive=True)
     return CatalogueSystem(

@@ -8,12 +8,11 @@ from dataclasses import replace
 import sympy as sp
 
 from symsimpson.declare.coordinates import coordinates, time
-from symsimpson.errors import ModelError, reject
-from symsimpson.systems.entry import CatalogueSystem
+from symsimpson.systems.entry import CatalogueSystem, check_count
 
 
 def pendulum() -> CatalogueSystem:
-    """A point mass on a massless rod, theta = 0 hanging down."""
+    """A point mass on a massless rod, with theta = 0 hanging down."""
     (theta,) = coordinates("theta")
     m, l, g = sp.symbols("m l g", positive=True)
     return CatalogueSystem(
@@ -29,7 +28,7 @@ def pendulum() -> CatalogueSystem:
 
 
 def double_pendulum() -> CatalogueSystem:
-    """Two point masses on massless rods, angles from the vertical, omega_0 = 2 pi/s."""
+    """Two point masses on massless rods, with angles from the vertical and omega_0 = 2 pi/s."""
     q1, q2 = coordinates("q1 q2")
     m1, m2, l1, l2, g = sp.symbols("m1 m2 l1 l2 g", positive=True)
     gravity = 9.81
@@ -51,7 +50,7 @@ def double_pendulum() -> CatalogueSystem:
 
 
 def driven_double_pendulum() -> CatalogueSystem:
-    """The double pendulum with friction in both joints, and a torque at the first that swings."""
+    """The double pendulum with friction in both joints and a periodic torque at the first."""
     free = double_pendulum()
     q1, q2 = free.coordinates
     c1, c2, a, w = sp.symbols("c1 c2 a w", positive=True)
@@ -66,7 +65,7 @@ def driven_double_pendulum() -> CatalogueSystem:
 
 
 def elastic_pendulum() -> CatalogueSystem:
-    """A point mass on a spring that swings in a plane, theta = 0 hanging down."""
+    """A point mass on a spring that swings in a plane, with theta = 0 hanging down."""
     r, theta = coordinates("r theta")
     m, k, rest, g = sp.symbols("m k r0 g", positive=True)
     return CatalogueSystem(
@@ -82,7 +81,7 @@ def elastic_pendulum() -> CatalogueSystem:
 
 
 def spherical_pendulum() -> CatalogueSystem:
-    """A point mass on a rod free to swing in space, theta = 0 hanging down."""
+    """A point mass on a rod that swings in space, with theta = 0 hanging down."""
     theta, phi = coordinates("theta phi")
     m, l, g = sp.symbols("m l g", positive=True)
     swing = theta.diff() ** 2 + phi.diff() ** 2 * sp.sin(theta) ** 2
@@ -101,13 +100,8 @@ def spherical_pendulum() -> CatalogueSystem:
 
 
 def n_pendulum(n: int = 3) -> CatalogueSystem:
-    """A chain of n point masses on massless rods, absolute angles from the vertical."""
-    if isinstance(n, bool) or not isinstance(n, int) or n < 1:
-        reject(
-            f"a pendulum has a whole number of links, not {n!r}.",
-            remedy="Use n_pendulum(3).",
-            error=ModelError,
-        )
+    """A chain of n point masses on massless rods, with angles from the vertical."""
+    check_count("n_pendulum", "links", n, 1)
     q = coordinates(f"q1:{n + 1}")
     m = sp.symbols(f"m1:{n + 1}", positive=True)
     l = sp.symbols(f"l1:{n + 1}", positive=True)

@@ -1,4 +1,4 @@
-"""Bodies that roll or glide on blades: systems with velocity constraints."""
+"""Rolling bodies and blades: systems with velocity constraints."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from symsimpson.systems.entry import CatalogueSystem, read_numbers
 
 
 def chaplygin_sleigh() -> CatalogueSystem:
-    """A body on ice with a blade, which is at (x, y); its centre of mass is a ahead of it."""
+    """A body on ice with a blade at (x, y), and its centre of mass at the distance a ahead."""
     x, y, th = coordinates("x y th")
     m, J, a = sp.symbols("m J a", positive=True)
     ahead = sp.Matrix([sp.cos(th), sp.sin(th)])
@@ -32,7 +32,7 @@ def chaplygin_sleigh() -> CatalogueSystem:
 
 
 def rolling_disc() -> CatalogueSystem:
-    """A thin disc that rolls on a plane and leans; it touches the plane at (x, y)."""
+    """A thin disc that rolls and leans on a plane, with its contact point at (x, y)."""
     x, y, yaw, lean, roll = coordinates("x y yaw lean roll")
     m, R, g, k = sp.symbols("m R g k", positive=True)
     heading = sp.Matrix([sp.cos(yaw), sp.sin(yaw), 0])
@@ -62,7 +62,7 @@ def rolling_disc() -> CatalogueSystem:
 
 
 def snakeboard() -> CatalogueSystem:
-    """A board on two steered pairs of wheels, moved by a rotor and by its steering alone."""
+    """A board on two steered pairs of wheels, which moves by a rotor and by steering only."""
     x, y, th, rotor, steer = coordinates("x y th rotor steer")
     m, l, J, Jr, Jw = sp.symbols("m l J Jr Jw", positive=True)
     t = sp.Symbol("t")
@@ -97,13 +97,13 @@ def snakeboard() -> CatalogueSystem:
 
 
 def ball_on_turntable() -> CatalogueSystem:
-    """A ball that rolls on a turning table: its centre goes round on a circle."""
+    """A ball that rolls on a turntable, on which its centre moves along a circle."""
     x, y, *q = coordinates("x y q0 q1 q2 q3")
     m, R, k = sp.symbols("m R k", positive=True)
     rate = sp.Symbol("Omega", real=True)
     a, b, c, d = q
     da, db, dc, dd = (component.diff() for component in q)
-    # the turning rate in space, 2 q' q^-1 of a unit quaternion
+    # the angular velocity in space, 2 q' q^-1 of a unit quaternion
     w_x = 2 * (-da * b + db * a - dc * d + dd * c)
     w_y = 2 * (-da * c + db * d + dc * a - dd * b)
     square = sp.Add(*(component**2 for component in q))
@@ -138,30 +138,30 @@ _TABLE = read_numbers("""
     xH 0.9  zH -0.7  mH 4.0  IHxx 0.05892  IHyy 0.06  IHzz 0.00708  IHxz -0.00756
     rF 0.35  mF 3.0  IFxx 0.1405  IFyy 0.28
     """)
-#: The speed of the ride: without a rider's help it is stable between 4.3 and 6.0 m/s.
+#: The speed in m/s. The bicycle is stable without control between 4.3 and 6.0 m/s.
 _SPEED = 4.6
 
 
 def whipple_bicycle() -> CatalogueSystem:
-    """Two frames and two wheels that roll on a plane: it balances itself in a range of speeds.
+    """A bicycle of two frames and two rolling wheels, which is stable in a range of speeds.
 
-    The rear wheel touches the plane at (x, y). Axes are those of the benchmark: x is ahead, y to
-    the right and z down; positions are given with y to the left and z up. Of a wheel that rolls
-    ahead the angle falls. Multipliers of constraints are forces on the ground.
+    The rear wheel touches the plane at (x, y). The axes are as in the benchmark: x forward, y to
+    the right, z down. Positions to draw have y to the left and z up. The angle of a wheel that
+    rolls forward decreases. Multipliers of constraints are forces on the ground.
     """
     x, y, yaw, lean, pitch, steer, rear, front = coordinates("x y yaw lean pitch steer rear front")
     a = {name: sp.Symbol(name, real=True) for name in _TABLE}
     tilt, rR, rF = a["lambda"], a["rR"], a["rF"]
     mR, mB, mH, mF = (a[f"m{part}"] for part in "RBHF")
     sideways, down = sp.Matrix([0, 1, 0]), sp.Matrix([0, 0, 1])
-    # points of the upright bicycle, from the rear contact: hubs, masses, the steering axis' end
+    # points of the upright bicycle relative to the rear contact: hubs, masses, steering axis
     hub, wheel = sp.Matrix([0, 0, -rR]), sp.Matrix([a["w"], 0, -rF])
     body, fork = (sp.Matrix([a[f"x{part}"], 0, a[f"z{part}"]]) for part in "BH")
     end, axis = sp.Matrix([a["w"] + a["c"], 0, 0]), sp.Matrix([sp.sin(tilt), 0, sp.cos(tilt)])
-    # components of a vector, from each frame to the next: each is turned in that before it
+    # each matrix converts components of a vector from one frame to the next
     turned, leant, pitched = sp.rot_axis3(yaw), sp.rot_axis1(lean), sp.rot_axis2(pitch)
     steered = sp.rot_axis2(-tilt) * sp.rot_axis3(steer) * sp.rot_axis2(tilt)
-    # each frame's own components of its rate, of speeds of its points, and of the direction down
+    # rates, speeds of points and the direction down, with components in each frame
     contact = turned * sp.Matrix([x.diff(), y.diff(), 0])
     rate = leant * (yaw.diff() * down) + sp.Matrix([lean.diff(), 0, 0])
     rate_R = rate + (pitch.diff() + rear.diff()) * sideways
@@ -178,7 +178,7 @@ def whipple_bicycle() -> CatalogueSystem:
     depth_R = -rR * sp.cos(lean)
     depth_end = depth_R + down_B.dot(end - hub)
     depth_F = depth_end + down_H.dot(wheel - end)
-    # the lowest point of the front wheel is where its plane goes down most steeply
+    # the lowest point of the front wheel, in the direction of steepest descent of its plane
     slope = sp.sqrt(down_H[0] ** 2 + down_H[2] ** 2)
     ahead = sideways.cross(down_H) / slope
     slip = speed_F + rF * rate_F.cross(ahead.cross(sideways))

@@ -1,4 +1,4 @@
-"""Rigid bodies that turn, in angles or in coordinates with constraints."""
+"""Rotating rigid bodies, in Euler angles or in coordinates with constraints."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from symsimpson.systems.entry import CatalogueSystem, State
 
 
 def lagrange_top() -> CatalogueSystem:
-    """The Lagrange top in Euler angles (phi, theta, psi), with a nutation that makes loops."""
+    """The Lagrange top in Euler angles (phi, theta, psi), with a nutation with loops."""
     values = {"m_top": 0.1, "g": 9.81, "l": 0.15, "I": 0.00233, "I3": 0.000125}
     state = {"q0": (0.0, math.pi / 3, 0.0), "v0": (9.2, 0.0, 252.0)}
     return _top("lagrange_top", values, state)
 
 
 def lagrange_top_cusps() -> CatalogueSystem:
-    """The Lagrange top released with spin alone: its nutation makes cusps."""
+    """The Lagrange top released with spin only, with a nutation with cusps."""
     gravity = 9.81
     values = {"m_top": 1.0, "g": gravity, "l": 4 * math.pi**2 / gravity, "I": 1.0, "I3": 2.0}
     state = {"q0": (0.0, math.pi / 6, 0.0), "v0": (0.0, 0.0, 2 * math.pi)}
     return _top("lagrange_top_cusps", values, state)
 
 
-#: The top is drawn as a disc around its axis, with so many points on its rim.
+#: Number of points on the rim of the disc that represents the top in drawings.
 RIM = 6
 
 
 def _points(phi: sp.Expr, theta: sp.Expr, psi: sp.Expr, l: sp.Expr) -> Positions:
-    """Return the centre of mass, and the rim of a disc that turns with the body."""
+    """Return the points to draw: the centre of mass, and the rim of a disc of the body."""
     axis = sp.Matrix([sp.sin(theta) * sp.sin(phi), -sp.sin(theta) * sp.cos(phi), sp.cos(theta)])
     node = sp.Matrix([sp.cos(phi), sp.sin(phi), 0])
     third = sp.Matrix([-sp.cos(theta) * sp.sin(phi), sp.cos(theta) * sp.cos(phi), sp.sin(theta)])
@@ -44,6 +44,7 @@ def _points(phi: sp.Expr, theta: sp.Expr, psi: sp.Expr, l: sp.Expr) -> Positions
 
 
 def _top(name: str, values: dict[str, float], state: State) -> CatalogueSystem:
+    """Declare a Lagrange top with these parameters and this initial state."""
     phi, theta, psi = coordinates("phi theta psi")
     symbols = dict(zip(values, sp.symbols(list(values), positive=True), strict=True))
     m_top, g, l, inertia, spin_inertia = symbols.values()
@@ -68,8 +69,8 @@ _SOURCE = "H. Goldstein, C. Poole, J. Safko, Classical Mechanics, sections 4.4, 
 
 
 def rigid_body() -> CatalogueSystem:
-    """A free rigid body, started near the rotation about its unstable middle axis."""
-    angles, inertia, kinetic, in_space = _turning()
+    """A free rigid body that rotates near its unstable middle axis."""
+    angles, inertia, kinetic, in_space = _rotating_body()
     return CatalogueSystem(
         "rigid_body",
         coordinates=angles,
@@ -84,7 +85,7 @@ def rigid_body() -> CatalogueSystem:
 
 def heavy_top() -> CatalogueSystem:
     """A heavy asymmetric top with a fixed point and its centre of mass on the third axis."""
-    angles, inertia, kinetic, in_space = _turning()
+    angles, inertia, kinetic, in_space = _rotating_body()
     m, g, l = sp.symbols("m g l", positive=True)
     return CatalogueSystem(
         "heavy_top",
@@ -98,8 +99,8 @@ def heavy_top() -> CatalogueSystem:
     )
 
 
-def _turning() -> tuple[Angles, Sequence[sp.Symbol], sp.Expr, sp.Matrix]:
-    """Return angles, moments of inertia, the kinetic energy, and angular momentum in space."""
+def _rotating_body() -> tuple[Angles, Sequence[sp.Symbol], sp.Expr, sp.Matrix]:
+    """Return Euler angles, moments of inertia, T, and the angular momentum in space."""
     angles = coordinates("phi theta psi")
     inertia = sp.symbols("I1 I2 I3", positive=True)
     phi, theta, psi = angles
@@ -116,7 +117,7 @@ def _turning() -> tuple[Angles, Sequence[sp.Symbol], sp.Expr, sp.Matrix]:
 
 
 def cartesian_pendulum() -> CatalogueSystem:
-    """A point on a rod of fixed length, in space: no pole where it hangs."""
+    """A pendulum in Cartesian coordinates, which have no singularity at the lowest point."""
     x, y, z = coordinates("x y z")
     m, l, g = sp.symbols("m l g", positive=True)
     return CatalogueSystem(
@@ -133,7 +134,7 @@ def cartesian_pendulum() -> CatalogueSystem:
 
 
 def quaternion_top() -> CatalogueSystem:
-    """A heavy top without symmetry about a fixed point, by a unit quaternion."""
+    """A heavy asymmetric top about a fixed point, with a unit quaternion."""
     g, m = sp.symbols("g m", positive=True)
     body = RigidBody("top", inertia=(1, sp.Rational(3, 2), sp.Rational(4, 5)))
     centre = (sp.Rational(1, 10), sp.Rational(-1, 5), 1)
@@ -153,7 +154,7 @@ def quaternion_top() -> CatalogueSystem:
 
 
 def tumbling_body() -> CatalogueSystem:
-    """A free body that spins about its middle axis, and turns over again and again."""
+    """A free body that spins about its middle axis and flips periodically."""
     body = RigidBody("body", inertia=(1, 2, 3))
     q0, v0 = body.state(angular_velocity=(0.01, 3.0, 0.0))
     spin = body.to_space(body.inertia * body.angular_velocity)
@@ -171,7 +172,7 @@ def tumbling_body() -> CatalogueSystem:
 
 
 def jointed_bodies() -> CatalogueSystem:
-    """A body that swings about a fixed point, and another that hangs on it by a ball joint."""
+    """A body that swings about a fixed point, with a second one on a ball joint."""
     m1, m2, l1, c1, l2, g = sp.symbols("m1 m2 l1 c1 l2 g", positive=True)
     tenth = sp.Rational(1, 10)
     first = RigidBody("a", inertia=(9 * tenth, 11 * tenth, 5 * tenth))

@@ -1,7 +1,7 @@
-"""Run a module's text in another arithmetic: many digits, or numbers of Python.
+"""Execute a generated module with another arithmetic: many digits, or Python numbers.
 
-One text serves every arithmetic. Binding it means to leave out its imports and the definitions
-that name an arithmetic (``real``, ``compiled``, ``sincos``, ...) and to supply those from here.
+One text serves every arithmetic. Binding removes the imports of the text and its definitions of
+arithmetic names (``real``, ``compiled``, ``sincos``, ...), and supplies other definitions.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from symsimpson.text.interface import MATH
 
-#: What a kernel calls to tell whether an iteration is done.
+#: Functions of a module that check the convergence of an iteration.
 _CHECKS = (
     "check_convergence",
     "check_rounding",
@@ -35,26 +35,26 @@ def bind(source: str | ast.Module, arithmetic: Mapping[str, Any]) -> SimpleNames
     Parameters
     ----------
     source : str or ast.Module
-        Text of a module that symsimpson emitted, or its syntax; it is executed, so it must be
-        trusted.
+        Text or syntax tree of a generated module. The function executes it, so it must be trusted.
     arithmetic : mapping from str to object
-        Values for the names that it imports or that stand for its arithmetic.
+        Values of the imported names and of the arithmetic names.
 
     Returns
     -------
     types.SimpleNamespace
-        The module's functions and constants; kernels take a workspace of shape (ROWS, LANES).
+        The functions and constants of the module. Kernels take a workspace of shape (ROWS, LANES).
     """
     tree = ast.parse(source) if isinstance(source, str) else source
-    tree.body = [node for node in tree.body if not _replaced(node, arithmetic)]
+    tree.body = [node for node in tree.body if not _is_replaced(node, arithmetic)]
     if "raised" in arithmetic:
-        tree = ast.fix_missing_locations(_Operators(arithmetic).visit(tree))
+        tree = ast.fix_missing_locations(_OperatorReplacer(arithmetic).visit(tree))
     namespace: dict[str, Any] = dict(arithmetic)
     exec(compile(tree, "<generated module>", "exec"), namespace)
     return SimpleNamespace(**{k: v for k, v in namespace.items() if not k.startswith("__")})
 
 
-def _replaced(node: ast.stmt, arithmetic: Mapping[str, Any]) -> bool:
+def _is_replaced(node: ast.stmt, arithmetic: Mapping[str, Any]) -> bool:
+    """Return True if a statement is an import, or defines a name of the arithmetic."""
     match node:
         case ast.ImportFrom() | ast.Import():
             return True
@@ -68,14 +68,16 @@ def plain_arithmetic(
     real: Callable[..., Any],
     digits: int | None = None,
 ) -> dict[str, Any]:
-    """Return the names that a module takes from its arithmetic; one function may stand for all.
+    """Return the arithmetic names of a module and their values.
 
-    With a number of digits the kernels check their iterations, by thresholds for so many.
+    ``functions`` has the elementary functions by name, or one function for all of them. With
+    ``digits``, the kernels check convergence with thresholds for this number of digits. Without it,
+    the checks do nothing.
     """
     named = dict.fromkeys([*MATH, "atan2"], functions) if callable(functions) else functions
 
     def nothing(W: Any, lane: int) -> None:
-        """Leave it to the caller when to stop."""
+        """Replace a check of convergence: the caller decides when to stop."""
 
     checking: dict[str, Any] = dict.fromkeys(_CHECKS, nothing)
     if digits is not None:
@@ -93,7 +95,7 @@ def plain_arithmetic(
         }
     return {
         "pi": math.pi,
-        "FRESH": real(2) ** 60,  # sines and cosines are not turned: that is exact in doubles alone
+        "FRESH": real(2) ** 60,  # always evaluate sine and cosine: rotating them needs doubles
         **checking,
         **named,
         "real": real,
@@ -106,11 +108,11 @@ def plain_arithmetic(
 def bind_mpmath(
     source: str, context: Any = mpmath.mp, *, checking: bool = False
 ) -> SimpleNamespace:
-    """Bind to mpmath at a context's working precision, in which the kernels must be called too."""
+    """Bind a module to mpmath at the precision of ``context``, which calls of kernels need, too."""
     nan, not_real = context.nan, (context.mpc, complex)
 
     def real_valued(function: Callable[..., Any]) -> Callable[..., Any]:
-        """Return NaN where there is no real value, as compiled code does."""
+        """Return a function that gives NaN instead of a complex value, like compiled code."""
 
         def evaluated(*arguments: Any) -> Any:
             try:
@@ -133,13 +135,13 @@ def bind_mpmath(
     functions["sincos"] = lambda x: context.cos_sin(x)[::-1]
     functions["raised"] = real_valued(lambda a, b: a**b)
     functions["divided"] = divide
-    functions |= _tables(context.mpf, context.dps)
+    functions |= _table_names(context.mpf, context.dps)
     digits = context.dps if checking else None
     return bind(source, plain_arithmetic(functions, context.mpf, digits))
 
 
 def bind_arb(source: str) -> SimpleNamespace:
-    """Bind to the balls of python-flint, at the working precision of ``flint.ctx``."""
+    """Bind a module to the ball arithmetic of python-flint, at the precision of ``flint.ctx``."""
     from flint import arb, ctx
 
     def method(name: str) -> Callable[[Any], Any]:
@@ -152,10 +154,10 @@ def bind_arb(source: str) -> SimpleNamespace:
     functions["atan2"] = lambda y, x: arb.atan2(arb(y), arb(x))
     functions["sincos"] = method("sin_cos")
     functions["raised"] = _power
-    functions |= _tables(arb, ctx.dps)
+    functions |= _table_names(arb, ctx.dps)
 
     def checked(function: Callable[..., Any]) -> Callable[..., Any]:
-        """Let checks see midpoints: no ball of rounding errors is smaller than another."""
+        """Replace balls by their midpoints before a check, because balls cannot be compared."""
         if function.__name__ not in (*_CHECKS, "check_drift"):
             return function
 
@@ -170,8 +172,8 @@ def bind_arb(source: str) -> SimpleNamespace:
     return bind(source, arithmetic | {"compiled": checked})
 
 
-def _tables(real: Callable[..., Any], digits: int) -> dict[str, Any]:
-    """Let a module make tables of its own with more digits than are asked for."""
+def _table_names(real: Callable[..., Any], digits: int) -> dict[str, Any]:
+    """Return the names by which a module computes its tables, with 20 extra digits."""
     scale = digits + 20
 
     def number(units: int) -> Any:
@@ -181,7 +183,7 @@ def _tables(real: Callable[..., Any], digits: int) -> dict[str, Any]:
 
 
 def _power(base: Any, exponent: Any) -> Any:
-    """Multiply where a ball around zero has no logarithm."""
+    """Return a power; products avoid the logarithm, which a ball around zero does not have."""
     if not isinstance(exponent, int) or exponent < 1:
         return base**exponent
     result = base
@@ -190,11 +192,8 @@ def _power(base: Any, exponent: Any) -> Any:
     return result
 
 
-class _Operators(ast.NodeTransformer):
-    """Writes a**b as raised(a, b) and a/b as divided(a, b), where an arithmetic has these names.
-
-    No kernel has one of them: what stands in an arithmetic replaces what a module defines.
-    """
+class _OperatorReplacer(ast.NodeTransformer):
+    """Replaces a**b by raised(a, b) and a/b by divided(a, b), if an arithmetic has these names."""
 
     def __init__(self, arithmetic: Mapping[str, Any]) -> None:
         named = {ast.Pow: "raised", ast.Div: "divided"}

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from symsimpson.support.array_types import Reals
-from symsimpson.support.names import Named
+from symsimpson.support.names import NameTable
 from symsimpson.text.header import Header
 
 
@@ -50,8 +50,8 @@ class Quantity:
         """Return the names of its numbers."""
         return [f"{self.prefix}{x}" for x in self._axis(names).shown] if self.axis else [self.name]
 
-    def _axis(self, names: Any) -> Named:
-        named: Named = getattr(names, self.axis)
+    def _axis(self, names: Any) -> NameTable:
+        named: NameTable = getattr(names, self.axis)
         return named
 
 

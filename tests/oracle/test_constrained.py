@@ -9,7 +9,7 @@ from support.cases import sweep
 from support.index_one import motion
 
 import symsimpson as ss
-from symsimpson.study.analysis.precise import Precise
+from symsimpson.study.analysis.discrete_flow import DiscreteFlow
 
 #: The end, and the steps to it that the order is seen from.
 PROBLEMS = {"four_bar": ("0.4", 20), "quaternion_top": ("0.4", 8), "jointed_bodies": ("0.1", 2)}
@@ -309,8 +309,8 @@ def test_singular_mass_matrices():
     )
     free = ss.compile(same, "gauss8").integrate([1.0], v0=[0.0], h=0.01, steps=200)
     assert np.abs(run["x"] - free["x"]).max() < 1e-7
-    precise = Precise(ss.compile(lever), {}, 50)
-    z = precise.placed([1.0, np.sin(1.0), 0.3, 0.0])
-    D, E = precise.tangent(z, 0.1)
+    flow = DiscreteFlow(ss.compile(lever), {}, 50)
+    z = flow.project([1.0, np.sin(1.0), 0.3, 0.0])
+    D, E = flow.tangent(z, 0.1)
     J = np.kron([[0, 1], [-1, 0]], np.eye(2, dtype=int)).astype(object)
     assert max(map(abs, (D.T @ J @ D - E.T @ J @ E).ravel())) < 1e-28

@@ -47,7 +47,7 @@ def test_kicks_damp_as_friction_does_by_itself(scheme, monkeypatch):
     # not in proportion to each momentum, of no positive rate, or of another order
     for force, message in (
         ({x: -c * u, y: -c * u / 2}, "force depends on velocities"),
-        ({x: c * x.diff()}, "friction in proportion to each momentum"),
+        ({x: c * x.diff()}, "proportional to each momentum, with a positive rate"),
         ({x: -c * x * x.diff()}, "force depends on velocities"),
     ):
         other = ss.MechanicalSystem(
@@ -60,7 +60,7 @@ def test_kicks_damp_as_friction_does_by_itself(scheme, monkeypatch):
         )
         with pytest.raises(ss.SchemeError, match=message):
             ss.compile(other, scheme)
-    with pytest.raises(ss.SchemeError, match="it would fall to order 4"):
+    with pytest.raises(ss.SchemeError, match="With friction the order would be 4"):
         ss.compile(system, "blanes_moan6")
 
 
@@ -156,7 +156,7 @@ def test_damping_that_is_not_resolved_is_warned_of():
         dissipation=c * x.diff() ** 2 / 2,
         parameters={c: 100.0},
     )
-    told = r"damping at the start, of rate 100(.|\n)*'radau3'"
+    told = r"damping at the initial state\. Its rate is 100(.|\n)*'radau3'"
     with pytest.warns(ss.StabilityWarning, match=told):
         ss.compile(system).integrate([0.1], [1.0], h=0.05, steps=1)
     ss.compile(system).integrate([0.1], [1.0], h=0.03, steps=1)

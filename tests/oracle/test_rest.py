@@ -81,7 +81,7 @@ def test_what_drag_does_not_explain_is_warned_of():
     )
     stepper = ss.compile(bodies)
     for every in (1, None):
-        with pytest.warns(ss.ResolutionWarning, match="does not come back"):
+        with pytest.warns(ss.ResolutionWarning, match="has a permanent error"):
             stepper.integrate([1.9, 0], v0=[0, 0.16], h=0.02, t_end=40, every=every)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -108,5 +108,5 @@ def test_a_pole_that_steps_jump_is_told():
 def test_steps_that_are_lost_in_times_are_refused():
     stepper = ss.compile(ss.systems.pendulum())
     for t0 in (1e15, -1e17):
-        with pytest.raises(ss.InputError, match="lost in rounding"):
+        with pytest.raises(ss.InputError, match="below round-off"):
             stepper.integrate([0.2], v0=[0.0], h=0.05, steps=10, t0=t0)

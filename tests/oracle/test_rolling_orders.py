@@ -76,5 +76,5 @@ def test_work_of_constraints_has_the_order_of_the_scheme(scheme):
         left.append(np.abs(run.energy_balance).max())
         assert np.array_equal(run.work["constraints"], run.work["total"])
     assert abs(np.log2(left[0] / left[1]) - SCHEMES[scheme]) < 0.2
-    with pytest.raises(ss.InputError, match="constraints that move do work"):
+    with pytest.raises(ss.InputError, match="moving constraints do work"):
         run.energy_error  # noqa: B018

@@ -6,7 +6,7 @@ from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.reference import canonical
-from symsimpson.study.bench.contenders import in_heyoka
+from symsimpson.study.bench.contenders import to_heyoka
 
 START = ([0.8, 1.0], [0.05, -0.02])
 
@@ -15,7 +15,7 @@ START = ([0.8, 1.0], [0.05, -0.02])
 def exact():
     """The derivative of the flow over one unit of time, by Taylor series."""
     heyoka = pytest.importorskip("heyoka")
-    motion = in_heyoka(heyoka, canonical(ss.systems.double_pendulum()))
+    motion = to_heyoka(heyoka, canonical(ss.systems.double_pendulum()))
     equations = heyoka.var_ode_sys(motion, heyoka.var_args.vars, order=1)
     flow = heyoka.taylor_adaptive(equations, np.concatenate(START), tol=1e-16, compact_mode=True)
     flow.propagate_until(1.0)

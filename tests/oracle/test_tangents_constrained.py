@@ -6,7 +6,7 @@ from support.cases import sweep
 from support.tangents import carried, check_adjoint, check_parameters
 
 import symsimpson as ss
-from symsimpson.study.analysis.precise import Precise
+from symsimpson.study.analysis.discrete_flow import DiscreteFlow
 
 H, STEPS, DIGITS = 0.01, 2, 30
 #: Its whole motion takes 0.03 s.
@@ -20,7 +20,7 @@ def case(name, scheme):
     first = stepper.integrate(q0, **state, h=FINE.get(name, H), steps=1)
     values = stepper.program.named_values()
     start = np.concatenate([first.q[0], first.p[0]])
-    return stepper, values, Precise(stepper, values, DIGITS).placed(start)
+    return stepper, values, DiscreteFlow(stepper, values, DIGITS).project(start)
 
 
 CASES = [
@@ -40,9 +40,9 @@ def test_tangent_and_adjoint_of_a_pendulum_in_many_digits():
     system = ss.systems.cartesian_pendulum()
     stepper = ss.compile(system, "midpoint", precision=DIGITS)
     values = stepper.program.named_values()
-    precise = Precise(ss.compile(system, "midpoint"), values, DIGITS)
-    z = precise.placed([0.6, 0.0, -0.8, 0.4, 1.7, 0.3])
-    of_end, of_start = precise.tangent(z, H)
+    flow = DiscreteFlow(ss.compile(system, "midpoint"), values, DIGITS)
+    z = flow.project([0.6, 0.0, -0.8, 0.4, 1.7, 0.3])
+    of_end, of_start = flow.tangent(z, H)
     given = {"p0": z[3:], "h": H, "steps": 1}
     found = stepper.integrate(z[:3], **given, tangents=of_start).tangent[-1]
     assert np.abs(found - of_end).max() < 1e-18 * np.abs(of_end).max()
@@ -62,7 +62,7 @@ def test_derivatives_by_the_state(name, scheme):
     """And with their symplectic form: on the constraints it is kept."""
     stepper, values, z = case(name, scheme)
     h = FINE.get(name, H)
-    of_end, of_start = Precise(stepper, values, DIGITS).tangent(z, h, STEPS)
+    of_end, of_start = DiscreteFlow(stepper, values, DIGITS).tangent(z, h, STEPS)
     of_end, of_start = of_end.astype(float), of_start.astype(float)
     found = carried(stepper, z, h, STEPS, tangents=of_start).tangent[-1]
     assert np.abs(found - of_end).max() < 1e-12 * np.abs(of_end).max()

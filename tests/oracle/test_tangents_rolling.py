@@ -7,7 +7,7 @@ from support.rolling import allowed_state, carried_by_time
 from support.tangents import carried, check_adjoint, check_parameters
 
 import symsimpson as ss
-from symsimpson.study.analysis.precise import Precise
+from symsimpson.study.analysis.discrete_flow import DiscreteFlow
 
 pytestmark = pytest.mark.plain
 H, STEPS, DIGITS = 0.05, 2, 30
@@ -23,7 +23,7 @@ def case(name, scheme):
     stepper = ss.compile(system, scheme)
     values = stepper.program.named_values()
     first = stepper.integrate(state["q0"], v0=state["v0"], h=H, steps=0)
-    z = Precise(stepper, values, DIGITS).placed(np.concatenate([first.q[0], first.p[0]]))
+    z = DiscreteFlow(stepper, values, DIGITS).project(np.concatenate([first.q[0], first.p[0]]))
     return stepper, values, z
 
 
@@ -41,7 +41,7 @@ CASES = [
 @pytest.mark.parametrize(("name", "scheme"), sweep(CASES, 1))
 def test_derivatives_by_the_state(name, scheme):
     stepper, values, z = case(name, scheme)
-    of_end, of_start = Precise(stepper, values, DIGITS).tangent(z, H, STEPS)
+    of_end, of_start = DiscreteFlow(stepper, values, DIGITS).tangent(z, H, STEPS)
     of_end, of_start = of_end.astype(float), of_start.astype(float)
     found = carried(stepper, z, H, STEPS, tangents=of_start).tangent[-1]
     assert np.abs(found - of_end).max() < 1e-12 * np.abs(of_end).max()
@@ -57,11 +57,11 @@ def test_derivatives_by_parameters(name, scheme):
 @pytest.mark.parametrize(("name", "scheme"), sweep(CASES, 1))
 def test_derivatives_by_the_step(name, scheme):
     stepper, values, z = case(name, scheme)
-    precise = Precise(stepper, values, DIGITS)
-    size, n, start = precise.small, stepper.n, z.astype(float)
+    flow = DiscreteFlow(stepper, values, DIGITS)
+    size, n, start = flow.small, stepper.n, z.astype(float)
     found = stepper.tangent(start[:n], p=start[n:], h=H, wrt=("h",))[2][:, 0]
-    h = precise.context.mpf(H)
-    ends = [precise.flow(z, h + sign * size) for sign in (1, -1)]
+    h = flow.context.mpf(H)
+    ends = [flow.advance(z, h + sign * size) for sign in (1, -1)]
     truth = ((ends[0] - ends[1]) / (2 * size)).astype(float)
     assert np.abs(found - truth).max() < 1e-12 * np.abs(truth).max()
 

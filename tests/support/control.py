@@ -10,13 +10,13 @@ def check_derivatives(problem, scheme, steps=3):
     from symsimpson.schemes.named import read_scheme
     from symsimpson.study.control.layout import Layout
     from symsimpson.study.control.problem_parts import read_grid
-    from symsimpson.study.control.solution import initial_point
+    from symsimpson.study.control.solution import build_initial_point
 
     grid = read_grid(steps, len(problem.reading.phases))
     layout = Layout(problem.reading, read_scheme(scheme), grid)
-    programme, *_ = layout.programme
+    programme, *_ = layout.nlp
     rng = np.random.default_rng(3)
-    at = initial_point(layout, None) + 0.1 * rng.normal(size=layout.size)
+    at = build_initial_point(layout, None) + 0.1 * rng.normal(size=layout.size)
     multipliers, cost = rng.normal(size=programme.shape[0]), 0.7
 
     def slopes(at):

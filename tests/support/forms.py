@@ -10,4 +10,4 @@ def limited(monkeypatch, **limits):
         monkeypatch.setattr(forms if hasattr(forms, name) else module_kernels, name, value)
     anew = getattr(pipeline._derive, "__wrapped__", pipeline._derive)  # asked for once more
     monkeypatch.setattr(pipeline, "_derive", anew)
-    monkeypatch.setattr(api, "_derived", pipeline.derive)
+    monkeypatch.setattr(api, "_derive", pipeline.derive)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from symsimpson.study.analysis.precise import Precise
+from symsimpson.study.analysis.discrete_flow import DiscreteFlow
 
 
 def carried(stepper, z, h, steps, **options):
@@ -12,15 +12,15 @@ def carried(stepper, z, h, steps, **options):
 
 def check_parameters(stepper, values, z, h, steps, digits):
     """Also of those in constraints, where the start must move with them."""
-    size = Precise(stepper, values, digits).small
+    size = DiscreteFlow(stepper, values, digits).small
     names = stepper.parameters
     run = carried(stepper, z, h, steps, tangents=2 * stepper.n, sensitivities=names)
     for name in names:
         starts, ends = [], []
         for sign in (1, -1):
-            moved = Precise(stepper, {**values, name: values[name] + sign * size}, digits)
-            starts.append(moved.placed(z))
-            ends.append(moved.flow(starts[-1], h, steps))
+            moved = DiscreteFlow(stepper, {**values, name: values[name] + sign * size}, digits)
+            starts.append(moved.project(z))
+            ends.append(moved.advance(starts[-1], h, steps))
         start, end = (((a - b) / (2 * size)).astype(float) for a, b in (starts, ends))
         found = run.tangent[-1] @ start + run.sensitivity[name][-1]
         scale = np.abs(end).max() + np.abs(run.sensitivity[name][-1]).max()

@@ -8,9 +8,9 @@ import mpmath as mp
 import numpy as np
 from numba import cfunc
 
-from symsimpson.graph.evaluate import line_value
+from symsimpson.graph.evaluate import evaluate_line
 from symsimpson.program.configuration import vector_bits
-from symsimpson.targets.llvm.intrinsics import stubs, walking
+from symsimpson.targets.llvm.intrinsics import kernel_intrinsic, stubs
 
 TABLES = {
     "simpson": ("lobatto", 3, 2),
@@ -33,7 +33,7 @@ def jet_values(jet, q, v, parameters):
         if line.kind == "symbol":
             found[n] = mp.mpf(given[line.parts[0]])
         else:
-            found[n] = line_value(line.kind, line.parts, found, mp.mp)
+            found[n] = evaluate_line(line.kind, line.parts, found, mp.mp)
     return {
         key: mp.mpf(c.numerator) / c.denominator * found[n] if c else mp.mpf(0)
         for key, (c, n) in jet.program.outputs.items()
@@ -99,7 +99,7 @@ def walked(text, names, lanes=1, bits=None):
     module = ModuleType("walked")
     exec(stubs(text, list(names)), vars(module))
     for name in names:
-        setattr(module, f"walk_{name}", walking(text, name, lanes, bits or vector_bits()))
+        setattr(module, f"walk_{name}", kernel_intrinsic(text, name, lanes, bits or vector_bits()))
     return {
         name: cfunc(module.SIGNATURE, **module.OPTIONS)(getattr(module, name)) for name in names
     }

@@ -150,7 +150,7 @@ def test_check(tmp_path, capsys):
     assert main(["check", "--directory", str(target)]) == 1
     out = capsys.readouterr().out
     assert "missing  kepler__simpson.py" in out
-    assert "other    other.py, which is not of the catalogue" in out
+    assert "other    other.py, which is not in the catalogue" in out
     assert "stale    pendulum__simpson.py" in out
 
 
@@ -172,27 +172,27 @@ def test_run(tmp_path, own, capsys):
 
 
 ERRORS = {
-    "unknown system": (["run", "nothing"], "no system 'nothing'"),
+    "unknown system": (["run", "nothing"], "the catalogue has no system 'nothing'"),
     "no such file": (["run", "nothing.py:x"], "there is no file nothing.py"),
-    "no system": (["run", "{own}:number"], "is no MechanicalSystem"),
-    "a function with arguments": (["run", "{own}:needs"], "needs() makes no system: TypeError"),
+    "no system": (["run", "{own}:number"], "is not a MechanicalSystem"),
+    "a function with arguments": (["run", "{own}:needs"], "needs() returns no system: TypeError"),
     "no state": (["run", "{own}:spring"], "no reference state"),
     "scheme": (["run", "pendulum", "--scheme", "euler"], "no scheme 'euler'"),
     "format": (["run", "pendulum", "--out", "run.xls"], "unsupported file extension '.xls'"),
-    "step": (["run", "pendulum", "--h", "0"], "the step h is 0"),
+    "step": (["run", "pendulum", "--h", "0"], "the step size h is 0"),
     "directory": (["generate", "pendulum", "--directory", "{own}"], "cannot be written"),
     "both ends": (["run", "pendulum", "--t-end", "1", "--steps", "5"], "exactly one of"),
-    "far away": (["run", "pendulum", "--t-end", "1e308"], "too many to count"),
+    "far away": (["run", "pendulum", "--t-end", "1e308"], "is too long; the limit is"),
     "velocity alone": (["run", "pendulum", "--v0", "1"], "--v0 without --q0"),
     "position alone": (["run", "pendulum", "--q0", "1"], "exactly one of --v0 and --p0"),
     "three of a plane": (
         ["plot", "pendulum", "theta", "v_theta", "zz", "--kind", "phase", "--out", "run.png"],
-        "--kind phase draws one quantity over another, not theta, v_theta, zz",
+        "--kind phase plots two quantities, not theta, v_theta, zz",
     ),
-    "a module": (["export", "{own}", "--out", "own"], "Name the variable that holds it"),
+    "a module": (["export", "{own}", "--out", "own"], "Name the variable that has the system"),
     "names of energies": (
         ["plot", "pendulum", "theta", "--kind", "energy", "--out", "run.png"],
-        "--kind energy draws no theta",
+        "--kind energy does not plot theta",
     ),
 }
 
@@ -236,7 +236,7 @@ def test_module_is_a_command():
         [sys.executable, "-m", "symsimpson", "run", "nothing"], capture_output=True, text=True
     )
     assert done.returncode == 1
-    assert done.stderr.startswith("InputError: there is no system 'nothing'")
+    assert done.stderr.startswith("InputError: the catalogue has no system 'nothing'")
 
 
 def test_values_that_begin_with_a_minus(capsys):
@@ -251,10 +251,10 @@ def test_values_that_begin_with_a_minus(capsys):
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("stress pendulum --steps -5", "no whole number"),
-        ("run pendulum --q0 a", "no list of numb"),
-        ("run pendulum --steps 1.5", "no whole number"),
-        ("run pendulum --steps many", "no whole"),
+        ("stress pendulum --steps -5", "not a positive whole number"),
+        ("run pendulum --q0 a", "not a list of numb"),
+        ("run pendulum --steps 1.5", "not a positive whole number"),
+        ("run pendulum --steps many", "not a positive whole"),
         ("export pendulum --h 0.1 --out x", "no option --h.\nsymsimpson export takes --scheme"),
         ("run pendulum --shceme midpoint", "no option --shceme. Did you mean --scheme?"),
         ("list pendulum", "symsimpson list: error: unrecognized arguments: pendulum"),
@@ -282,7 +282,7 @@ def test_version(capsys):
 def test_warnings_are_told_in_words_and_once(capsys):
     assert main(["run", "double_pendulum", "--h", "0.5", "--t-end", "10"]) == 1
     said = capsys.readouterr().err
-    assert said.count("StabilityWarning: double_pendulum, simpson: h=0.5 is beyond") == 1
+    assert said.count("StabilityWarning: double_pendulum, simpson: h=0.5 exceeds") == 1
     assert ".py:" not in said
     assert "step 0 of 1 " not in said
 
@@ -325,17 +325,17 @@ def test_parameters_and_inputs(tmp_path, capsys):
     assert "has 8 rows for 9 steps" in capsys.readouterr().err
     assert main(["run", "driven_cart_pole", "--steps", "9"]) == 1
     told = capsys.readouterr().err
-    assert "driven_cart_pole has the inputs u, of which no values are given.\n" in told
+    assert "--inputs is missing: driven_cart_pole has the inputs u.\n" in told
     assert "Pass --inputs FILE" in told
-    assert "9 lines" in told
+    assert "next 9 lines" in told
     path.write_text("v\n1\n2\n")
     assert main([*asked, "--steps", "2"]) == 1
-    assert "its columns are v; the inputs of driven_cart_pole are u" in capsys.readouterr().err
+    assert "the columns are v. The inputs of driven_cart_pole are u" in capsys.readouterr().err
     path.write_bytes(b"\xef\xbb\xbfu\r\n1\r\n2\r\n")  # as spreadsheets write them
     assert main([*asked, "--steps", "2"]) == 0
     path.write_text("")
     assert main([*asked, "--steps", "2"]) == 1
-    assert "it cannot be read" in capsys.readouterr().err
+    assert "the file cannot be read" in capsys.readouterr().err
     assert main(["run", "pendulum", "--h", "0.1", "--steps", "5", "--every", "2"]) == 0
     assert "5 steps to t = 0.5," in capsys.readouterr().out
 
@@ -344,7 +344,7 @@ def test_parameters_and_inputs(tmp_path, capsys):
 def test_values_of_parameters_are_read(given, capsys):
     with pytest.raises(SystemExit):
         main(["run", "pendulum", "--set", given])
-    assert "is no value of a parameter, as R=0.4" in capsys.readouterr().err
+    assert "is not a parameter with a value like R=0.4" in capsys.readouterr().err
 
 
 def test_an_unknown_parameter_is_named(capsys):

@@ -154,7 +154,7 @@ def test_failed_runs_say_so():
     run = stepper.integrate([0.0, 0.1], v0=[2.4, 1.0], h=0.1, steps=500, on_failure="return")
     text = run._repr_html_()
     assert run.status.name in text
-    assert "was not taken" in text
+    assert "with h=0.1 failed" in text
 
 
 @pytest.mark.parametrize(
@@ -208,7 +208,7 @@ def test_one_of_a_kind_is_told_in_the_singular():
     assert "1 member, 1 state of each" in repr(stepper.ensemble(**given))
     assert repr(stepper.linearise(**given)).startswith("Linearisation(1 step, ")
     assert "with 1 node," in repr(ss.galerkin("gauss", 1, 1))
-    with pytest.raises(ss.InputError, match="given 1 argument without"):
+    with pytest.raises(ss.InputError, match="got 1 positional argument, and takes none"):
         ss.Switch("x")
 
 
@@ -295,5 +295,5 @@ def test_states_and_members_follow_one_another():
     assert (first.energy_error, last.t) == (0, 0.5)
     assert [float(state["theta"][0]) for state in run] == run["theta"].tolist()
     for wrong in (run, [run, run], many):
-        with pytest.raises(ss.InputError, match=r"is no array.\nPass one of its arrays: .q"):
+        with pytest.raises(ss.InputError, match=r"is not an array.\nPass one of its arrays"):
             np.asarray(wrong)

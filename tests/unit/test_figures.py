@@ -109,34 +109,34 @@ def first_calls(cache_folder):
 
 #: Lines of text in each room.
 LINES = {
-    "api": 1463,
-    "cli": 770,
-    "declare": 5627,
-    "discrete": 1726,
-    "graph": 2146,
-    "lower": 5931,
-    "plotting": 1040,
-    "program": 2910,
-    "reference": 868,
-    "results": 3345,
-    "root": 560,
-    "run": 6692,
-    "schemes": 770,
-    "stepping": 2345,
-    "study": 9440,
-    "support": 1083,
-    "systems": 1684,
-    "targets": 4512,
+    "api": 1630,
+    "cli": 783,
+    "declare": 5767,
+    "discrete": 1757,
+    "graph": 2178,
+    "lower": 5835,
+    "plotting": 1100,
+    "program": 2955,
+    "reference": 988,
+    "results": 3563,
+    "root": 569,
+    "run": 6979,
+    "schemes": 787,
+    "stepping": 2444,
+    "study": 10100,
+    "support": 1099,
+    "systems": 1661,
+    "targets": 4601,
     "text": 7170,
 }
 
 #: What a first compile and a first integrate execute, with nothing on disk. Python 3.11 counts
 #: comprehensions as functions.
 FIRST_CALLS = {
-    "functions that a first compile executes": 1113,
-    "files that a first compile executes": 123,
-    "functions that a first integrate executes": 657,
-    "files that a first integrate executes": 82,
+    "functions that a first compile executes": 1099,
+    "files that a first compile executes": 121,
+    "functions that a first integrate executes": 658,
+    "files that a first integrate executes": 83,
     "modules loaded after ten steps": 188,
 }
 
@@ -152,11 +152,11 @@ FIGURES = {
     "values called found, made, own or one": (0, lambda: sum(map(is_vague, every_node()))),
     "names that several files have": (1, repeated_names),
     "modules at the root": (3, lambda: len(list(PACKAGE.glob("*.py")))),
-    "lines of the package": (60082, lambda: sum(lines_of_rooms().values())),
+    "lines of the package": (61966, lambda: sum(lines_of_rooms().values())),
     "files": (262, lambda: len(FILES)),
     "floors": (10, floors),
-    "class names that occur twice": (19, repeated_classes),
-    "docstrings with private words": (548, private_words),
+    "class names that occur twice": (5, repeated_classes),
+    "docstrings with private words": (32, private_words),
     "docstrings that cannot be read alone": (
         0,
         lambda: sum(

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import symsimpson as ss
-from symsimpson.api.compiling import _derived
+from symsimpson.api.compiling import _derive
 from symsimpson.program import cache
-from symsimpson.program.cache import kept
+from symsimpson.program.cache import load_or_make
 
 TOP = logging.getLogger("symsimpson")
 
@@ -28,7 +28,7 @@ def messages(caplog, monkeypatch):
 def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("SYMSIMPSON_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setattr(cache, "_results", {})
-    _derived.cache_clear()
+    _derive.cache_clear()
     return cache.cache_folder()
 
 
@@ -58,7 +58,7 @@ def test_the_cache_says_what_it_takes_makes_and_mends(folder, messages):
 def test_choices_that_are_remembered_are_told_of(folder, messages):
     def ask():
         messages.clear()
-        assert kept("choices", "which", float, lambda: 1.0, lambda x: x) == 1.0
+        assert load_or_make("choices", "which", float, lambda: 1.0, lambda x: x) == 1.0
         return [x.partition("/")[0] for x in messages]
 
     assert ask() == ["choices: remembered in "]
@@ -76,15 +76,15 @@ def test_a_plain_run_logs_nothing_and_steps_that_fail_are_told_of(messages):
         stepper.integrate([0.8], v0=[0.0], h=0.01, steps=steps)
     assert messages == []
     stepper.integrate([2.8], v0=[8.0], h=3.0, steps=3, on_failure="return")
-    assert "pendulum: step 2 is solved again, or checked" in messages
+    assert "pendulum: step 2 is repeated or checked" in messages
 
 
 @pytest.mark.slow
 def test_other_kernels_are_told_of(messages):
     stepper = ss.compile(ss.systems.double_pendulum(), "midpoint")
     stepper.integrate([2.8, 3.0], v0=[8.0, -3.0], h=2.0, steps=3, on_failure="return")
-    assert not any("kernels 'newton', before with 'newton'" in x for x in messages)
-    assert any("on with kernels 'robust', before with 'newton'" in x for x in messages)
+    assert not any("kernels 'newton' replace kernels 'newton'" in x for x in messages)
+    assert any("kernels 'robust' replace kernels 'newton'" in x for x in messages)
 
 
 @pytest.mark.slow
@@ -93,6 +93,4 @@ def test_what_is_derived_and_members_that_are_run_again_are_told_of(folder, mess
     assert any(x.startswith("derived midpoint for henon_heiles in") for x in messages)
     messages.clear()
     stepper.ensemble(np.array([[0.1, 0.1], [3.0, 9.0]]), v0=[0.0, 0.0], h=0.5, steps=30)
-    assert [x for x in messages if "member" in x] == [
-        "henon_heiles: member 1 is run again, by itself"
-    ]
+    assert [x for x in messages if "member" in x] == ["henon_heiles: member 1 runs again singly"]

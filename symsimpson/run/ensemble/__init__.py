@@ -1,1 +1,1 @@
-"""Many runs at once, on lanes, threads and clusters, and in stores."""
+"""Ensembles: many runs at once, on SIMD lanes, threads and clusters, in memory or in a store."""

@@ -1,4 +1,4 @@
-"""Chunks of a Zarr store: what is missing or damaged raises an error, and is not read as NaN."""
+"""Zarr stores in which a missing or damaged chunk raises an error instead of reading as NaN."""
 
 from __future__ import annotations
 
@@ -8,33 +8,31 @@ from typing import Any
 from zarr.storage import WrapperStore
 
 from symsimpson.errors import StorageError, reject
-from symsimpson.support.extras import library
+from symsimpson.support.extras import import_library
 
-decompress = library("numcodecs.zstd", "store=", "data").decompress  # a part of zarr
+decompress = import_library("numcodecs.zstd", "store=", "data").decompress  # a part of zarr
 
 
-class WholeChunks(WrapperStore[Any]):
-    """A Zarr store whose chunks are there and whole.
+class VerifiedStore(WrapperStore[Any]):
+    """A Zarr store that raises an error for missing or damaged chunks.
 
-    Chunks may be missing that are ``waiting`` to be computed: names of arrays, and numbers.
+    ``waiting`` contains pairs of array name and chunk number that may be missing, because they are
+    not computed yet.
     """
 
     def __init__(self, store: Any, waiting: Container[tuple[str, int]] = ()) -> None:
         super().__init__(store)
         self.waiting = waiting
 
-    def with_read_only(self, read_only: bool = False) -> WholeChunks:
-        """Return the same store for reading only, or for writing, too."""
+    def with_read_only(self, read_only: bool = False) -> VerifiedStore:
+        """Return the same store, read-only or writable."""
         return type(self)(self._store.with_read_only(read_only), self.waiting)
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
-        """Return what is stored under a key.
-
-        Raises StorageError with the key of a chunk that is missing or damaged.
-        """
+        """Return the content of a key; raise StorageError if a chunk is missing or damaged."""
         content = await self._store.get(key, prototype, byte_range)
         name, _, place = key.partition("/c/")
-        if not place:  # of metadata there need not be any
+        if not place:  # metadata, which may be missing
             return content
         problem = "is missing"
         try:
@@ -45,8 +43,9 @@ class WholeChunks(WrapperStore[Any]):
         except (RuntimeError, ValueError) as error:
             problem = f"is damaged ({error})"
         reject(
-            f"{self._store}: the chunk {key} of the store {problem}.",
-            remedy="Repeat the call that began the store: it computes what is missing.",
+            f"the chunk {key} of the store {problem}.",
+            where=str(self._store),
+            remedy="Repeat the call that created the store. It computes the missing chunks.",
             error=StorageError,
         )
 

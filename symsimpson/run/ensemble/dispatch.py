@@ -1,4 +1,4 @@
-"""Where an ensemble is computed and kept: here or on a cluster, in memory or in a store."""
+"""Execution of ensembles: on this machine or a cluster, in memory or in a store."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from symsimpson.program.numbers import NO_INPUTS
 from symsimpson.program.observed import read_reductions
 from symsimpson.program.program import Program, read_program
 from symsimpson.run.ensemble.ensemble import Ensemble, names_in_dataset
-from symsimpson.run.ensemble.lanes import run_blocks, with_ends, with_fastest_lanes
-from symsimpson.run.ensemble.members import Task, read_task
-from symsimpson.run.ensemble.singles import look_at_ends, look_at_steps
+from symsimpson.run.ensemble.lanes import append_ends, choose_lanes, run_blocks
+from symsimpson.run.ensemble.members import EnsembleSpec, read_ensemble_spec
+from symsimpson.run.ensemble.singles import check_results, check_steps
 from symsimpson.run.ensemble.store import (
     Store,
-    members_of,
     open_store,
+    open_verified,
     run_missing,
-    said,
-    whole_group,
+    slice_of_chunk,
+    store_errors,
     write_chunk,
 )
-from symsimpson.run.requested import program_for
-from symsimpson.stepping.inputs import read_failure, refuse_retimed, varied_program
+from symsimpson.run.requested import program_for_request
+from symsimpson.stepping.inputs import check_on_failure, program_with_derivatives, reject_retimed
 from symsimpson.stepping.request import Request
 from symsimpson.support.array_types import Floats
-from symsimpson.support.extras import library
+from symsimpson.support.extras import import_library
 from symsimpson.support.progress import Progress, read_progress
 from symsimpson.text.header import digest
 
@@ -47,59 +47,69 @@ def run_ensemble(
     progress: bool | None,
     on_failure: str,
 ) -> Ensemble:
-    """Run an ensemble as requested; arguments are those of :meth:`Stepper.ensemble`.
+    """Run an ensemble with the arguments of :meth:`Stepper.ensemble`.
 
-    Raises InputError if no member could begin, or it cannot be kept or computed there; Interrupted
-    at Ctrl-C, with what is done.
+    Raises InputError for invalid arguments, or if no member can start. Raises Interrupted after
+    Ctrl-C, with the results so far.
     """
-    read_failure(on_failure)
+    check_on_failure(on_failure)
     read_progress(progress)
-    program = _telling(program, request)
-    task = read_task(program, request, threads, progress, on_disk=store is not None)
-    look_at_steps(program, task)
-    task = with_fastest_lanes(program, task) if client is None else task
-    ensemble, stopped = _run(program, task, store, client)
-    if not stopped and task.run_events is None:  # else energies change with what events do
-        look_at_ends(program, task, ensemble)
+    program = _program_for_ensemble(program, request)
+    task = read_ensemble_spec(program, request, threads, progress, on_disk=store is not None)
+    check_steps(program, task)
+    task = choose_lanes(program, task) if client is None else task
+    ensemble, stopped = _run_task(program, task, store, client)
+    if not stopped and task.run_events is None:  # events change the energy
+        check_results(program, task, ensemble)
     elif stopped and on_failure == "raise":
         raise Interrupted(ensemble.message, trajectory=ensemble)
     return ensemble
 
 
-def _telling(program: Program, request: Request) -> Program:
-    """Return the program whose ensembles carry what is asked for; raise InputError for both."""
-    telling = any(reduction.of_variations for reduction in read_reductions(program, request.reduce))
-    if request.varied or telling:
-        refuse_retimed(program, "derivatives of ensembles")
-    if request.varied and telling:
+def _program_for_ensemble(program: Program, request: Request) -> Program:
+    """Return the program with the derivatives that an ensemble needs.
+
+    Raises InputError if the request combines derivatives with reductions of variations.
+    """
+    chaos = any(reduction.of_variations for reduction in read_reductions(program, request.reduce))
+    if request.varied or chaos:
+        reject_retimed(program, "derivatives of ensembles")
+    if request.varied and chaos:
         reject(
-            "tangents and sensitivities of an ensemble do not go with reductions that tell of "
-            "variations.",
-            remedy="Leave out one of them.",
+            "tangents and sensitivities of an ensemble cannot be combined with reductions of "
+            "variations (lyapunov, megno, sali).",
+            remedy="Remove one of the two.",
         )
-    if telling:
-        return varied_program(program, ())
-    return program_for(program, request)
+    if chaos:
+        return program_with_derivatives(program, ())
+    return program_for_request(program, request)
 
 
-def _run(program: Program, task: Task, store: Any, client: Any) -> tuple[Ensemble, bool]:
+def _run_task(
+    program: Program, task: EnsembleSpec, store: Any, client: Any
+) -> tuple[Ensemble, bool]:
+    """Run a task in memory, in a store or on a cluster; return also whether Ctrl-C stopped it."""
     if store is not None and task.retimed:
         reject(
-            f"{program.system} is retimed: its members have times of their own, and a store has "
-            "one row of times for all.",
-            remedy="Leave store out, and store few states of each.",
+            "store= cannot be combined with a time transformation.",
+            where=program.system,
+            why="Each member has its own times, but a store has the same times for all members.",
+            remedy="Remove store, and store few states of each member.",
         )
     if store is not None and task.run_events is not None:
         reject(
-            "a store does not keep events, which its members would have to be run with again.",
-            remedy="Leave store out; every=None and reduce= keep few numbers of each member.",
+            "store= cannot be combined with events.",
+            why="A store does not save events, so it could not continue an interrupted ensemble.",
+            remedy="Remove store. To save memory, use every=None and reduce=.",
         )
     if client is not None:
         check_client(client, store)
         if task.inputs.size:
             reject(
-                f"{program.system} has inputs, which a store does not hand to workers.",
-                remedy="Run the ensemble on this machine: leave client out.",
+                "client= cannot be combined with inputs.",
+                where=program.system,
+                why="A store does not pass inputs to the workers.",
+                remedy="Run the ensemble on this machine: remove client.",
             )
     if store is None:
         with Progress(task.members, task.progress) as progress:
@@ -112,16 +122,16 @@ def _run(program: Program, task: Task, store: Any, client: Any) -> tuple[Ensembl
 
 
 def _run_to_ends(
-    program: Program, task: Task, count: Callable[[int], None]
+    program: Program, task: EnsembleSpec, count: Callable[[int], None]
 ) -> tuple[Ensemble, bool]:
-    """Store states on the way to ends that come after numbers of steps not known before.
+    """Run members up to ``t_end`` with a time transformation, and store states on the way.
 
-    They are known when all members have run once.
+    A first run of all members determines their numbers of steps, and a second one stores states.
     """
     ends, stopped = run_blocks(program, replace(task, every=0), count)
     if stopped:
         return ends, stopped
-    steps = int(ends.steps.max()) + 1  # of the last one a part is taken
+    steps = int(ends.steps.max()) + 1  # the last one is a partial step
     again = replace(task, steps=steps, reductions=())
     try:
         ensemble, stopped = run_blocks(program, again, lambda done: None)
@@ -129,18 +139,18 @@ def _run_to_ends(
         reject(
             f"{task.members} members with up to {again.stored} stored states of {2 * program.n} "
             "numbers do not fit into memory.",
-            remedy="Store fewer: every=100, or every=None for the last states only.",
+            remedy="Store fewer states: every=100, or every=None for the last states only.",
         )
-    return with_ends(ensemble, ends, task.every), stopped
+    return append_ends(ensemble, ends, task.every), stopped
 
 
-#: Tasks that wait at the scheduler for each thread of the cluster.
+#: Number of tasks that wait at the scheduler for each thread of the cluster.
 AHEAD = 4
 
 
 def check_client(client: Any, store: object) -> None:
-    """Raise InputError for no client of dask.distributed, or a client without a store."""
-    known = library("distributed", "client=", "cluster").Client
+    """Raise InputError for an invalid or closed client, or a client without a store."""
+    known = import_library("distributed", "client=", "cluster").Client
     if not isinstance(client, known) or client.asynchronous:
         reject(
             f"client is {type(client).__name__}, not a synchronous client of dask.distributed.",
@@ -148,27 +158,27 @@ def check_client(client: Any, store: object) -> None:
         )
     if client.status != "running":
         reject(
-            f"the client is {client.status}: it has no scheduler to send tasks to.",
-            remedy="Make a new one, distributed.Client(...), and use it before it is closed.",
+            f"the client is {client.status}, so it cannot send tasks to a scheduler.",
+            remedy="Make a new client, distributed.Client(...), and use it before you close it.",
         )
     if store is None:
         reject(
-            "client= needs store=, which the workers write to.",
-            remedy="Pass store='folder', one that all workers reach.",
+            "client= needs store=, because the workers write their results there.",
+            remedy="Pass store='folder', a folder that all workers can access.",
         )
 
 
 def run_on_cluster(store: Store, client: Any) -> bool:
-    """Let the workers of a client compute what a store lacks; tells whether Ctrl-C stopped it.
+    """Compute the missing chunks of a store on a cluster; return whether Ctrl-C stopped it.
 
-    A worker gets the path of the store, the digest of its module, and the number of a chunk. It
-    reads its task from the store and writes the results there. Raises StorageError if a task fails
-    on the workers.
+    A worker receives the path of the store, the digest of the generated module and a chunk number.
+    It reads its task from the store and writes the results there. Raises StorageError if a task
+    fails on a worker.
     """
     import distributed
 
     module = digest(store.program.source)
-    chunks = list(store.missing())
+    chunks = list(store.missing_chunks())
     waiting, sent = iter(chunks), dict[str, int]()
 
     def submit(chunk: int) -> Any:
@@ -186,7 +196,7 @@ def run_on_cluster(store: Store, client: Any) -> bool:
                 running.add(submit(chunk))
             for future in running:
                 chunk = sent.pop(future.key)
-                store.pivots[chunk] = _result(future, store)
+                store.pivots[chunk] = _task_result(future, store)
                 progress.add(store.size(chunk))
                 for after in islice(waiting, 1):
                     running.add(submit(after))
@@ -197,7 +207,7 @@ def run_on_cluster(store: Store, client: Any) -> bool:
     return False
 
 
-def _result(future: Any, store: Store) -> Any:
+def _task_result(future: Any, store: Store) -> Any:
     """Return the result of a task; raise StorageError if the task failed."""
     try:
         return future.result()
@@ -205,51 +215,54 @@ def _result(future: Any, store: Store) -> Any:
         raise
     except Exception as error:  # a worker may fail in any way
         reject(
-            f"{store.path}: a task failed on the workers: {type(error).__name__}: {error}",
-            remedy="What is done is in the store. Look at the workers' logs; the same "
-            "call goes on.",
+            f"a task failed on a worker: {type(error).__name__}: {error}",
+            where=store.path,
+            remedy="The store has the results so far. Check the workers' logs, then repeat the "
+            "call to continue.",
             error=StorageError,
             cause=error,
         )
 
 
 def compute_chunk(path: str, module: str, chunk: int) -> Floats | None:
-    """Compute a chunk of a store, on a worker; returns how small pivots of M of its members became.
+    """Compute a chunk of a store on a worker; return the smallest pivots of M of its members.
 
-    ``module`` is the SHA-256 of the generated module: no other is executed. Raises StorageError if
-    the store cannot be read or written, or its module is another one.
+    ``module`` is the SHA-256 digest of the generated module; no other module is executed. Raises
+    StorageError if the store cannot be read or written, or if its module has another digest.
     """
     import zarr
 
-    with said(path, "read"):
+    with store_errors(path, "read"):
         group: Any = zarr.open_group(path, mode="r+")
         about: dict[str, Any] = dict(group.attrs)
-        source, asked, size = about["source"], about["asked"], about["chunk"]
+        source, description, size = about["source"], about["asked"], about["chunk"]
     if digest(source) != module:
         reject(
-            f"{path}: the module in the store is not the one that was asked for.",
-            remedy="It was changed or damaged. Begin a new store.",
+            "the generated module in the store has another digest than the requested one.",
+            where=path,
+            why="The store was changed or damaged.",
+            remedy="Start with a new store.",
             error=StorageError,
         )
     program = _program(source, "the module in a store")
-    reduce = {name: (kind, text) for name, kind, text in json.loads(asked["reduce"])}
+    reduce = {name: (kind, text) for name, kind, text in json.loads(description["reduce"])}
     reductions = read_reductions(program, reduce)
     _, names = names_in_dataset(reduce, program.parameters)
-    members = members_of(chunk, size, asked["members"])
-    with said(path, "read"):
-        given = whole_group(group)
-        q0, other0 = (given[name][members] for name in ("q0", asked["given"]))
-        columns = [given[names[name]][members] for name in program.parameters]
+    members = slice_of_chunk(chunk, size, description["members"])
+    with store_errors(path, "read"):
+        arrays = open_verified(group)
+        q0, other0 = (arrays[name][members] for name in ("q0", description["given"]))
+        columns = [arrays[names[name]][members] for name in program.parameters]
     parameters = np.array(columns).reshape(-1, len(q0)).T.copy()
-    h, t0, steps, every = (asked[key] for key in ("h", "t0", "steps", "every"))
-    plain = q0, other0, asked["given"], parameters, h, t0, steps, every, NO_INPUTS
-    task = Task(
+    h, t0, steps, every = (description[key] for key in ("h", "t0", "steps", "every"))
+    plain = q0, other0, description["given"], parameters, h, t0, steps, every, NO_INPUTS
+    task = EnsembleSpec(
         *plain,
         threads=1,
         progress=False,
         lanes=lanes_for(program.header.rows, len(q0)),
-        tangents=None if asked["tangents"] is None else np.array(asked["tangents"]),
-        record=tuple(asked["record"]),
+        tangents=None if description["tangents"] is None else np.array(description["tangents"]),
+        record=tuple(description["record"]),
         reductions=reductions,
     )
     ensemble, _ = run_blocks(program, task, lambda done: None)

@@ -1,4 +1,4 @@
-"""Results of an ensemble, by member."""
+"""Results of an ensemble: states, statuses and reductions of all members."""
 
 from __future__ import annotations
 
@@ -16,59 +16,64 @@ from symsimpson.program.input_values import read_count
 from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
-from symsimpson.results.energies import WORK, named_parts
-from symsimpson.results.events import Record
+from symsimpson.results.energies import WORK, name_columns
+from symsimpson.results.events import EventRecord
 from symsimpson.results.quantities import Quantities
-from symsimpson.results.sampled import Sampled, member_of
-from symsimpson.results.states import Differentiated, about_program
-from symsimpson.results.tables import Savable, Variable, table_of
+from symsimpson.results.sampled import Sampled, member_states
+from symsimpson.results.states import StateDerivatives, program_attributes
+from symsimpson.results.tables import Savable, Variable, build_table
 from symsimpson.results.trajectory import RECORDED
-from symsimpson.stepping.driving import Driven, inputs_there
+from symsimpson.stepping.driving import InputHistory, inputs_at_times
 from symsimpson.support.array_types import Floats
-from symsimpson.support.calling import explaining
+from symsimpson.support.calling import explain_methods
 from symsimpson.support.names import counted
 
-#: Names that a dataset has for itself.
+#: Names of variables and axes that each dataset of an ensemble has.
 STATES = ("q", "p", "q0", "v0", "p0", "variations")
 RESERVED = (*STATES, "status", "steps", "newton_iterations", "member", "time", "coord")
 
 
-def spread(members: int, most: int) -> NDArray[np.int64]:
-    """Return so many members at most, spread over all."""
+def spaced_members(members: int, most: int) -> NDArray[np.int64]:
+    """Return the numbers of at most ``most`` members, evenly spaced."""
     return np.unique(np.linspace(0, members - 1, min(members, most)).astype(np.int64))
 
 
-@explaining()
+@explain_methods()
 @dataclass(frozen=True, eq=False, repr=False)
-class Ensemble(Quantities, Differentiated, Savable):
-    """The results of the members of an ensemble.
+class Ensemble(Quantities, StateDerivatives, Savable):
+    """Results of an ensemble of K members.
 
     ``energy``, ``v``, ``invariants``, ``tangent``, ``sensitivity`` and quantities by name are as
-    for one run, with a first axis of K members; ``ensemble[3]`` gives the states of one member.
+    for one run, with a first axis for the members. ``ensemble[3]`` returns the states of one
+    member.
 
     Attributes
     ----------
     t : ndarray, shape (stored,)
-        Times of the stored states; of a retimed system those of each member, shape (K, stored), or
-        (K,) where only the last states are stored, as they are with events that end members.
-    q, p : ndarray, shape (K, stored, n), or (K, n) where only the last states are stored
-        NaN after the last state of a member that failed. If the ensemble went to a store, they
-        are Zarr arrays on disk, which give NumPy arrays when sliced.
+        Times of the stored states. Retimed members have different times: shape (K, stored), or
+        (K,) if only the final states are stored. An ensemble with events that stores only the
+        final states also has shape (K,).
+    q, p : ndarray, shape (K, stored, n), or (K, n) if only the final states are stored
+        Positions and conjugate momenta. Values after the failure of a member are NaN. With a
+        store, they are Zarr arrays on disk; a slice of them is a NumPy array.
     status : ndarray of int, shape (K,)
-        A :class:`Status` for each member.
+        The :class:`Status` of each member.
     steps, newton_iterations : ndarray of int, shape (K,)
+        Number of completed steps, and number of Newton iterations in all of them.
     parameters : mapping from str to ndarray, shape (K,)
+        Values of each parameter.
     reduced : mapping from str to ndarray, shape (K,)
-        The quantities requested by ``reduce``.
+        Values of the reductions in ``reduce``.
     recorded : mapping from str to ndarray, shape (K, stored, k), or (K, k)
-        The sums requested by ``record``.
+        Values of the sums in ``record``.
     initial : mapping from str to ndarray, shape (K, n)
-        The initial states of the members: q0, and v0 or p0.
-    store : path of the store, or None
+        Initial states of the members: q0, and v0 or p0.
+    store : str or None
+        Path of the store; None if the ensemble is in memory.
     tau : ndarray in the shape of t, or None
-        The time of the steps, if the system is retimed.
+        Transformed time, if the system is retimed.
     ended_at : ndarray, shape (K,), or None
-        The time at which each member came to its end, if there are events.
+        Time at which each member ended, if the ensemble has events.
 
     Examples
     --------
@@ -96,14 +101,14 @@ class Ensemble(Quantities, Differentiated, Savable):
     tau: Floats | None = None
     recorded: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
     ended_at: Floats | None = None
-    #: What events did, in the order of time, in the members in which some acted; and their names.
-    records: Mapping[int, tuple[Record, ...]] = field(default_factory=dict, repr=False)
+    #: Records of events in the order of time, by member; names of the events.
+    records: Mapping[int, tuple[EventRecord, ...]] = field(default_factory=dict, repr=False)
     event_names: tuple[str, ...] = field(default=(), repr=False)
-    #: How inputs went, and how small pivots of M were, where that is known.
-    driven: Driven | None = field(default=None, repr=False)
+    #: Inputs of the members, and the smallest pivot of M of each member, if known.
+    driven: InputHistory | None = field(default=None, repr=False)
     small_pivots: Floats | None = field(default=None, repr=False)
-    _ahead: float = field(default=1.0, repr=False)  #: -1 if the time goes back with the steps.
-    note: str = field(default="", repr=False)  #: What the message says of the step.
+    _ahead: float = field(default=1.0, repr=False)  #: Sign of h.
+    note: str = field(default="", repr=False)  #: Sentence of the message about the step size.
 
     @overload
     def __getitem__(self, key: str) -> NDArray[Any]: ...
@@ -112,28 +117,31 @@ class Ensemble(Quantities, Differentiated, Savable):
     def __getitem__(self, key: Any) -> NDArray[Any] | Sampled:
         """Return a quantity of all members by its name, or the states of one member.
 
-        Names are those of a run, of what ``reduce`` asked for, and of parameters.
+        The name belongs to a quantity of a run, a reduction or a parameter.
 
         Raises
         ------
         UnknownNameError
-            With the names that there are; it is an InputError, and a KeyError.
+            If the name is unknown. The message lists all names. The class is a subclass of
+            InputError and of KeyError.
         IndexError
-            If there is no such member.
+            If the member does not exist.
         """
         try:
             member = None if isinstance(key, bool) else operator.index(key)
         except TypeError:
             member = None
         if member is None:
-            return self._named(key)
+            return self._look_up(key)
         if not -len(self) <= member < len(self):
-            raise IndexError(f"there is no member {member}: there are {len(self)}, from 0 on")
-        return member_of(self, member % len(self))
+            raise IndexError(
+                f"member {member} does not exist; the numbers are 0 to {len(self) - 1}"
+            )
+        return member_states(self, member % len(self))
 
     @property
     def stored(self) -> int:
-        """Number of stored states per member; after a failure they are NaN."""
+        """Number of stored states of each member; values after a failure are NaN."""
         return int(self.q.shape[1]) if self.q.ndim == 3 else 1
 
     @property
@@ -142,40 +150,40 @@ class Ensemble(Quantities, Differentiated, Savable):
         columns = [self.parameters[name] for name in self.program.parameters]
         return np.column_stack(columns) if columns else np.zeros((len(self), 0))
 
-    def _evaluated(
+    def _evaluate_rows(
         self, kernel: str, block: str, count: int, *, driven: bool = False
     ) -> NDArray[Any]:
         program, values = self.program, self.parameter_values
         q, p = np.asarray(self.q), np.asarray(self.p)
-        t = np.zeros(1) if self.tau is not None else self.t  # where retimed, no time matters
+        t = np.zeros(1) if self.tau is not None else self.t  # retimed systems are autonomous
         if driven and program.inputs:
             rows = []
-            for k in range(len(q)):  # each with its own inputs
+            for k in range(len(q)):  # members may have different inputs
                 member = self[k]
                 states = (member.t, member.q, member.p)
-                inputs = inputs_there(program, member.driven, member.t)
+                inputs = inputs_at_times(program, member.driven, member.t)
                 rows.append(evaluate(program, kernel, block, count, states, values[k], inputs))
             return np.reshape(rows, (*q.shape[:-1], count))
         return evaluate(program, kernel, block, count, (t, q, p), values)
 
-    def _where(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    def _point_arguments(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         values = self.parameter_values
         return self.t, np.asarray(self.q), values[:, None] if self.q.ndim == 3 else values
 
-    def _own(self, key: str) -> Any:
+    def _special_quantity(self, key: str) -> Any:
         return self.reduced.get(key, self.parameters.get(key))
 
-    def _own_names(self) -> list[str]:
+    def _special_names(self) -> list[str]:
         return [*self.reduced, *self.parameters]
 
     @property
     def work(self) -> dict[str, NDArray[Any]]:
-        """The work of each force since the start, and of all under "total", in the shape of t.
+        """Work of each force since the initial state, in the shape of t; "total" is their sum.
 
         Raises
         ------
         InputError
-            If it was not recorded.
+            If the ensemble did not record the work.
 
         Examples
         --------
@@ -186,27 +194,27 @@ class Ensemble(Quantities, Differentiated, Savable):
         (2,)
         """
         if self.program.header.conservative:
-            return named_parts(self.program, np.zeros((*np.shape(self.q)[:-1], 0)))
+            return name_columns(self.program, np.zeros((*np.shape(self.q)[:-1], 0)))
         if WORK not in self.recorded:
             reject(
                 "this ensemble did not record the work of forces.",
-                remedy="Ask for it: stepper.ensemble(..., record='work').",
+                remedy="Pass record='work': stepper.ensemble(..., record='work').",
             )
-        return named_parts(self.program, np.asarray(self.recorded[WORK]))
+        return name_columns(self.program, np.asarray(self.recorded[WORK]))
 
     @property
     def message(self) -> str:
-        """The outcome in words."""
+        """Outcome as a text: the number of members with each status."""
         counts = {code: int((self.status == code).sum()) for code in Status}
         words = ", ".join(f"{count} {code.name}" for code, count in counts.items() if count)
         return f"{words}.{self.note}" if self.note else words
 
-    def _opened(self, xarray: Any) -> Any:
+    def _read_dataset(self, xarray: Any) -> Any:
         if self.store is None:
             return None
         how = {"chunks": None, "consolidated": False, "decode_times": False}
         data = xarray.open_zarr(self.q.store, **how).set_coords(list(self._parameters_in_dataset()))
-        return data.drop_encoding().drop_attrs(deep=False).assign_attrs(self._about())
+        return data.drop_encoding().drop_attrs(deep=False).assign_attrs(self._attributes())
 
     def _parameters_in_dataset(self) -> dict[str, Floats]:
         _, names = self._names_in_dataset()
@@ -217,7 +225,7 @@ class Ensemble(Quantities, Differentiated, Savable):
 
     @property
     def _dims(self) -> tuple[str, ...]:
-        """The axes of the states of members in a dataset."""
+        """Names of the axes of states in a dataset."""
         return ("member", "time") if self.q.ndim == 3 else ("member",)
 
     def _variables(self) -> list[Variable]:
@@ -257,9 +265,9 @@ class Ensemble(Quantities, Differentiated, Savable):
         }
         index.setdefault("t", self.t)
         index = {name: np.broadcast_to(x, shape).reshape(-1) for name, x in index.items()}
-        return table_of(index, self._quantities(self._dims), self.program)
+        return build_table(index, self._quantities(self._dims), self.program)
 
-    def _kind_of_result(self) -> str:
+    def _result_kind(self) -> str:
         return "ensemble"
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
@@ -269,25 +277,26 @@ class Ensemble(Quantities, Differentiated, Savable):
         return arrays | {f"reduced_{name}": x for name, x in self.reduced.items()}
 
     def plot(self, name: str | None = None, *, most: int | None = None, ax: Any = None) -> Any:
-        """Draw the median and bands of 50 and 90 % of members, or a histogram of last states.
+        """Draw the median and bands of 50 and 90 % of members, or a histogram of final states.
 
         Parameters
         ----------
         name : str, optional
-            As in ``ensemble["q1"]``; the first coordinate unless given.
+            Name of the quantity, as in ``ensemble["q1"]``. The default is the first coordinate.
         most : int, optional
-            Draw lines of at most this number of members, spread over all, in place of bands.
+            Draw lines of at most this number of members, evenly spaced, instead of bands.
         ax : matplotlib axes, optional
-            Axes to draw in; new ones unless given.
+            Axes to draw in. The default is a new figure.
 
         Returns
         -------
         matplotlib axes
+            Axes with the plot.
 
         Raises
         ------
         InputError
-            If matplotlib is not installed, or ``most`` is no positive whole number.
+            If matplotlib is not installed, or ``most`` is not a positive whole number.
 
         Examples
         --------
@@ -302,10 +311,10 @@ class Ensemble(Quantities, Differentiated, Savable):
 
         return plot_members(self, name, most, ax=ax)
 
-    def _about(self) -> dict[str, Any]:
-        """Where the numbers come from."""
+    def _attributes(self) -> dict[str, Any]:
+        """Return the metadata of files: program, outcome and final time."""
         t_end = float(self._ahead * np.nanmax(self._ahead * self.t))
-        return about_program(self.program) | {"outcome": self.message, "t_end": t_end}
+        return program_attributes(self.program) | {"outcome": self.message, "t_end": t_end}
 
     def __len__(self) -> int:
         return self.status.size
@@ -313,7 +322,7 @@ class Ensemble(Quantities, Differentiated, Savable):
     def _repr_html_(self) -> str:
         from symsimpson.results.html import ensemble
 
-        return ensemble(self, self._about()["t_end"])
+        return ensemble(self, self._attributes()["t_end"])
 
     def __repr__(self) -> str:
         stored = f"{counted(len(self), 'member')}, {counted(self.stored, 'state')} of each stored"
@@ -323,19 +332,19 @@ class Ensemble(Quantities, Differentiated, Savable):
 def names_in_dataset(
     reduced: Iterable[str], parameters: Iterable[str]
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Return names under which quantities of a user's naming stand in a dataset.
+    """Return the names of reductions and parameters in a dataset, as mappings from user names.
 
-    A name that is taken already gets a prefix; one that is no identifier, which might name a
-    path, gives way to a number.
+    A name that occurs already gets a prefix. A name that is not an identifier, and could be a path,
+    becomes a prefix with a number.
     """
-    taken = set(RESERVED)
+    used = set(RESERVED)
     mappings: list[dict[str, str]] = []
     for prefix, names in (("reduced", reduced), ("parameter", parameters)):
         chosen: dict[str, str] = {}
         for k, name in enumerate(names):
             choices = chain((name, f"{prefix}_{name}"), (f"{prefix}_{i}" for i in count(k)))
-            free = (x for x in choices if x.isidentifier() and x not in taken)
+            free = (x for x in choices if x.isidentifier() and x not in used)
             chosen[name] = next(x for x in free if not x.startswith(RECORDED))
-            taken.add(chosen[name])
+            used.add(chosen[name])
         mappings.append(chosen)
     return mappings[0], mappings[1]

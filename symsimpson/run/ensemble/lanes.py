@@ -1,4 +1,4 @@
-"""Many trajectories at once: members are lanes of blocks, blocks are spread over threads."""
+"""Vectorised ensembles: members are SIMD lanes of blocks, and threads share the blocks."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder, driver_layout, growth, with_clock
 from symsimpson.program.status import Status
 from symsimpson.run.ensemble.ensemble import Ensemble
-from symsimpson.run.ensemble.members import Results, Task, ensemble_of
+from symsimpson.run.ensemble.members import EnsembleSpec, MemberResults, make_ensemble
 from symsimpson.run.ensemble.singles import PAIR, RENEWAL, run_singly
-from symsimpson.run.lyapunov import first_columns, first_part
-from symsimpson.stepping.parts import reduced_at_ends, states_at
-from symsimpson.stepping.spec import recorders_of
+from symsimpson.run.lyapunov import initial_variations, spec_of_first_part
+from symsimpson.stepping.parts import compute_states_at, update_reductions
+from symsimpson.stepping.spec import make_recorders
 from symsimpson.support.array_types import Floats
-from symsimpson.support.interpreter import listening
+from symsimpson.support.interpreter import catch_interrupts
 from symsimpson.text.interface import ARRIVED
 
 
-def take_last_parts(program: Program, task: Task, results: Results) -> None:
-    """Take the parts of steps up to the ends of members, unless states before are stored."""
+def take_last_parts(program: Program, task: EnsembleSpec, results: MemberResults) -> None:
+    """Take the partial steps of members up to ``t_end``, if only final states are stored."""
     arrived = np.flatnonzero(results.codes[:, 0] == ARRIVED)
     results.codes[arrived, 0] = Status.SUCCESS
     if task.every or not arrived.size:
         return
     states = tuple(np.ascontiguousarray(x[arrived, 0]) for x in (results.q, results.p))
-    part, q, p, fine = states_at(
+    part, q, p, fine = compute_states_at(
         program,
         task.parameters[arrived],
         task.h,
@@ -44,21 +44,21 @@ def take_last_parts(program: Program, task: Task, results: Results) -> None:
         1,
     )
     if task.reductions:
-        fine_ones, count = arrived[fine], 2 * len(task.reductions)
-        before = (results.recorded[fine_ones, 0, 0], *(x[fine] for x in states))
-        ends = np.full(len(fine_ones), task.t_end), q[fine], p[fine]
-        seen = results.seen[fine_ones, :count:2]
-        given = program, task.reductions, task.parameters[fine_ones]
-        results.seen[fine_ones, :count:2] = reduced_at_ends(*given, before, ends, seen)
+        ended, count = arrived[fine], 2 * len(task.reductions)
+        before = (results.recorded[ended, 0, 0], *(x[fine] for x in states))
+        ends = np.full(len(ended), task.t_end), q[fine], p[fine]
+        seen = results.seen[ended, :count:2]
+        given = program, task.reductions, task.parameters[ended]
+        results.seen[ended, :count:2] = update_reductions(*given, before, ends, seen)
     results.q[arrived, 0], results.p[arrived, 0] = q, p
     results.recorded[arrived, 0, 0], results.part[arrived] = task.t_end, part
     results.codes[arrived[~fine], 0] = Status.NOT_CONVERGED
 
 
-def with_ends(ensemble: Ensemble, ends: Ensemble, every: int) -> Ensemble:
-    """Return members that have every so-many-th state with the state at the end behind them.
+def append_ends(ensemble: Ensemble, ends: Ensemble, every: int) -> Ensemble:
+    """Append the final states of members to their stored states, ``every`` steps apart.
 
-    One that did not reach its ``ends`` has the states before that and its status.
+    A member that did not reach its end keeps the states before its failure, and its status.
     """
     steps = np.minimum(ensemble.steps, ends.steps)
     status = np.where(ends.status == Status.SUCCESS, ensemble.status, ends.status)
@@ -77,37 +77,39 @@ def with_ends(ensemble: Ensemble, ends: Ensemble, every: int) -> Ensemble:
     return replace(ensemble, **columns, status=status, steps=steps, reduced=ends.reduced)
 
 
-#: A thread comes back from compiled code after about so many seconds, so that Ctrl-C is heard.
+#: Approximate duration of one call of compiled code in seconds, between checks for Ctrl-C.
 PATIENCE = 0.02
-#: Numbers in a line of the cache.
+#: Number of doubles in a cache line.
 CACHE_LINE = 8
-#: Steps of a block before their cost is known.
+#: Number of steps of the first call, whose duration is unknown.
 FIRST_BUDGET = 2000
 
 
-def run_blocks(program: Program, task: Task, count: Callable[[int], None]) -> tuple[Ensemble, bool]:
-    """Run members in blocks, on threads of our own; tells whether Ctrl-C stopped it."""
-    results = Results(task, program.header)
-    queue = _work_off(program, task, results, count)
+def run_blocks(
+    program: Program, task: EnsembleSpec, count: Callable[[int], None]
+) -> tuple[Ensemble, bool]:
+    """Run members in vector blocks on threads; return also whether Ctrl-C stopped it."""
+    results = MemberResults(task, program.header)
+    queue = _run_all_blocks(program, task, results, count)
     if task.t_end is not None:
         take_last_parts(program, task, results)
     stopped = bool(queue.heard) or run_singly(program, task, results)
-    return ensemble_of(program, task, **results.columns()), stopped
+    return make_ensemble(program, task, **results.columns()), stopped
 
 
-def _work_off(
-    program: Program, task: Task, results: Results, count: Callable[[int], None]
-) -> _Queue:
-    """Run members in blocks, in so many threads, this one among them; Ctrl-C stops it."""
-    work_off, lanes = _prepared(program, task, results), task.lanes
+def _run_all_blocks(
+    program: Program, task: EnsembleSpec, results: MemberResults, count: Callable[[int], None]
+) -> _BlockQueue:
+    """Run all blocks on the threads of a task, including this thread; Ctrl-C stops them."""
+    work_off, lanes = _prepare_blocks(program, task, results), task.lanes
     blocks = -(-task.members // lanes)
-    queue, more = _Queue(blocks, task.threads), max(1, min(task.threads, blocks)) - 1
+    queue, more = _BlockQueue(blocks, task.threads), max(1, min(task.threads, blocks)) - 1
 
     def work() -> None:
         while (chunk := queue.next()) is not None:
             work_off(*chunk, queue, lambda done: count(done * lanes))
 
-    with listening() as queue.heard, ThreadPoolExecutor(max(1, more)) as pool:
+    with catch_interrupts() as queue.heard, ThreadPoolExecutor(max(1, more)) as pool:
         others = [pool.submit(work) for _ in range(more)]
         work()
         while wait(others, timeout=0.1).not_done:
@@ -117,8 +119,8 @@ def _work_off(
     return queue
 
 
-class _Queue:
-    """Hands out chunks of blocks, larger ones first, until Ctrl-C is heard."""
+class _BlockQueue:
+    """Queue of ranges of blocks for threads: large ranges first, none after Ctrl-C."""
 
     def __init__(self, blocks: int, threads: int) -> None:
         self._lock, self._first, self._last = threading.Lock(), 0, blocks
@@ -126,18 +128,20 @@ class _Queue:
         self.heard: list[int] = []
 
     def next(self) -> tuple[int, int] | None:
-        """Return the first and the last block of a chunk, None if there are none left."""
+        """Return the next range (first, end) of blocks, or None if no block remains."""
         with self._lock:
-            left = self._last - self._first
-            if left <= 0 or self.heard:
+            count = self._last - self._first
+            if count <= 0 or self.heard:
                 return None
-            size = max(1, min(1024, left // (4 * self._threads)))
+            size = max(1, min(1024, count // (4 * self._threads)))
             self._first += size
             return self._first - size, self._first
 
 
-def _prepared(program: Program, task: Task, results: Results) -> Callable[..., None]:
-    """Compile what is needed, and give a function that works off a chunk of blocks."""
+def _prepare_blocks(
+    program: Program, task: EnsembleSpec, results: MemberResults
+) -> Callable[..., None]:
+    """Compile the kernels for a task; return a function that runs a range of blocks."""
     header, lanes = program.header, task.lanes
     kernels = program.kernels_for(lanes)
     columns, slopes, count = np.zeros((0, 0)), 0, None
@@ -149,27 +153,27 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
     if task.of_variations:
         if header.constraints:
             reject(
-                f"{program.system} has constraints, and ensembles do not tell how variations that "
-                "these allow grow.",
-                remedy="Ask for single motions: stepper.lyapunov.",
+                "reductions of variations (lyapunov, megno, sali) do not support constraints.",
+                where=program.system,
+                remedy="Use stepper.lyapunov for single runs.",
             )
         if task.steps < RENEWAL:
             reject(
-                f"a run of {task.steps} steps does not tell how variations grow.",
-                remedy=f"Take {RENEWAL} at least.",
+                f"a run of {task.steps} steps is too short for reductions of variations.",
+                remedy=f"Take at least {RENEWAL} steps.",
             )
-        begun = Results(first_part(task), header)
-        if _work_off(program, first_part(task), begun, lambda _: None).heard:
+        first_step = MemberResults(spec_of_first_part(task), header)
+        if _run_all_blocks(program, spec_of_first_part(task), first_step, lambda _: None).heard:
             raise KeyboardInterrupt
-        derivatives = begun.columns()["variations"]
-        columns = first_columns(derivatives, task.h, PAIR).reshape(-1, PAIR + 1)
+        derivatives = first_step.columns()["variations"]
+        columns = initial_variations(derivatives, task.h, PAIR).reshape(-1, PAIR + 1)
         growing = (replace(growth(header, PAIR, RENEWAL), rows=0),)
-    asked = recorders_of(header, count, task.record, task.reductions, growing)
-    if task.run_events is not None:  # a member stops where an event is, and is run by itself
-        asked += task.run_events.watchers(
-            header, header.rows + sum(recorder.room for recorder in asked), values=True
+    attached = make_recorders(header, count, task.record, task.reductions, growing)
+    if task.run_events is not None:  # a member stops at an event, and runs again singly
+        attached += task.run_events.watchers(
+            header, header.rows + sum(recorder.room for recorder in attached), values=True
         )
-    called = with_clock(header, asked)
+    called = with_clock(header, attached)
     rows = {
         recorder.kernel: (recorder.first, recorder.room) for recorder in called if recorder.room
     }
@@ -182,8 +186,8 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
     advance_blocks = program.numbers.driver("advance_blocks", lanes, renewing=task.of_variations)
     width, room = results.recorded.shape[2], sum(recorder.room for recorder in called)
 
-    def work(first: int, last: int, queue: _Queue, done: Callable[[int], None]) -> None:
-        W = _aligned(header.rows + room + 1, lanes)  # the last is the driver's
+    def work(first: int, last: int, queue: _BlockQueue, done: Callable[[int], None]) -> None:
+        W = _aligned_zeros(header.rows + room + 1, lanes)  # the driver needs the last row
         if len(columns):
             W[header.layout["TANGENTS"]] = PAIR if growing else columns.shape[1]
         if task.t_end is not None:
@@ -213,51 +217,50 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
     return work
 
 
-def _aligned(rows: int, lanes: int) -> Floats:
-    """Return rows of zeros that begin with a line of the cache: no vector lies across two.
+def _aligned_zeros(rows: int, lanes: int) -> Floats:
+    """Return zeros, shape (rows, lanes), aligned to a cache line so that no vector crosses one.
 
-    It is worth its microseconds for many trajectories, not for one.
+    The allocation takes microseconds more, which pays for many trajectories only.
     """
     room = np.zeros(rows * lanes + CACHE_LINE)
     first = -(room.__array_interface__["data"][0] // room.itemsize) % CACHE_LINE
     return room[first : first + rows * lanes].reshape(rows, lanes)
 
 
-#: A trial takes no more steps.
+#: Largest number of steps of a trial.
 TRIAL_STEPS = 2000
-#: Tasks of fewer steps of members are over before a trial pays; of others it takes this part.
-WORTH_IT, PART = 200_000, 0.2
-#: One by one must take so much less time, so that noise does not choose.
-CLEARLY = 0.9
-#: Members of a trial, and rounds of it.
+#: Smallest number of steps of all members for which a trial pays, and the fraction of the steps
+#: that the trial takes.
+FEWEST_STEPS_OF_TRIAL, TRIAL_PART = 200_000, 0.2
+#: Members run singly if this takes less than this fraction of the time, so that noise is harmless.
+CLEAR_GAIN = 0.9
+#: Number of members in a trial, and number of rounds.
 FEW, ROUNDS = 16, 3
 
 
-def with_fastest_lanes(program: Program, task: Task) -> Task:
-    """Return a task whose members run one by one, if that is faster on this machine.
+def choose_lanes(program: Program, task: EnsembleSpec) -> EnsembleSpec:
+    """Return a task whose members run one after another, if that is faster on this machine.
 
-    Where steps are solved by stages, the nodes of one member fill a vector, too. Members side by
-    side wait for each other, and need more of the cache; one by one, each waits for itself. Both
-    leave the same bits.
-
-    Raises KeyboardInterrupt at Ctrl-C; no member has been run by then.
+    If a step is solved by stages, the nodes of a single member can fill a vector. Members in the
+    lanes of one block wait for each other and need more of the cache. Both ways are bitwise
+    identical. Raises KeyboardInterrupt at Ctrl-C, before any member has run.
     """
-    small = task.members * task.steps < WORTH_IT or task.lanes == 1
+    small = task.members * task.steps < FEWEST_STEPS_OF_TRIAL or task.lanes == 1
     if small or task.retimed or not program.kernels_for(task.lanes).by_stages:
         return task
     known = program.findings.lanes
     if task.lanes not in known:
         whole = task.members * task.steps
-        steps = int(PART * whole / (2 * (1 + ROUNDS) * max(task.lanes, FEW)))
+        steps = int(TRIAL_PART * whole / (2 * (1 + ROUNDS) * max(task.lanes, FEW)))
         short = replace(task, steps=min(task.steps, max(1, steps)))
         tasks = (replace(short, lanes=lanes) for lanes in (task.lanes, 1))
-        beside, single = (seconds_of_member(program, trial, ROUNDS) for trial in tasks)
-        known[task.lanes] = 1 if single < CLEARLY * beside else task.lanes
+        block, single = (measure_member_time(program, trial, ROUNDS) for trial in tasks)
+        known[task.lanes] = 1 if single < CLEAR_GAIN * block else task.lanes
     return replace(task, lanes=known[task.lanes])
 
 
-def seconds_of_member(program: Program, task: Task, rounds: int = 1) -> float:
-    """Estimate the time of one member on one thread, by the best of some rounds with a block.
+def measure_member_time(program: Program, task: EnsembleSpec, rounds: int = 1) -> float:
+    """Measure the time of one member on one thread in seconds: the best of ``rounds`` trials.
 
     Raises KeyboardInterrupt.
     """
@@ -268,10 +271,10 @@ def seconds_of_member(program: Program, task: Task, rounds: int = 1) -> float:
         task.part(some), steps=steps, every=0, threads=1, reductions=(), run_events=None
     )
     seconds = []
-    for _ in range(1 + rounds):  # the first compiles
+    for _ in range(1 + rounds):  # the first round compiles
         begin = time.perf_counter()
-        if run_blocks(program, trial, lambda done: None)[1]:  # which heard Ctrl-C
+        if run_blocks(program, trial, lambda done: None)[1]:  # Ctrl-C
             raise KeyboardInterrupt
         seconds.append(time.perf_counter() - begin)
-    parts = task.steps / steps if steps else 1.0  # as many as would take its time
-    return max(min(seconds[1:]), 1e-9) * parts / members
+    factor = task.steps / steps if steps else 1.0
+    return max(min(seconds[1:]), 1e-9) * factor / members

@@ -1,11 +1,11 @@
-"""Runs of several schemes for the same error, along the whole path."""
+"""Candidate schemes for an error tolerance: the steps that each needs, and its error."""
 
 from __future__ import annotations
 
 import math
 import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import zip_longest
@@ -20,77 +20,78 @@ from symsimpson.program.numbers import FLOAT64
 from symsimpson.program.program import Program
 from symsimpson.results.states import States
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.run.ended import uninterrupted
-from symsimpson.stepping.driving import Samples, given_inputs
+from symsimpson.run.ended import raise_if_interrupted
+from symsimpson.stepping.driving import Samples, collect_inputs
 from symsimpson.support.array_types import Floats
 
-#: Schemes that would take so many times as long as another are not tried further.
-HOPELESS = 8.0
-#: A run that takes this long is timed twice.
-LONG = 0.05
-#: What is measured may be wrong by so much: steps are chosen for the error divided by this.
+#: The search drops a scheme that would take this many times as long as the fastest one.
+MAX_SLOWDOWN = 8.0
+#: A run of more seconds than this is timed twice only.
+SLOW_RUN = 0.05
+#: Steps are chosen for the tolerance divided by this factor, because estimates are uncertain.
 SAFETY = 2.0
-#: More steps than this are not tried on a pilot run, nor half as many for the whole motion.
-MOST_STEPS = 2_000_000
-#: A run stores at most so many numbers for a comparison.
-MOST_NUMBERS = 2**21
-#: A whole motion of few steps is also compared with a run of so many steps, divided by the number
-#: of coordinates. It shows forces that act for a short time, between the nodes of both others.
-SCOUT = 2**15
-#: Errors closer to rounding than this cannot be told from it.
-FLOOR = 3e-14
+#: Largest number of steps of a pilot run. The whole motion has at most half as many.
+MAX_STEPS = 2_000_000
+#: Largest number of values that a run stores for a comparison.
+MAX_NUMBERS = 2**21
+#: A whole motion of few steps is also compared with a run of this many steps, divided by the number
+#: of coordinates. That run shows short forces, which act between the nodes of both others.
+SCOUT_STEPS = 2**15
+#: Smaller errors cannot be distinguished from round-off.
+ROUND_OFF = 3e-14
 ROUNDS, REPEATS = 8, 3
-#: A motion whose error does not fall in so many rounds is not resolved by any step.
-STAGNANT = 3
-#: A smaller gain in steps is not worth another run.
-FEWER = 0.85
-#: Fewer steps that take this many times as long fell back on another solver. Smaller differences
-#: are those of a busy machine: iterations are counted instead.
-SLOWER = 2.0
-#: The whole motion has at least so many steps, and its step is refined so many times at most.
-LEAST, REFINEMENTS = 20, 6
+#: No step resolves a motion whose error does not fall in this many rounds.
+STAGNATION_ROUNDS = 3
+#: Another run is worthwhile only if it has less than this part of the steps.
+WORTHWHILE = 0.85
+#: If fewer steps take this many times as long, the step fell back on another solver. A busy
+#: machine makes smaller differences, so that the number of iterations decides below this factor.
+FALLBACK_SLOWDOWN = 2.0
+#: Least number of steps of the whole motion, and largest number of refinements of its step.
+MIN_STEPS, REFINEMENTS = 20, 6
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """How one scheme reaches the error on the pilot run."""
+    """A scheme with the number of steps at which it reaches the tolerance on the pilot run."""
 
     stepper: Stepper
     steps: int
     error: float = math.inf
-    work: int = 0  # steps and iterations
+    work: int = 0  # number of steps plus number of iterations
     seconds: float = math.inf
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion from a state to a time, and the error that is allowed."""
+    """A motion: its initial state, duration, parameters and inputs, with an error tolerance."""
 
     parameters: Mapping[str, float]
     t0: float
     duration: float
     error: float
-    on: str
+    on: str  #: What ``error`` bounds: "state" or "energy".
     events: Any
-    #: By name: a number, a function of t, or samples.
+    #: By name: a number, a function of t, or Samples.
     inputs: Mapping[str, Any] = field(default_factory=dict)
-    parts: int = 1  #: Each of these parts of the duration has a whole number of steps.
+    #: The duration has this many equal parts, each with a whole number of steps.
+    parts: int = 1
     #: The initial state, each of shape (n,).
     q: Floats = field(default_factory=partial(np.zeros, 0))
     p: Floats = field(default_factory=partial(np.zeros, 0))
     v: Floats = field(default_factory=partial(np.zeros, 0))
-    #: Why the last run failed, if it did.
+    #: The message of the last run if it failed, else empty.
     failures: list[str] = field(default_factory=list)
-    #: What a progress bar shows of it.
-    shown: list[str] = field(default_factory=list)
-    most_trials: int = 0
+    #: The labels of the progress bar, the last of which it shows.
+    labels: list[str] = field(default_factory=list)
+    max_trials: int = 0
 
-    def driven(self, program: Program, given: Any) -> Motion:
-        """Return the motion with inputs as a user gives them.
+    def with_inputs(self, program: Program, signals: Any) -> Motion:
+        """Return the motion with the inputs ``signals``, as a user passes them.
 
-        Raises InputError if one is no number, function of t, or array of values for equal parts.
+        Raises InputError if an input is not a number, a function of t, or a 1-D array.
         """
-        inputs, parts, length = given_inputs(program, given), 1, abs(self.duration)
+        inputs, parts, length = collect_inputs(program, signals), 1, abs(self.duration)
         for name in program.inputs:
             value = inputs.get(name)
             if callable(value):
@@ -101,183 +102,251 @@ class Motion:
                 has = "no values" if value is None else f"an array of shape {shape}"
                 reject(
                     f"{program.system}: input {name} has {has}.",
-                    remedy="The step size is chosen: pass a number, a function of t, or "
-                    "an array of K "
-                    "values, each for the K-th part of the time from t0 to t_end.",
+                    why="Its values must not depend on the step size, which is chosen here.",
+                    remedy="Pass a number or a function of t. Or pass an array of K values, one "
+                    "for each of K equal parts of the time from t0 to t_end.",
                 )
             if shape:
-                held = value if isinstance(value, Samples) else Samples(values, length / shape[0])
-                exact = length / float(held.period)
-                inputs[name], parts = held, math.lcm(parts, max(1, round(exact)))
+                signal = value if isinstance(value, Samples) else Samples(values, length / shape[0])
+                exact = length / float(signal.period)
+                inputs[name], parts = signal, math.lcm(parts, max(1, round(exact)))
                 if abs(exact - round(exact)) > 1e-9 * exact:
                     reject(
-                        f"input {name}: {length:g} from t0 to t_end is no whole number of periods "
-                        f"of {held.period!r}.",
-                        remedy="End the run with the last of them.",
+                        f"input {name}: the time {length:g} from t0 to t_end is not a whole "
+                        f"number of periods of {signal.period!r}.",
+                        remedy="Choose t_end at the end of a period.",
                     )
         return replace(self, inputs=inputs, parts=parts)
 
     @property
-    def inputs_at_start(self) -> dict[str, float]:
-        """The value of each input at the start."""
+    def initial_inputs(self) -> dict[str, float]:
+        """The value of each input at t0."""
         values = ((k, x(self.t0) if callable(x) else x) for k, x in self.inputs.items())
         return {k: float(np.ravel(getattr(x, "values", x))[0]) for k, x in values}
 
-    def until(self, duration: float) -> Motion:
-        """Return the first part of a motion."""
-        share = min(1.0, duration / self.duration)
-        parts = math.ceil(share * self.parts)
-        share = parts / self.parts if self.parts > 1 else share
-        return replace(self, duration=share * self.duration, parts=parts)
+    def truncate(self, duration: float) -> Motion:
+        """Return the beginning of the motion: ``duration``, rounded up to whole input periods."""
+        fraction = min(1.0, duration / self.duration)
+        parts = math.ceil(fraction * self.parts)
+        fraction = parts / self.parts if self.parts > 1 else fraction
+        return replace(self, duration=fraction * self.duration, parts=parts)
 
-    def whole(self, steps: float) -> int:
-        """Return a number of steps, not less than this one, that the motion may have."""
-        unit = self.parts * (64 if steps > MOST_NUMBERS / len(self.q) / 2 else 2)
+    def round_up(self, steps: float) -> int:
+        """Return the next number of steps that input periods and ``every`` divide."""
+        unit = self.parts * (64 if steps > MAX_NUMBERS / len(self.q) / 2 else 2)
         return math.ceil(steps / unit) * unit
 
-    def arguments(self, stepper: Stepper, steps: int) -> dict[str, Any]:
-        """Return what a run is given beside the initial state."""
+    def run_arguments(self, stepper: Stepper, steps: int) -> dict[str, Any]:
+        """Return the arguments of ``Stepper.integrate`` except for the initial state."""
         retimed = stepper.program.header.retimed
-        length = {"t_end": self.t0 + self.duration} if retimed else {"steps": steps}
-        given = {"inputs": self.inputs or None, "events": self.events, "t0": self.t0, **length}
-        return {"h": self.duration / steps, "parameters": self.parameters, **given}
+        return {
+            "h": self.duration / steps,
+            "parameters": self.parameters,
+            "inputs": self.inputs or None,
+            "events": self.events,
+            "t0": self.t0,
+            **({"t_end": self.t0 + self.duration} if retimed else {"steps": steps}),
+        }
 
     def run(self, stepper: Stepper, steps: int) -> Trajectory:
-        """Run, and store as many states as a comparison needs."""
+        """Integrate the motion, and store at most ``MAX_NUMBERS`` values."""
         every = 1
-        while steps % (2 * every) == 0 and steps * len(self.q) > MOST_NUMBERS * every:
+        while steps % (2 * every) == 0 and steps * len(self.q) > MAX_NUMBERS * every:
             every *= 2
-        given = self.arguments(stepper, steps) | {"every": every, "on_failure": "return"}
-        run = uninterrupted(stepper.integrate(self.q, p0=self.p, **given))
+        options = {"every": every, "on_failure": "return"}
+        arguments = self.run_arguments(stepper, steps) | options
+        run = raise_if_interrupted(stepper.integrate(self.q, p0=self.p, **arguments))
         self.failures[:] = [] if run.success else [run.message]
         return run
 
-    def measure(
+    def measure_error(
         self, stepper: Stepper, steps: int, coarse: Trajectory, *, scout: bool = False
     ) -> tuple[PathError, Trajectory]:
-        """Return the error of a run with this number of steps, and the finest run."""
+        """Return the error of the run ``coarse``, and the finest run that measured it.
+
+        ``scout`` adds a comparison with a run of ``SCOUT_STEPS`` steps.
+        """
         if not coarse.success:
             return PathError(math.inf, float(coarse.t[-1])), coarse
         if self.on == "energy":
-            return PathError.of(coarse.t, np.abs(coarse.energy_error), self.error), coarse
+            errors = np.abs(coarse.energy_error)
+            return PathError.from_differences(coarse.t, errors, self.error), coarse
         fine = self.run(stepper, 2 * steps)
-        worst = path_error(coarse, fine, self.duration, self.error)
-        few = SCOUT // len(self.q) // steps
-        if scout and worst.since is None and few > 2:
-            fine = self.run(stepper, 2 ** few.bit_length() * steps)
-            other = path_error(coarse, fine, self.duration, self.error)
+        worst = compare_paths(coarse, fine, self.duration, self.error)
+        ratio = SCOUT_STEPS // len(self.q) // steps
+        if scout and worst.violation_time is None and ratio > 2:
+            fine = self.run(stepper, 2 ** ratio.bit_length() * steps)
+            other = compare_paths(coarse, fine, self.duration, self.error)
             worst = max(worst, other, key=lambda error: error.largest)
         return worst, fine
 
-    def least(self, stepper: Stepper) -> int:
-        """Return the fewest steps for which no stability warning appears at the start."""
-        program, steps = stepper.program, self.whole(4)
-        state = self.q, self.v, [*self.parameters.values(), *self.inputs_at_start.values()]
-        while steps < MOST_STEPS and program.tools and not program.header.retimed:
-            with warnings.catch_warnings(record=True) as warned:
+    def min_stable_steps(self, stepper: Stepper) -> int:
+        """Return the least number of steps without a stability warning at the initial state."""
+        program, steps = stepper.program, self.round_up(4)
+        state = self.q, self.v, [*self.parameters.values(), *self.initial_inputs.values()]
+        while steps < MAX_STEPS and program.tools and not program.header.retimed:
+            with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always", StabilityWarning)
                 h = self.duration / steps
                 program.tools.check_step(program, program.declared, *state, h, self.t0)
-            if not warned:
+            if not caught:
                 break
-            steps = self.whole(1.25 * steps)
+            steps = self.round_up(1.25 * steps)
         return steps
 
-    def show(self) -> None:
-        """Count a trial for the progress bar."""
-        count = f"trial {len(self.shown)} of at most {self.most_trials}"
-        self.shown.append(f"choosing a scheme and a step, {count}")
+    def count_trial(self) -> None:
+        """Count one more trial, and show the number in the progress bar."""
+        count = f"trial {len(self.labels)} of at most {self.max_trials}"
+        self.labels.append(f"choosing a scheme and a step, {count}")
 
-    def solve(
-        self, stepper: Stepper, h0: float, allowed: float, quickest: float
+    def find_steps(
+        self, stepper: Stepper, h0: float, tolerance: float, fastest: float
     ) -> Candidate | None:
-        """Find the number of steps that reaches an error; None if there is none.
+        """Find the number of steps that reaches a tolerance; None if the search fails.
 
-        The search ends where it would take much longer than ``quickest``. With a time
-        transformation, the number counts steps as long as the first.
+        The first step size is ``h0``, reduced for high orders. The search fails if it would take
+        ``MAX_SLOWDOWN`` times as long as ``fastest``, in seconds. With a time transformation, the
+        number of steps is the duration divided by the first step size.
         """
-        least, errors = self.least(stepper), [math.inf] * STAGNANT
-        steps = self.whole(max(least, abs(self.duration / h0) / math.sqrt(stepper.order)))
+        min_steps, errors = self.min_stable_steps(stepper), [math.inf] * STAGNATION_ROUNDS
+        steps = self.round_up(max(min_steps, abs(self.duration / h0) / math.sqrt(stepper.order)))
         best: Candidate | None = None
         for _ in range(ROUNDS):
-            if steps > MOST_STEPS:
+            if steps > MAX_STEPS:
                 break
-            self.show()
-            measured = self._timed(stepper, steps)
-            change = (max(measured.error, FLOOR) / allowed) ** (1 / stepper.order)
-            if measured.error > allowed:
-                errors.append(measured.error)
+            self.count_trial()
+            trial = self._time_run(stepper, steps)
+            change = (max(trial.error, ROUND_OFF) / tolerance) ** (1 / stepper.order)
+            if trial.error > tolerance:
+                errors.append(trial.error)
                 factor = min(max(change, 1.1), 8.0)
-                hopeless = factor * measured.seconds > HOPELESS * quickest
-                stagnant = math.inf > errors[-1] > errors[-1 - STAGNANT] / 2
-                if best or allowed < FLOOR or hopeless or stagnant:
+                too_slow = factor * trial.seconds > MAX_SLOWDOWN * fastest
+                stagnant = math.inf > errors[-1] > errors[-1 - STAGNATION_ROUNDS] / 2
+                if best or tolerance < ROUND_OFF or too_slow or stagnant:
                     break
             else:
-                slower = best and measured.seconds > SLOWER * best.seconds
-                if best and (slower or measured.work > best.work):
-                    break  # fewer steps that are solved with more effort
-                best, factor = measured, max(1.05 * change, 0.5, least / steps)
-                if self.whole(factor * steps) > FEWER * steps:
+                slower = best and trial.seconds > FALLBACK_SLOWDOWN * best.seconds
+                if best and (slower or trial.work > best.work):
+                    break  # fewer steps need more iterations in total
+                best, factor = trial, max(1.05 * change, 0.5, min_steps / steps)
+                if self.round_up(factor * steps) > WORTHWHILE * steps:
                     break
-            steps = self.whole(factor * steps)
+            steps = self.round_up(factor * steps)
         return best
 
-    def _timed(self, stepper: Stepper, steps: int) -> Candidate:
-        """Measure the error, the work and the time of a run with this number of steps."""
+    def _time_run(self, stepper: Stepper, steps: int) -> Candidate:
+        """Measure the error, the work and the seconds of a run; the best of some repetitions."""
         times: list[float] = []
-        while len(times) < REPEATS and not (len(times) > 1 and times[-1] > LONG):
+        while len(times) < REPEATS and not (len(times) > 1 and times[-1] > SLOW_RUN):
             begin = time.perf_counter()
             coarse = self.run(stepper, steps)  # the first may compile
             times.append(time.perf_counter() - begin)
-        worst, _ = self.measure(stepper, steps, coarse)
+        worst, _ = self.measure_error(stepper, steps, coarse)
         work = coarse.steps + int(coarse.newton_iterations.sum())
         return Candidate(stepper, steps, worst.largest, work, min(times))
 
 
 def verify(motion: Motion, stepper: Stepper, steps: float) -> tuple[int, PathError]:
-    """Refine the step until the error of the whole motion is small enough; return that error."""
-    steps = motion.whole(max(steps, LEAST, motion.least(stepper)))
-    most, coarse = max(MOST_STEPS // 2, 4 * steps), motion.run(stepper, steps)
+    """Refine the step size until the whole motion meets its tolerance.
+
+    Returns the number of steps and the error. The error exceeds the tolerance if the last of
+    ``REFINEMENTS`` refinements does not meet it.
+    """
+    steps = motion.round_up(max(steps, MIN_STEPS, motion.min_stable_steps(stepper)))
+    max_steps, coarse = max(MAX_STEPS // 2, 4 * steps), motion.run(stepper, steps)
     for refinement in range(REFINEMENTS + 1):
-        motion.show()
-        worst, fine = motion.measure(stepper, steps, coarse, scout=True)
-        wanted = (SAFETY * worst.largest / motion.error) ** (1 / stepper.order)
-        factor = 2 if wanted <= 2 else 4
-        if worst.since is None or refinement == REFINEMENTS or factor * steps > most:
+        motion.count_trial()
+        worst, fine = motion.measure_error(stepper, steps, coarse, scout=True)
+        change = (SAFETY * worst.largest / motion.error) ** (1 / stepper.order)
+        factor = 2 if change <= 2 else 4
+        if worst.violation_time is None or refinement == REFINEMENTS or factor * steps > max_steps:
             break
         steps *= factor
         coarse = fine if fine.h == motion.duration / steps else motion.run(stepper, steps)
     return steps, worst
 
 
-#: The path is compared at so many equidistant times, the ends included.
-EQUIDISTANT = 21
-#: It is also compared at so many stored states, divided by the number of coordinates, and at as
-#: many of the first ones.
-STORED = 2**13
+def find_candidates(
+    motion: Motion, pilot: Motion, steppers: Sequence[Stepper], h0: float
+) -> list[Candidate]:
+    """Return the steppers that reach the tolerance on the pilot run, beginning with step h0."""
+    tolerance = motion.error / SAFETY
+    if motion.on == "state":  # errors grow at least linearly with time
+        tolerance *= pilot.duration / motion.duration
+    candidates: list[Candidate] = []
+    for stepper in reversed(steppers):  # high orders first: low orders may be far slower
+        fastest = min((x.seconds for x in candidates), default=math.inf)
+        if candidate := pilot.find_steps(stepper, h0, tolerance, fastest):
+            candidates.append(candidate)
+    return candidates
+
+
+def describe_choice(
+    motion: Motion, chosen: Candidate, steps: int, worst: PathError, candidates: list[Candidate]
+) -> str:
+    """Describe the choice in sentences: its error, and the run times of other schemes."""
+    stepper, retimed = chosen.stepper, chosen.stepper.program.header.retimed
+    count = "the first step; the step size then adapts" if retimed else f"{steps} steps"
+    name = f"{stepper.scheme} with h = {motion.duration / steps:.6g} ({count})"
+    tolerance = f"the tolerance is {motion.error:.1e}"
+    if worst.violation_time is not None:
+        return (
+            f"The error is {worst.largest:.1e}; {tolerance}. The error exceeds it from "
+            f"t = {worst.violation_time:g} on. The smallest step size that was tried is that of "
+            f"{name}."
+        )
+    if motion.on == "energy":
+        measured = f"The largest relative energy error is {worst.largest:.1e}"
+    else:
+        measured = (
+            "Relative to its extent, the path differs from the path with half the step size by "
+            f"{worst.largest:.1e}"
+        )
+    lines = [f"{name}. {measured}; {tolerance}."]
+    if retimed:
+        lines.append(f"The step size of {stepper.system} adapts to the motion.")
+        fixed = [x.steps for x in candidates if not x.stepper.program.header.retimed]
+        lines += [f"A fixed step size needs at least {min(fixed)} steps."] if fixed else []
+    others = [
+        f"{x.stepper.scheme}{' in tau' * x.stepper.program.header.retimed} "
+        f"{x.seconds / chosen.seconds:.1f}"
+        for x in sorted(candidates, key=lambda x: x.seconds)
+        if x is not chosen
+    ]
+    lines += [f"Relative run times for the same error: {', '.join(others)}."] if others else []
+    return " ".join(lines)
+
+
+#: Number of equidistant times at which two paths are compared, the ends included.
+EQUIDISTANT_TIMES = 21
+#: Two paths are also compared at this many stored states, divided by the number of coordinates:
+#: once spread over the run, and once at its beginning.
+STORED_NUMBERS = 2**13
 #: A variable is constant if it changes by this part of its size times the root of the steps.
 ROUNDING = 2.0**-49
 
 
 @dataclass(frozen=True)
 class PathError:
-    """The largest difference, and the time from which differences exceed the bound."""
+    """The largest difference of two paths, and the first time at which it exceeds the bound."""
 
     largest: float
-    since: float | None = None
+    violation_time: float | None = None
 
     @classmethod
-    def of(cls, t: Floats, off: Floats, bound: float) -> PathError:
-        """Return the path error for the differences ``off`` at the times ``t``."""
-        off = np.where(np.isnan(off), np.inf, off)
-        beyond = np.flatnonzero(off > bound)
-        return cls(float(off.max(initial=0.0)), float(t[beyond[0]]) if beyond.size else None)
+    def from_differences(cls, t: Floats, differences: Floats, bound: float) -> PathError:
+        """Return the path error for the differences at the times ``t``, shape (N,) each."""
+        differences = np.where(np.isnan(differences), np.inf, differences)
+        violations = np.flatnonzero(differences > bound)
+        first = float(t[violations[0]]) if violations.size else None
+        return cls(float(differences.max(initial=0.0)), first)
 
 
-def path_error(coarse: Trajectory, fine: Trajectory, duration: float, bound: float) -> PathError:
+def compare_paths(coarse: Trajectory, fine: Trajectory, duration: float, bound: float) -> PathError:
     """Compare a run with one of smaller steps, relative to how far each variable moves.
 
-    ``duration`` is the planned length of both runs, negative if they go backwards.
+    ``duration`` is the planned length of both runs, negative if they go backwards. A failed run
+    has an infinite error.
     """
     for run in (coarse, fine):
         if not run.success:
@@ -285,45 +354,45 @@ def path_error(coarse: Trajectory, fine: Trajectory, duration: float, bound: flo
     sign, t0, scale = np.sign(duration), float(coarse.t[0]), _scale(fine)
     ends = [float(run.t[-1]) for run in (coarse, fine)]
     end = sign * min(sign * t for t in ends)
-    count = STORED // coarse.program.n + 1
+    count = STORED_NUMBERS // coarse.program.n + 1
     stored = np.union1d(np.linspace(0, len(coarse) - 1, count).astype(int), np.arange(count))
-    # the last of equidistant times is the last stored one, however it was rounded
-    equidistant = t0 + duration * np.linspace(0, 1, EQUIDISTANT)[:-1]
+    # the last equidistant time is the last stored one, which may be rounded differently
+    equidistant = t0 + duration * np.linspace(0, 1, EQUIDISTANT_TIMES)[:-1]
     times = sign * np.union1d(sign * equidistant, sign * coarse.t[stored[stored < len(coarse)]])
     times = times[sign * (end - times) >= 0]
     try:
-        off = _difference(coarse.at(times), fine.at(times), scale)
+        differences = _compare_states(coarse.at(times), fine.at(times), scale)
     except ConvergenceError as error:
         return PathError(np.inf, error.time)
-    # between the times of an event one run is before it, and the other after
+    # an event has two times, one in each run; only one run is past the event between them
     for first, second in zip_longest(coarse.records, fine.records):
         if first and second and first.event != second.event:
             break
         low, high = sorted(record.t if record else t0 + duration for record in (first, second))
         slack = 8 * np.finfo(float).eps * max(abs(low), abs(high), abs(duration))
         if high - low <= bound * abs(duration):
-            off[(times >= low - slack) & (times <= high + slack)] = 0.0
+            differences[(times >= low - slack) & (times <= high + slack)] = 0.0
     if coarse.ended_by is not None or fine.ended_by is not None:
-        late = abs(ends[0] - ends[1]) / abs(duration)
+        at_end = abs(ends[0] - ends[1]) / abs(duration)
         if coarse.ended_by == fine.ended_by:
-            late = max(late, *_difference(coarse[-1:], fine[-1:], scale))
-        times, off = np.append(times, end), np.append(off, late)
-    return PathError.of(times, off, bound)
+            at_end = max(at_end, *_compare_states(coarse[-1:], fine[-1:], scale))
+        times, differences = np.append(times, end), np.append(differences, at_end)
+    return PathError.from_differences(times, differences, bound)
 
 
-def _difference(coarse: States, fine: States, scale: Floats) -> Floats:
-    """Return the largest difference of each pair of states, in units of ``scale``."""
+def _compare_states(coarse: States, fine: States, scale: Floats) -> Floats:
+    """Return the largest difference of each pair of states in units of ``scale``, shape (N,)."""
     first, second = (np.hstack([states.q, states.p]) for states in (coarse, fine))
     with np.errstate(divide="ignore", invalid="ignore"):
-        off: Floats = np.where(first == second, 0.0, np.abs(first - second) / scale)
-    return off.max(axis=1)
+        relative: Floats = np.where(first == second, 0.0, np.abs(first - second) / scale)
+    return relative.max(axis=1)
 
 
 def _scale(run: Trajectory) -> Floats:
-    """Return how far variables of each unit move from the start, shape (2 n,).
+    """Return how far the variables of each unit move from the initial state, shape (2 n,).
 
-    A variable that stays constant has its own size as its scale. Momenta of coordinates at rest
-    are rounding errors, and are not compared: their scale is infinite.
+    The scale of a constant variable is its own size. If a coordinate does not move, its momentum
+    is a round-off error, which is not compared: the scale is infinite.
     """
     units, names, n = run.program.units, run.program.coordinates, run.program.n
     kinds: list[tuple[str, str | None, str | None]]

@@ -1,4 +1,4 @@
-"""Costs of a step, counted in the text of the modules that are generated for a system."""
+"""Costs of a step: unknowns and operations, counted in generated modules."""
 
 from __future__ import annotations
 
@@ -9,21 +9,33 @@ from symsimpson.api.compiling import check_system
 from symsimpson.declare.system import MechanicalSystem
 from symsimpson.lower.pipeline import source
 from symsimpson.support import markup
-from symsimpson.support.names import in_a_row
+from symsimpson.support.names import as_tuple
 from symsimpson.targets.counting import Cost, cost
 
-HEAD = ("a step, general > here", "unknowns", "operations an iteration", "at its end")
+HEAD = ("without > with reductions", "unknowns", "operations an iteration", "at its end")
 
 
 @dataclass(frozen=True)
 class StepCosts:
-    """Unknowns and operations of a step, without and with what was found about a system.
+    """Unknowns and operations of a step, without and with the reductions of a system.
+
+    :func:`symsimpson.step_costs` returns it. The table that it prints has a row for each scheme,
+    with the numbers without > with reductions.
 
     Attributes
     ----------
-    general, here : dict
-        Cost of a step by scheme, without and with what was found about the system: ``unknowns``,
-        operations of an ``iteration`` and of ``closing`` the step.
+    general : dict
+        The cost of a step without reductions, by the name of the scheme. A cost has the number of
+        ``unknowns``, and the numbers of operations of an ``iteration`` and of ``closing`` the step.
+    here : dict
+        The cost of a step with all reductions of the system, by the name of the scheme.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> costs = ss.step_costs(ss.systems.kepler(), "simpson")
+    >>> costs.general["simpson"].unknowns, costs.here["simpson"].unknowns
+    (4, 2)
     """
 
     general: dict[str, Cost]
@@ -41,6 +53,7 @@ class StepCosts:
         return markup.table([HEAD, *self._rows()])
 
     def _rows(self) -> list[tuple[str, ...]]:
+        """Return the cells of the table, a row for each scheme."""
         parts = ("unknowns", "iteration", "closing")
         return [
             (name, *(f"{getattr(general, x)} > {getattr(self.here[name], x)}" for x in parts))
@@ -51,18 +64,22 @@ class StepCosts:
 def step_costs(
     system: MechanicalSystem, schemes: str | Iterable[str] = ("simpson", "midpoint")
 ) -> StepCosts:
-    """Generate modules with and without the findings of a system, and count what a step does.
+    """Count the unknowns and operations of a step, with and without the reductions of a system.
 
-    It takes seconds for small systems, and longer for large ones.
+    Counting generates two modules for each scheme. This takes seconds for small systems, and
+    longer for large ones.
 
     Parameters
     ----------
     system : MechanicalSystem
-    schemes : str or iterable of str
+        The system.
+    schemes : str or iterable of str, default ("simpson", "midpoint")
+        The names of the schemes.
 
     Returns
     -------
     StepCosts
+        The counts by scheme.
 
     Examples
     --------
@@ -71,7 +88,7 @@ def step_costs(
     2
     """
     check_system(system)
-    names = in_a_row(schemes)
+    names = as_tuple(schemes)
     return StepCosts(
         {name: cost(source(system, name, ())) for name in names},
         {name: cost(source(system, name)) for name in names},

@@ -1,4 +1,4 @@
-"""Steppers whose modules differ from generated ones: for comparison, never for use."""
+"""Steppers with changed modules, for measurements only."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from symsimpson.text.header import signed_anew, with_facts
 from symsimpson.text.syntax import definitions, redefined
 
 
-def rewritten(stepper: Stepper, constants: Mapping[str, str]) -> Stepper:
-    """Return a stepper with other constants in its module, which is signed anew.
+def redefine_constants(stepper: Stepper, constants: Mapping[str, str]) -> Stepper:
+    """Return a stepper with other values of constants in its module.
 
-    ``constants`` are Python expressions by name. Raises ValueError if the module has no such
-    constant.
+    ``constants`` are Python expressions by name. Raises ValueError if the module has no constant
+    with such a name.
     """
     missing = constants.keys() - definitions(stepper.source)
     if missing:
-        raise ValueError(f"the module has no {', '.join(sorted(missing))}")
+        raise ValueError(f"the module has no constants {', '.join(sorted(missing))}.")
     changes = {name: f"{name} = {x}" for name, x in constants.items()}
-    return _with(stepper, stepper.source, changes)
+    return _change_source(stepper, stepper.source, changes)
 
 
-def _with(stepper: Stepper, text: str, changes: Mapping[str, str]) -> Stepper:
-    """Return a stepper of a text with other definitions, which is signed anew."""
+def _change_source(stepper: Stepper, text: str, changes: Mapping[str, str]) -> Stepper:
+    """Return a stepper of the source ``text`` with other definitions and a new digest."""
     program = new_program(
         signed_anew(redefined(text, changes)),
         f"{stepper.system}, changed",
@@ -36,10 +36,10 @@ def _with(stepper: Stepper, text: str, changes: Mapping[str, str]) -> Stepper:
 
 
 def in_tau(stepper: Stepper, values: Iterable[float] | None = None) -> Stepper:
-    """Return a stepper that knows a retimed system by the time tau of its steps alone.
+    """Return a stepper of a time-transformed system with tau as its only time.
 
-    Its energy is K = g (H - E0), and E0 and the rate dt/dtau of the start are parameters;
-    ``values`` are the defaults of all. A stepper that is not retimed is returned as it is.
+    Its energy is K = g (H - E0). E0 and the initial rate dt/dtau are parameters, and ``values`` are
+    the defaults of all parameters. Without a time transformation, the same stepper is returned.
     """
     if not stepper.program.header.retimed:
         return stepper
@@ -50,12 +50,12 @@ def in_tau(stepper: Stepper, values: Iterable[float] | None = None) -> Stepper:
     if values is not None:
         facts["defaults"] = tuple(map(float, values))
     text = with_facts(stepper.source, facts)
-    return _with(stepper, text, {"energy_in_tau": "", "energy": energy})
+    return _change_source(stepper, text, {"energy_in_tau": "", "energy": energy})
 
 
-def oversolved(stepper: Stepper) -> Stepper:
-    """Return a stepper whose iterations go on until corrections stagnate in rounding."""
+def iterate_to_round_off(stepper: Stepper) -> Stepper:
+    """Return a stepper that iterates until the corrections are round-off errors."""
     if stepper.program.header.newton_unknowns == 0:
         return stepper
     names = ("LOST", "ROUNDING") if stepper.program.header.by_stages else ("NEGLIGIBLE",)
-    return rewritten(stepper, dict.fromkeys(names, "0.0"))
+    return redefine_constants(stepper, dict.fromkeys(names, "0.0"))

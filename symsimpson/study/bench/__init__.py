@@ -1,1 +1,1 @@
-"""Measurements: they print, they never decide a test."""
+"""Benchmarks of run time against error. They print results; no test depends on them."""

@@ -1,7 +1,7 @@
-"""Programs that solve a problem, each to accuracies that can be chosen: our schemes and others.
+"""Contenders of a benchmark: programs that solve a problem with an accuracy that can be chosen.
 
-Solvers that call a right-hand side get one that numba compiled; what compiles itself does so before
-the clock starts.
+Solvers that call a right-hand side get one that numba compiled. Programs that compile their own
+code do so before the timing starts.
 """
 
 from __future__ import annotations
@@ -24,45 +24,46 @@ from symsimpson.declare.system import MechanicalSystem
 from symsimpson.errors import reject
 from symsimpson.reference import FirstOrder, canonical, second_order, truth
 from symsimpson.reference.runge_kutta import compiled_rates, compiled_rk4
-from symsimpson.run.ended import uninterrupted
+from symsimpson.run.ended import raise_if_interrupted
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.study.analysis.pilot import choose_state
 from symsimpson.study.analysis.stability.frequency import largest_frequency
 from symsimpson.study.bench.dop853 import PIECE, make_dop853
 from symsimpson.support.array_types import Floats
-from symsimpson.support.names import in_a_row
+from symsimpson.support.names import as_tuple
 
 #: Decimal digits of the reference solution.
 DIGITS = 20
-#: What a contender makes of a choice.
-Made = TypeVar("Made")
+#: The prepared run that a contender makes for a choice.
+Prepared = TypeVar("Prepared")
 
 #: Tolerances from coarse to fine.
 TOLERANCES = tuple(10.0 ** (-k / 2) for k in range(2, 31))
 COARSE = TOLERANCES[::2]
-#: Steps begin at this, times the fastest oscillation at the start.
+#: The coarsest step is this number divided by the largest angular frequency at the start.
 COARSEST = 8.0
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class BenchmarkProblem:
     """An initial value problem of a system, with a reference solution at ``t_end``."""
 
     system: MechanicalSystem
-    #: Each of shape (n,).
+    #: Initial coordinates, velocities and momenta, each of shape (n,).
     q0: Floats
     v0: Floats
     p0: Floats
     t_end: float
-    #: The equations of motion in (q, p) and in (q, v), for those who need first order.
+    #: The equations of motion in (q, p) and in (q, v), as systems of first order.
     canonical: FirstOrder
     second_order: FirstOrder
     solution: Floats  #: q and p at ``t_end``, shape (2 n,).
-    solution_error: float  #: An estimate of its error, in units of ``scale``.
-    #: Errors are divided by these sizes: the largest value of each coordinate, at least 1 or the
-    #: largest coordinate if that is smaller; the largest momentum. Shape (2 n,).
+    solution_error: float  #: Its estimated error, in units of ``scale``.
+    #: Errors are divided by these sizes, shape (2 n,). The size of a coordinate is its largest
+    #: value, but at least 1, or the largest of all coordinates if that is below 1. The size of
+    #: momenta is the largest momentum.
     scale: Floats
-    #: The same motion in another time, if schemes are to run in that, too.
+    #: The same motion with a time transformation, if schemes shall run in both times.
     retimed: RetimedSystem | None = None
 
     def error(self, q: Any, p: Any) -> float:
@@ -72,7 +73,7 @@ class Problem:
         return largest if np.isfinite(largest) else float("inf")
 
     def momentum(self, stepper: Stepper, q: Any, v: Any) -> Floats:
-        """Return p of a state in (q, v), NaN for a peer that failed."""
+        """Return p for a state (q, v); NaN for a state that is not finite."""
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
             return np.full(len(self.q0), np.nan)
         momentum: Floats = stepper.integrate(q, v0=v, h=1.0, steps=0).p[0]
@@ -81,11 +82,11 @@ class Problem:
 
 def make_problem(
     system: MechanicalSystem, state: Mapping[str, Any] | None, t_end: float
-) -> Problem:
-    """Solve a problem in many digits, with an estimate of the error.
+) -> BenchmarkProblem:
+    """Compute a reference solution with 20 digits and its estimated error.
 
-    Raises InputError if there is no state to start from; ArithmeticError if the solution has a
-    singularity before ``t_end``.
+    Raises InputError if the initial state is missing or the system has constraints. Raises
+    ArithmeticError if the solution has a singularity before ``t_end``.
     """
     retimed = system if isinstance(system, RetimedSystem) else None
     system = system if retimed is None else retimed.original
@@ -93,9 +94,10 @@ def make_problem(
     q, p = choose_state(stepper, state, stepper.program.named_values())
     if system.constraints:
         reject(
-            f"{system.name} has constraints, which the other programs do not keep to: their states "
-            "could not be measured.",
-            remedy="Compare in coordinates without, or schemes among themselves: ss.choose.",
+            "the system has constraints.",
+            where=system.name,
+            why="The other programs do not satisfy them, so their states cannot be compared.",
+            remedy="Use coordinates without constraints, or compare schemes with ss.choose.",
         )
     in_momenta, in_velocities = canonical(system), second_order(system)
     start = in_momenta.state([mpmath.mpf(float(x)) for x in (*q, *p)])
@@ -107,7 +109,7 @@ def make_problem(
     least = min(1.0, largest[:n].max() or 1.0)
     scale = np.concatenate([np.maximum(largest[:n], least), np.full(n, largest[n:].max() or 1.0)])
     rates = in_momenta.function("math")(*in_momenta.state(q, p), *in_momenta.values(None))
-    return Problem(
+    return BenchmarkProblem(
         system,
         q,
         np.array(rates[:n], dtype=np.float64),
@@ -123,30 +125,30 @@ def make_problem(
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """The state at the end of one run, and the work that it took."""
+class FinalState:
+    """The final state of a run, and the number of its evaluations."""
 
     q: Floats
     p: Floats
     evaluations: int
 
 
+#: A function that runs, and a function that converts its result to the final state.
+Runnable = tuple[Callable[[], Any], Callable[[Any], FinalState]]
+
+
 @dataclass(frozen=True)
-class Contender(Generic[Made]):
-    """A program that solves a problem to an accuracy that can be chosen."""
+class Contender(Generic[Prepared]):
+    """A program that solves a problem with an accuracy that can be chosen."""
 
     name: str
-    what: str
-    choices: Sequence[float]  #: From coarse to fine; ``what`` says of what.
-    make: Callable[[float], Made]  #: Gives for a choice what runs it.
+    what: str  #: "steps" or "tolerance".
+    choices: Sequence[float]  #: Numbers of steps or tolerances, from coarse to fine.
+    make: Callable[[float], Prepared]  #: Prepares a run for one of the choices.
 
 
-#: A function without arguments that runs, and one that reads the outcome of what it returns.
-Runnable = tuple[Callable[[], Any], Callable[[Any], Outcome]]
-
-
-def numbers_of_steps(problem: Problem) -> list[int]:
-    """Return numbers of steps from coarse to fine; none leaves out an oscillation."""
+def choose_step_counts(problem: BenchmarkProblem) -> list[int]:
+    """Return numbers of steps from coarse to fine; all of them resolve the fastest oscillation."""
     values = problem.system.parameters.values()
     turns = problem.t_end * largest_frequency(problem.system, problem.q0, values) / COARSEST
     least = max(4, round(problem.t_end / 2), round(turns))
@@ -154,7 +156,7 @@ def numbers_of_steps(problem: Problem) -> list[int]:
 
 
 def alternate(jobs: Mapping[str, Callable[[], Any]], rounds: int) -> dict[str, list[float]]:
-    """Return seconds of jobs that run in turns: what disturbs the machine disturbs all of them."""
+    """Return the seconds of jobs that run in turns, so that disturbances affect all of them."""
     times: dict[str, list[float]] = {name: [] for name in jobs}
     for _ in range(rounds):
         for name, job in jobs.items():
@@ -164,12 +166,13 @@ def alternate(jobs: Mapping[str, Callable[[], Any]], rounds: int) -> dict[str, l
     return times
 
 
-def ours(
-    problem: Problem, scheme: str | Scheme, retimed: RetimedSystem | None = None
+def make_scheme_contender(
+    problem: BenchmarkProblem, scheme: str | Scheme, retimed: RetimedSystem | None = None
 ) -> Contender[Runnable]:
-    """Return one of our schemes; it counts Newton iterations.
+    """Return the contender of a scheme; its evaluations are Newton iterations.
 
-    In the time of a retimed system, choices are numbers of steps as long as the first.
+    With a time transformation, a choice is the number of steps that the size of the first step
+    corresponds to.
     """
     stepper = compile_system(retimed or problem.system, scheme)
 
@@ -180,17 +183,17 @@ def ours(
 
         def run() -> Any:
             start: dict[str, Any] = {"q0": problem.q0, "p0": problem.p0, "h": h, **length}
-            return uninterrupted(stepper.integrate(**start, every=None, on_failure="return"))
+            return raise_if_interrupted(stepper.integrate(**start, every=None, on_failure="return"))
 
-        def read(trajectory: Any) -> Outcome:
+        def read(trajectory: Any) -> FinalState:
             failed = np.full(stepper.n, np.nan)
             q, p = (trajectory.q[0], trajectory.p[0]) if trajectory.success else (failed, failed)
-            return Outcome(q, p, int(trajectory.newton_iterations.sum()))
+            return FinalState(q, p, int(trajectory.newton_iterations.sum()))
 
         return run, read
 
-    name, choices = stepper.scheme, numbers_of_steps(problem)
-    if retimed is not None:  # these adapt: fewer are enough
+    name, choices = stepper.scheme, choose_step_counts(problem)
+    if retimed is not None:  # adaptive steps: fewer are enough
         coarse = [round(choices[0] * 2 ** (k / 4)) for k in range(-8, 0)]
         name, choices = f"{name} retimed", [count for count in coarse if count >= 4] + choices
     return Contender(name, "steps", choices, make)
@@ -200,36 +203,36 @@ def ours(
 MOST_STEPS = 200_000
 
 
-def _compiled(problem: Problem) -> tuple[Any, Floats, Floats, int]:
-    """Return the compiled right-hand side, parameters, the initial state and n."""
+def _compile_rates(problem: BenchmarkProblem) -> tuple[Any, Floats, Floats, int]:
+    """Return the compiled right-hand side, the parameters, the initial state and n."""
     equations = problem.canonical
     parameters = np.array(equations.values(None), dtype=np.float64)
     start = np.array(equations.state(problem.q0, problem.p0))
     return compiled_rates(equations), parameters, start, problem.system.n
 
 
-def _runge_kutta(problem: Problem) -> Iterator[Contender[Runnable]]:
-    """Explicit methods of our own, compiled with the right-hand side."""
-    rates, parameters, start, n = _compiled(problem)
+def _runge_kutta(problem: BenchmarkProblem) -> Iterator[Contender[Runnable]]:
+    """Yield RK4 and DOP853, compiled together with the right-hand side."""
+    rates, parameters, start, n = _compile_rates(problem)
 
-    def making(solve: Callable[[Floats, float], int]) -> Any:
+    def make_runner(solve: Callable[[Floats, float], int]) -> Any:
         def make(choice: float) -> Runnable:
             def run() -> Any:
                 y = start.copy()
                 return y, solve(y, choice)
 
-            return run, lambda result: Outcome(result[0][:n], result[0][n : 2 * n], result[1])
+            return run, lambda result: FinalState(result[0][:n], result[0][n : 2 * n], result[1])
 
         return make
 
     rk4, dop853 = compiled_rk4(problem.canonical), make_dop853(rates)
-    kept = np.empty((2, start.size))
+    states = np.empty((2, start.size))
 
     def fixed(y: Floats, steps: float) -> int:
         count = int(steps)
         for first in range(0, count, PIECE):
             some = min(PIECE, count - first)
-            rk4(y, parameters, problem.t_end / count, some, some, kept)
+            rk4(y, parameters, problem.t_end / count, some, some, states)
         return 4 * count
 
     def adaptive(y: Floats, tolerance: float) -> int:
@@ -238,15 +241,15 @@ def _runge_kutta(problem: Problem) -> Iterator[Contender[Runnable]]:
             pass
         return int(done)
 
-    yield Contender("rk4", "steps", numbers_of_steps(problem), making(fixed))
-    yield Contender("dop853", "tolerance", TOLERANCES, making(adaptive))
+    yield Contender("rk4", "steps", choose_step_counts(problem), make_runner(fixed))
+    yield Contender("dop853", "tolerance", TOLERANCES, make_runner(adaptive))
 
 
-def _scipy(problem: Problem) -> Iterator[Contender[Runnable]]:
-    """SciPy's solvers with a compiled right-hand side."""
+def _scipy(problem: BenchmarkProblem) -> Iterator[Contender[Runnable]]:
+    """Yield solvers of SciPy with a compiled right-hand side."""
     from scipy.integrate import solve_ivp
 
-    rates, parameters, start, n = _compiled(problem)
+    rates, parameters, start, n = _compile_rates(problem)
 
     def right(t: float, y: Floats) -> Floats:
         out = np.empty_like(y)
@@ -266,22 +269,23 @@ def _scipy(problem: Problem) -> Iterator[Contender[Runnable]]:
                     atol=tolerance,
                 )
 
-            def read(solution: Any) -> Outcome:
+            def read(solution: Any) -> FinalState:
                 end = solution.y[:, -1] if solution.success else np.full(2 * n, np.nan)
-                return Outcome(end[:n], end[n : 2 * n], int(solution.nfev))
+                return FinalState(end[:n], end[n : 2 * n], int(solution.nfev))
 
             return run, read
 
-        choices = COARSE[:5] if method == "Radau" else COARSE  # of order five: too slow beyond
+        # Radau, of order 5, is too slow for smaller tolerances
+        choices = COARSE[:5] if method == "Radau" else COARSE
         yield Contender(f"scipy {method}", "tolerance", choices, make)
 
 
-def _heyoka(problem: Problem) -> Iterator[Contender[Runnable]]:
-    """The Taylor method of heyoka, in both forms of the equations and both modes of compilation."""
+def _heyoka(problem: BenchmarkProblem) -> Iterator[Contender[Runnable]]:
+    """Yield the Taylor method of heyoka, for both forms of the equations and both compile modes."""
     import heyoka as hy
 
     stepper, n = compile_system(problem.system, "simpson"), problem.system.n
-    # its tolerance is one for all variables: they are scaled where they differ by orders
+    # heyoka has one tolerance for all variables: scale them if their sizes differ much
     units = problem.scale if np.ptp(np.log10(problem.scale)) > 2 else np.ones(2 * n)
     forms = (
         ("q, p", problem.canonical, problem.p0, units, lambda q, p: p),
@@ -295,20 +299,20 @@ def _heyoka(problem: Problem) -> Iterator[Contender[Runnable]]:
     )
     for form, equations, other, scale, momentum in forms:
         scale = np.array([*scale, *np.ones(len(equations.unknowns) - 2 * n)])
-        written = in_heyoka(hy, equations, scale)
+        system = to_heyoka(hy, equations, scale)
         start = np.array(equations.state(problem.q0, other)) / scale
         for mode in ("", " compact"):
 
             def make(
                 tolerance: float,
-                written: Any = written,
+                system: Any = system,
                 start: Floats = start,
                 compact: bool = bool(mode),
                 momentum: Callable[..., Any] = momentum,
                 scale: Floats = scale,
             ) -> Runnable:
                 integrator = hy.taylor_adaptive(
-                    written, start.tolist(), tol=max(tolerance, 2.3e-16), compact_mode=compact
+                    system, start.tolist(), tol=max(tolerance, 2.3e-16), compact_mode=compact
                 )
 
                 def run() -> Any:
@@ -324,17 +328,17 @@ def _heyoka(problem: Problem) -> Iterator[Contender[Runnable]]:
                             break
                     return steps
 
-                def read(steps: Any) -> Outcome:
+                def read(steps: Any) -> FinalState:
                     q, second = np.split((integrator.state * scale)[: 2 * n], 2)
-                    return Outcome(q, momentum(q, second), int(steps))
+                    return FinalState(q, momentum(q, second), int(steps))
 
                 return run, read
 
             yield Contender(f"heyoka{mode} ({form})", "tolerance", TOLERANCES, make)
 
 
-def in_heyoka(hy: Any, equations: FirstOrder, scale: Floats | None = None) -> list[tuple[Any, Any]]:
-    """Write y' = f(y) in heyoka's expressions, parameters as numbers, y in units of ``scale``."""
+def to_heyoka(hy: Any, equations: FirstOrder, scale: Floats | None = None) -> list[tuple[Any, Any]]:
+    """Return y' = f(y) in expressions of heyoka, with y in units of ``scale``."""
     variables = [hy.make_vars(f"y_{i}") for i in range(len(equations.unknowns))]
     units = [1.0] * len(variables) if scale is None else [float(x) for x in scale]
     known: dict[Any, Any] = {
@@ -343,11 +347,11 @@ def in_heyoka(hy: Any, equations: FirstOrder, scale: Floats | None = None) -> li
     }
     known |= {symbol: hy.expression(float(value)) for symbol, value in equations.parameters.items()}
 
-    def written(value: sp.Expr) -> Any:
-        # heyoka reads no fractions that are not exact in binary
+    def convert(value: sp.Expr) -> Any:
+        # heyoka does not accept fractions without an exact binary form
         inexact = {x: sp.Float(x, 17) for x in value.atoms(sp.Rational) if x.q & (x.q - 1)}
         value = value.xreplace(inexact)
-        # powers above the second in heyoka divide by their base, which may be zero
+        # heyoka divides by the base of powers above 2, and the base may be zero
         for power in sorted(value.atoms(sp.Pow), key=sp.count_ops):
             if power not in named and power.exp.is_Integer and power.exp > 2:
                 base = hy.from_sympy(power.base.xreplace(named), known)
@@ -357,18 +361,18 @@ def in_heyoka(hy: Any, equations: FirstOrder, scale: Floats | None = None) -> li
 
     named: dict[sp.Basic, sp.Basic] = {}
     for symbol, value in equations.definitions:
-        known[symbol] = written(value)
-    rates = [written(rate) for rate in equations.rates]
+        known[symbol] = convert(value)
+    rates = [convert(rate) for rate in equations.rates]
     rates = [rate if unit == 1.0 else rate / unit for rate, unit in zip(rates, units, strict=True)]
     return list(zip(variables, rates, strict=True))
 
 
-def _numbalsoda(problem: Problem) -> Iterator[Contender[Runnable]]:
-    """The compiled LSODA and DOP853 of numbalsoda, with a compiled right-hand side."""
+def _numbalsoda(problem: BenchmarkProblem) -> Iterator[Contender[Runnable]]:
+    """Yield LSODA and DOP853 of numbalsoda with a compiled right-hand side."""
     import numbalsoda
     from numba import carray, cfunc  # type: ignore[attr-defined]
 
-    rates, parameters, start, n = _compiled(problem)
+    rates, parameters, start, n = _compile_rates(problem)
     size, count = len(start), len(parameters)
 
     @cfunc(numbalsoda.lsoda_sig)
@@ -390,13 +394,15 @@ def _numbalsoda(problem: Problem) -> Iterator[Contender[Runnable]]:
                 )
                 return states[-1] if success else np.full(size, np.nan), data[count]
 
-            return run, lambda result: Outcome(result[0][:n], result[0][n : 2 * n], int(result[1]))
+            return run, lambda result: FinalState(
+                result[0][:n], result[0][n : 2 * n], int(result[1])
+            )
 
         yield Contender(f"numbalsoda {method}", "tolerance", COARSE, make)
 
 
-def _diffrax(problem: Problem) -> Iterator[Contender[Runnable]]:
-    """The explicit method of order eight of diffrax, compiled once for all tolerances."""
+def _diffrax(problem: BenchmarkProblem) -> Iterator[Contender[Runnable]]:
+    """Yield the explicit method of order 8 of diffrax, compiled once for all tolerances."""
     import diffrax
     import jax
 
@@ -432,17 +438,17 @@ def _diffrax(problem: Problem) -> Iterator[Contender[Runnable]]:
             solution.ys.block_until_ready()
             return solution
 
-        def read(solution: Any) -> Outcome:
+        def read(solution: Any) -> FinalState:
             end = np.asarray(solution.ys)[0]
-            return Outcome(end[:n], end[n : 2 * n], 13 * int(solution.stats["num_steps"]))
+            return FinalState(end[:n], end[n : 2 * n], 13 * int(solution.stats["num_steps"]))
 
         return run, read
 
     yield Contender("diffrax Dopri8", "tolerance", COARSE, make)
 
 
-#: Other programs by name.
-PROGRAMS: dict[str, Callable[[Problem], Iterator[Contender[Runnable]]]] = {
+#: Other programs by their names.
+PROGRAMS: dict[str, Callable[[BenchmarkProblem], Iterator[Contender[Runnable]]]] = {
     "runge-kutta": _runge_kutta,
     "scipy": _scipy,
     "heyoka": _heyoka,
@@ -452,25 +458,25 @@ PROGRAMS: dict[str, Callable[[Problem], Iterator[Contender[Runnable]]]] = {
 
 
 def read_peers(names: Any) -> list[str]:
-    """Return names of other programs, of which there are such; raises InputError."""
+    """Return the names of other programs; raise InputError if one is unknown."""
     if names == "installed":
         return list(PROGRAMS)
-    wanted = list(in_a_row(names))
+    wanted = list(as_tuple(names))
     for name in wanted:
         if name not in PROGRAMS:
             reject(
-                f"there is no peer {name!r}.",
-                remedy=f"There are {', '.join(PROGRAMS)}; () is none of them.",
+                f"peers contains {name!r}, which is unknown.",
+                remedy=f"Use names among {', '.join(PROGRAMS)}, or () for no other program.",
             )
     return wanted
 
 
-def peers(
-    problem: Problem, names: str | Sequence[str] = "installed"
+def make_peer_contenders(
+    problem: BenchmarkProblem, names: str | Sequence[str] = "installed"
 ) -> Iterator[Contender[Runnable]]:
-    """Return the other programs: those named, or all that are installed.
+    """Yield the contenders of named programs, or of all installed programs.
 
-    Raises InputError if one is unknown, or named and not installed.
+    Raises InputError if a named program is unknown or not installed.
     """
     for name in read_peers(names):
         try:

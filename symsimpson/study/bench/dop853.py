@@ -1,4 +1,4 @@
-"""An explicit method of order eight, compiled for one right-hand side: a peer of our own."""
+"""DOP853, an explicit Runge-Kutta method of order 8, compiled for one right-hand side."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ from typing import Any
 
 import numpy as np
 
-#: Compiled loops take so many steps before Ctrl-C is heard.
+#: Steps of compiled loops between two checks for Ctrl-C.
 PIECE = 8192
 
 
 @cache
 def make_dop853(f: Callable[..., None]) -> Callable[..., Any]:
-    """Compile the method of Dormand and Prince of order eight for f(y, parameters, out).
+    """Compile the method of Dormand and Prince of order 8 for f(y, parameters, out).
 
-    The function takes some steps, and returns the number of evaluations at the end, 0 before. Its
-    last argument holds t, h, whether a step was rejected, and the evaluations, all 0 at first.
+    The compiled function takes at most PIECE steps. It returns 0 before the final
+    time, -1 if the step size is too small, and otherwise the number of evaluations. Its last
+    argument stores t, h, whether the last step was rejected, and the number of evaluations. All
+    are 0 initially.
 
     The coefficients are SciPy's. The step size control follows Hairer, Norsett and Wanner,
     Solving Ordinary Differential Equations I, sections II.4 and II.10.

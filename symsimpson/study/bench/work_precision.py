@@ -1,8 +1,8 @@
-"""Run time against error: schemes and other programs on one problem, in one process."""
+"""Work-precision diagrams: run time against error for schemes and other programs."""
 
 from __future__ import annotations
 
-import gc
+import contextlib
 import json
 import os
 import platform
@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import median
+from timeit import timeit
 from typing import Any
 
 import numpy as np
@@ -23,54 +24,58 @@ from symsimpson.program.input_values import read_array, read_count, read_number
 from symsimpson.program.numbers import FLOAT64
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.study.bench.contenders import (
+    BenchmarkProblem,
     Contender,
-    Problem,
     Runnable,
+    make_peer_contenders,
     make_problem,
-    ours,
-    peers,
+    make_scheme_contender,
     read_peers,
 )
-from symsimpson.support.calling import explained
+from symsimpson.support.calling import explain_arguments
 from symsimpson.support.files import write_text
-from symsimpson.support.names import in_a_row
-from symsimpson.support.progress import waiting
+from symsimpson.support.names import as_tuple
+from symsimpson.support.progress import announce
 
-#: Written into files; those of another version are not compared with.
+#: Version of the file format.
 FORMAT = 1
-#: A timing takes at least so long, by repetition.
+#: Shorter runs are repeated until a timing takes this long, in seconds.
 LEAST_SECONDS = 1e-3
-#: A choice that takes longer than this once is not made finer.
+#: A run that takes longer than this, in seconds, counts as slow.
 MOST_SECONDS = 2.0
-#: After so many slow choices a sweep ends, and it leaves out so many behind each of them.
+#: More slow runs than MOST_SLOW end the sequence. Without a useful run, LEAP choices are skipped
+#: after each slow run.
 MOST_SLOW, LEAP = 3, 3
-#: A run that takes this long is not run twice to be warm, unless it takes so many times as long as
-#: the one before, which may be the time of a compiler. Every second number of steps behind it is
-#: left out.
+#: A run of at least LONG_SECONDS is not repeated to warm up. It is if it takes MUCH_LONGER times as
+#: long as the run before, as it may include compilation. After a long run, every second number of
+#: steps is skipped.
 LONG_SECONDS, MUCH_LONGER = 0.1, 4.0
-#: What has been timed for so long is timed no more: noise is short against it.
+#: A run with this total time, in seconds, is not timed again.
 ENOUGH_SECONDS = 0.5
-#: A run over this part of the time measures the cost of a call alone.
+#: A run over this fraction of the duration measures the overhead of a call.
 CALL_FRACTION = 1e-6
-#: Errors are not followed below this: it is rounding.
+#: Smaller errors are round-off errors, and end the sequence.
 FLOOR = 3e-14
 
 
 @dataclass(frozen=True)
-class Point:
-    """One choice of one contender.
+class Measurement:
+    """The run time and the error of one contender for one choice of steps or tolerance.
 
     Attributes
     ----------
     name : str
+        The name of the contender.
     what : str
-        "steps" or "tolerance".
+        The kind of choice: "steps" or "tolerance".
     choice : float
+        The number of steps, or the tolerance.
     error : float
+        The largest relative error of the final state.
     best, median : float
-        Seconds.
+        The shortest and the median run time of all rounds, in seconds.
     evaluations : int
-        Newton iterations, evaluations of the right-hand side, or Taylor steps.
+        The number of Newton iterations, evaluations of the right-hand side, or Taylor steps.
     """
 
     name: str
@@ -84,23 +89,37 @@ class Point:
 
 @dataclass(frozen=True, repr=False)
 class WorkPrecision:
-    """Run time against error on one problem.
+    """Run time against error of several contenders on one problem.
 
     Attributes
     ----------
     system : str
+        The name of the system.
     t_end : float
+        The final time.
     q0, p0 : tuple of float
+        The initial coordinates and momenta.
     solution_error : float
-        Estimated error of what errors are taken against.
+        The estimated error of the reference solution.
     levels : tuple of float
-    points : tuple of Point
+        The error levels of the table.
+    points : tuple of Measurement
+        The measurements of all contenders and choices.
     compile_seconds : mapping from str to float
-        Until the first result of a contender, if nothing was compiled before.
+        The time to the first result of each contender, in seconds. It includes compilation.
     machine : mapping
-        Processor, load, versions.
+        The processor, the number of cores, the load, and versions of software.
     call_seconds : mapping from str to float
-        What a run of a single short step takes: the call itself, most of all.
+        The median time of a run over a very short duration, in seconds, for each contender. It
+        measures the overhead of a call.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> record = ss.work_precision(ss.systems.pendulum(), "midpoint", peers=(), errors=0.01,
+    ...                            t_end=0.5, repeats=1)
+    >>> record.names, record.levels
+    (('midpoint',), (0.01,))
     """
 
     system: str
@@ -109,29 +128,68 @@ class WorkPrecision:
     p0: tuple[float, ...]
     solution_error: float
     levels: tuple[float, ...]
-    points: tuple[Point, ...]
+    points: tuple[Measurement, ...]
     compile_seconds: Mapping[str, float]
     machine: Mapping[str, Any]
     call_seconds: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The contenders."""
+        """Names of the contenders, in the order of their runs."""
         return tuple(dict.fromkeys(point.name for point in self.points))
 
-    def fastest(self, name: str, error: float) -> Point | None:
-        """Return the fastest point of a contender with at most this error; or None."""
+    def fastest(self, name: str, error: float) -> Measurement | None:
+        """Return the fastest measurement of a contender with at most this error; or None.
+
+        Parameters
+        ----------
+        name : str
+            The name of the contender.
+        error : float
+            The largest error.
+
+        Returns
+        -------
+        Measurement or None
+            The measurement with the smallest median run time; None if none is accurate enough.
+        """
         good = [p for p in self.points if p.name == name and p.error <= error]
         return min(good, key=lambda point: point.median) if good else None
 
     def plot(self, *, ax: Any = None) -> Any:
-        """Draw median run time against error; returns the axes. Needs matplotlib."""
+        """Draw the median run time against the error.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            The axes to draw in. The default is a new figure.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The axes, with logarithmic scales.
+
+        Raises
+        ------
+        InputError
+            If matplotlib is not installed.
+        """
         from symsimpson.plotting.run_figures import plot_work_precision
 
         return plot_work_precision(self, ax=ax)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write all of it to a file in JSON.
+        """Save the record to a JSON file.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The name of the file.
+
+        Returns
+        -------
+        pathlib.Path
+            The path of the file.
 
         Raises
         ------
@@ -143,49 +201,63 @@ class WorkPrecision:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> WorkPrecision:
-        """Read a file that ``save`` wrote.
+        """Read a record from a file that ``save`` wrote.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The name of the file.
+
+        Returns
+        -------
+        WorkPrecision
+            The record.
 
         Raises
         ------
         StorageError
-            If it cannot be read, or is something else.
+            If the file cannot be read, or is not a record.
         """
         try:
             content: dict[str, Any] = json.loads(Path(path).read_text(encoding="utf-8"))
             if content.pop("format") != FORMAT:
                 raise ValueError("another format")
-            points = tuple(Point(**point) for point in content.pop("points"))
+            points = tuple(Measurement(**point) for point in content.pop("points"))
             content |= {name: tuple(content[name]) for name in ("q0", "p0", "levels")}
             return cls(points=points, **content)
-        except OSError as error:
-            reject(
-                f"{os.fspath(path)}: the record cannot be read: {error.strerror}.",
-                remedy="Write one with symsimpson bench SYSTEM --out FILE.",
-                error=StorageError,
-                cause=error,
-            )
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            reject(
-                f"{os.fspath(path)}: no record of run times: {type(error).__name__}: {error}.",
-                remedy="Write one with symsimpson bench SYSTEM --out FILE.",
-                error=StorageError,
-                cause=error,
-            )
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            if isinstance(error, OSError):
+                what = f"the record cannot be read: {error.strerror}."
+            else:
+                what = f"the file is not a record of run times: {type(error).__name__}: {error}."
+            remedy = "Write one with symsimpson bench SYSTEM --out FILE."
+            reject(what, os.fspath(path), "", remedy, error=StorageError, cause=error)
 
     def compare(self, before: WorkPrecision) -> str:
-        """Return the ratio of run times now and before, for each contender and level.
+        """Return a table with the ratios of run times to the run times of an earlier record.
+
+        Parameters
+        ----------
+        before : WorkPrecision
+            The earlier record of the same problem.
+
+        Returns
+        -------
+        str
+            One line for each contender, with one ratio for each error level. Ratios below 1 are
+            faster.
 
         Raises
         ------
         InputError
-            If the problems differ.
+            If the records have different problems or initial states.
         """
         same = ("system", "t_end", "q0", "p0")
         if any(getattr(self, name) != getattr(before, name) for name in same):
             reject(
-                f"{before.system} to t = {before.t_end:g} and {self.system} to t = {self.t_end:g} "
-                "are two problems, or start elsewhere.",
-                remedy="Compare records of one problem.",
+                f"the records have different problems: {before.system} to t = {before.t_end:g}, "
+                f"and {self.system} to t = {self.t_end:g}, or different initial states.",
+                remedy="Compare records of the same problem.",
             )
         lines = [f"run time now, in units of that before ({before.machine.get('processor')})"]
         for name in self.names:
@@ -206,13 +278,14 @@ class WorkPrecision:
         ]
         for name in self.names:
             points = [self.fastest(name, level) for level in self.levels]
-            cells = "".join(f"{_time(p.median):>12}" if p else f"{'-':>12}" for p in points)
-            call = self.call_seconds.get(name)
-            lines.append(f"{name:<26}{cells}{_time(call) if call else '-':>12}")
+            seconds = [p.median if p else None for p in points] + [self.call_seconds.get(name)]
+            lines.append(f"{name:<26}" + "".join(f"{_format_seconds(s):>12}" for s in seconds))
         return "\n".join(lines)
 
 
-def _time(seconds: float) -> str:
+def _format_seconds(seconds: float | None) -> str:
+    if not seconds:
+        return "-"
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)):
         if seconds >= size:
             return f"{seconds / size:.3g} {unit}"
@@ -220,7 +293,7 @@ def _time(seconds: float) -> str:
 
 
 @dataclass
-class _Entry:
+class _TimedRun:
     name: str
     what: str
     choice: float
@@ -231,8 +304,8 @@ class _Entry:
     times: list[float]
 
 
-@waiting("measuring run time against error")
-@explained()
+@announce("measuring run time against error")
+@explain_arguments()
 def work_precision(
     system: MechanicalSystem,
     schemes: str | Scheme | Sequence[str | Scheme] = ("midpoint", "simpson"),
@@ -243,37 +316,41 @@ def work_precision(
     t_end: float = 10.0,
     repeats: int = 5,
 ) -> WorkPrecision:
-    """Measure run time against the error of the state at the end.
+    """Measure the run time of schemes and other programs against the error of the final state.
 
-    Every scheme and every peer runs with choices from coarse to fine; all runs alternate in one
-    process, warm, compile time apart, best and median of several rounds kept. Errors are taken
-    against a solution in 20 digits with its own error estimate.
+    Each contender runs with step sizes or tolerances from coarse to fine. All runs alternate in
+    one process. Compile time is measured separately. Errors are differences from a reference
+    solution with 20 digits, whose error is estimated, too.
 
     Parameters
     ----------
     system : MechanicalSystem
-        If it is retimed, schemes run in both times, and other programs in the user's.
+        The system, without constraints. With a time transformation, schemes run with and without
+        it, and other programs run in physical time.
     schemes : str, Scheme or sequence of them
+        The schemes to measure. The default is ``("midpoint", "simpson")``.
     peers : "installed" or sequence of str
-        "runge-kutta" (compiled RK4 and DOP853 of our own), "scipy", "heyoka",
-        "numbalsoda", "diffrax"; () for none.
+        The other programs: "runge-kutta" (compiled RK4 and DOP853), "scipy", "heyoka",
+        "numbalsoda" or "diffrax". The default is all that are installed. Pass () for none.
     errors : float or sequence of float
-        Levels of the table, between 1e-14 and 1.
+        The error levels of the table, between 1e-14 and 1. The default is (1e-3, 1e-6, 1e-9,
+        1e-12).
     state : mapping, optional
-        q0, and v0 or p0; the system's reference state if left out.
+        The initial state: q0, and v0 or p0. The default is the system's reference state.
     t_end : float
+        The final time. The default is 10.
     repeats : int
-        Rounds.
+        The number of rounds of timings. The default is 5.
 
     Returns
     -------
     WorkPrecision
-        Prints as a table; has a figure, and a file in JSON to compare later runs with.
+        The record of all measurements. It prints as a table, plots a diagram, and can be saved.
 
     Raises
     ------
     InputError
-        If the input makes no sense, or a peer is not installed.
+        If an argument is invalid, or if a named program is not installed.
 
     Examples
     --------
@@ -286,32 +363,32 @@ def work_precision(
     errors = _read_levels(errors)
     read_count("repeats", repeats, 1)
     if not read_number("t_end", t_end, FLOAT64) > 0:
-        reject(f"t_end is {t_end!r}.", remedy="Pass a positive number.")
-    read_peers(peers)  # before anything is measured
-    schemes = in_a_row(schemes)
+        reject(f"t_end is {t_end!r}, which is not positive.", remedy="Pass a positive number.")
+    read_peers(peers)  # raise errors before the measurements
+    schemes = as_tuple(schemes)
     problem = make_problem(system, state, t_end)
     entries, seconds, calls = [], {}, []
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a peer at a tolerance beyond its means
+        warnings.simplefilter("ignore")  # programs warn of tolerances that they cannot reach
         for contender in _contenders(problem, schemes, peers):
             begin = time.perf_counter()
-            _once(contender, contender.choices[0], problem)
+            _run_choice(contender, contender.choices[0], problem)
             seconds[contender.name] = time.perf_counter() - begin
-            entries += _sweep(contender, problem, min(errors))
+            entries += _run_choices(contender, problem, min(errors))
         brief = replace(problem, t_end=CALL_FRACTION * problem.t_end)
         for contender in _contenders(brief, schemes, peers):
             coarsest = 1.0 if contender.what == "steps" else contender.choices[0]
-            for _ in range(2):  # once more, when nothing is made or loaded any longer
-                call = _once(contender, coarsest, brief)
+            for _ in range(2):  # the second run is warm
+                call = _run_choice(contender, coarsest, brief)
             calls += [] if call is None else [call]
         for turn in range(repeats):
             for entry in (*entries, *calls):
                 if turn == 0 and sum(entry.times) < ENOUGH_SECONDS:
-                    entry.times.clear()  # that of the sweep
+                    entry.times.clear()  # discard the time of the first sequence
                 if sum(entry.times) < ENOUGH_SECONDS:
-                    entry.times.append(_timed(entry.run, entry.number))
+                    entry.times.append(timeit(entry.run, number=entry.number) / entry.number)
     points = [
-        Point(e.name, e.what, e.choice, e.error, min(e.times), median(e.times), e.evaluations)
+        Measurement(e.name, e.what, e.choice, e.error, min(e.times), median(e.times), e.evaluations)
         for e in entries
     ]
     return WorkPrecision(
@@ -323,35 +400,36 @@ def work_precision(
         errors,
         tuple(points),
         seconds,
-        _machine(),
+        _describe_machine(),
         {e.name: median(e.times) for e in calls},
     )
 
 
 def _read_levels(errors: Any) -> tuple[float, ...]:
-    """Read levels of the error, of which there may be one by itself; raises InputError."""
+    """Return error levels; a single number is one level. Raises InputError."""
     levels = np.atleast_1d(read_array("errors", errors, FLOAT64))
     if levels.ndim > 1 or not levels.size or not ((levels >= 1e-14) & (levels <= 1)).all():
-        reject(f"errors are {errors!r}.", remedy="Pass levels between 1e-14 and 1: [1e-6].")
+        remedy = "Pass levels between 1e-14 and 1, for example [1e-6]."
+        reject(f"errors are {errors!r}, which are not valid levels.", remedy=remedy)
     return tuple(levels.tolist())
 
 
 def _contenders(
-    problem: Problem, schemes: Sequence[str | Scheme], names: str | Sequence[str]
+    problem: BenchmarkProblem, schemes: Sequence[str | Scheme], names: str | Sequence[str]
 ) -> Iterable[Contender[Runnable]]:
     for scheme in schemes:
-        yield ours(problem, scheme)
+        yield make_scheme_contender(problem, scheme)
         if problem.retimed is not None:
-            yield ours(problem, scheme, problem.retimed)
-    yield from peers(problem, names)
+            yield make_scheme_contender(problem, scheme, problem.retimed)
+    yield from make_peer_contenders(problem, names)
 
 
-def _once(
-    contender: Contender[Runnable], choice: float, problem: Problem, before: float = 0.0
-) -> _Entry | None:
-    """Run a choice, once more if it was not warm yet; None if it raised an error.
+def _run_choice(
+    contender: Contender[Runnable], choice: float, problem: BenchmarkProblem, before: float = 0.0
+) -> _TimedRun | None:
+    """Run a choice, twice if that is short, and return its timing; None if it raised an error.
 
-    ``before`` has the seconds that a coarser choice took.
+    ``before`` has the seconds of the coarser choice.
     """
     run, read = contender.make(choice)
     try:
@@ -369,15 +447,17 @@ def _once(
     error = problem.error(outcome.q, outcome.p)
     number = max(1, int(LEAST_SECONDS / max(spent, 1e-9)))
     of = contender.name, contender.what, choice
-    return _Entry(*of, run, error, outcome.evaluations, number, [spent])
+    return _TimedRun(*of, run, error, outcome.evaluations, number, [spent])
 
 
-def _sweep(contender: Contender[Runnable], problem: Problem, finest: float) -> list[_Entry]:
-    """Run choices from coarse to fine until they are accurate enough, stagnate or are too slow."""
-    entries: list[_Entry] = []
+def _run_choices(
+    contender: Contender[Runnable], problem: BenchmarkProblem, finest: float
+) -> list[_TimedRun]:
+    """Run choices from coarse to fine until they reach ``finest``, stagnate or are too slow."""
+    entries: list[_TimedRun] = []
     slow, place, before = 0, 0, 0.0
     while place < len(contender.choices):
-        entry = _once(contender, contender.choices[place], problem, before)
+        entry = _run_choice(contender, contender.choices[place], problem, before)
         place += 1
         if entry is None:
             continue
@@ -388,7 +468,7 @@ def _sweep(contender: Contender[Runnable], problem: Problem, finest: float) -> l
         best = min((e.error for e in entries), default=1.0)
         if entry.times[0] > MOST_SECONDS:
             slow += 1
-            place += 0 if entries else LEAP  # a coarse run may go astray and take long
+            place += 0 if entries else LEAP  # a coarse run may diverge and take long
         if best < max(FLOOR, finest / 4) or (slow and entries) or slow > MOST_SLOW:
             break
         if len(entries) > 12 and best == min(e.error for e in entries[:-8]):
@@ -396,25 +476,12 @@ def _sweep(contender: Contender[Runnable], problem: Problem, finest: float) -> l
     return entries
 
 
-def _timed(run: Any, number: int) -> float:
-    collecting = gc.isenabled()
-    gc.disable()
-    try:
-        begin = time.perf_counter()
-        for _ in range(number):
-            run()
-        return (time.perf_counter() - begin) / number
-    finally:
-        if collecting:
-            gc.enable()
-
-
-def _machine() -> dict[str, Any]:
-    """Say where it was measured."""
+def _describe_machine() -> dict[str, Any]:
+    """Return the processor, the load and the versions of software."""
     others = ("scipy", "heyoka", "numbalsoda", "diffrax")
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
     return {
-        "processor": _processor(),
+        "processor": _find_processor(),
         "cores": os.cpu_count(),
         "load": round(load, 2),
         "python": platform.python_version(),
@@ -423,10 +490,9 @@ def _machine() -> dict[str, Any]:
     }
 
 
-def _processor() -> str:
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as file:
-            names = [line.split(":")[1].strip() for line in file if line.startswith("model name")]
-    except OSError:
-        names = []
-    return names[0] if names else platform.processor() or platform.machine()
+def _find_processor() -> str:
+    with contextlib.suppress(OSError), open("/proc/cpuinfo", encoding="utf-8") as file:
+        for line in file:
+            if line.startswith("model name"):
+                return line.split(":")[1].strip()
+    return platform.processor() or platform.machine()

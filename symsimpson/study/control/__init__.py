@@ -1,1 +1,1 @@
-"""Optimal control: energies in, an exact sparse programme out, and its solution."""
+"""Optimal control: direct transcription to a sparse nonlinear program, and its solution."""

@@ -1,10 +1,11 @@
-"""Problems of optimal control as users write them."""
+"""The public class of optimal control problems."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from numbers import Real
 from typing import TYPE_CHECKING, Any
 
@@ -13,9 +14,9 @@ from symsimpson.declare.system import MechanicalSystem
 from symsimpson.errors import reject
 from symsimpson.program.input_values import whole_number
 from symsimpson.study.control.problem_parts import read_grid
-from symsimpson.study.control.reading import Reading, read_family
-from symsimpson.support.calling import explaining, warn
-from symsimpson.support.extras import library
+from symsimpson.study.control.symbolic_problem import SymbolicProblem, read_galerkin_scheme
+from symsimpson.support.calling import explain_methods, warn
+from symsimpson.support.extras import import_library
 from symsimpson.support.markup import fields_given
 from symsimpson.support.names import shortened, spelled
 from symsimpson.support.progress import read_progress
@@ -24,55 +25,60 @@ if TYPE_CHECKING:
     from symsimpson.schemes.scheme import Scheme
     from symsimpson.study.control.result import ControlResult
 
-#: The solver counts iterations in 32 bits.
+#: Ipopt stores the number of iterations in 32 bits.
 MOST_ITERATIONS = 2**31 - 1
 
 
-@explaining(also=("__init__",))
+@explain_methods(also=("__init__",))
 @dataclass(frozen=True, eq=False)
 class OptimalControl:
-    """A problem of optimal control: least cost of a motion from a start to an end.
+    """An optimal control problem: find the motion of least cost between two boundary states.
 
     Parameters
     ----------
     system : MechanicalSystem
-        With inputs, and forces in which they stand.
+        The system to control. Its inputs appear in its forces. Time-transformed systems are
+        rejected.
     cost : expression
-        The running cost l(q, q', u, t), integrated over the motion.
+        The running cost l(q, q', u, t). Its integral over the motion is minimised. The default
+        is 0.
     final_cost : expression
-        A cost of the end, Phi(q, q', t).
+        The cost Phi(q, q', t) of the final state. It is added to the integral. The default is 0.
     start, end : mapping
-        Values of coordinates and velocities, by symbol or by name (``"x"``, ``"v_x"``), or of
-        expressions of them. What is not named is free.
+        Boundary conditions at t = 0 and at the final time. Keys are coordinates, velocities (by
+        symbol, or by name as ``"x"`` and ``"v_x"``) or expressions of them. Values are numbers,
+        expressions, or pairs (low, high). Quantities that you do not list are free.
     duration : number or (low, high)
-        How long the motion is; or between which bounds it is found.
+        The length of the motion in the system's unit of time. It is required. With a pair, the
+        solver finds the duration between these bounds.
     bounds : mapping
-        Pairs (low, high) of inputs, coordinates, velocities or expressions, None for no bound: at
-        all nodes that the equations see, and of coordinates at the ends of steps.
+        Pairs (low, high) for inputs, coordinates, velocities or expressions. None means no bound.
+        The bounds hold at all nodes. Bounds of coordinates also hold at the ends of steps.
     path : sequence of expression, relation or (low, expression, high)
-        Expressions that are not to be positive, or between two numbers, and relations as
-        ``x**2 + y**2 >= 1``, at all nodes.
+        Path constraints, which hold at all nodes. A plain expression g means g <= 0. A tuple
+        means low <= expression <= high. A relation is written as ``x**2 + y**2 >= 1``.
     conditions : mapping
-        Expressions at the end, and what of the start they are equal to: ``{x: x + 1, x.diff():
-        x.diff()}`` for a motion that repeats itself one further on.
+        Equations between both ends. Each key is an expression of the final state, and its value
+        is an expression of the initial state. A gait of period 1 in x has
+        ``{x: x + 1, x.diff(): x.diff()}``.
     unknowns : mapping from parameter to (low, high)
-        Parameters that are found, too.
+        Parameters of the system that the solver finds, with their bounds.
     phases : sequence of mapping
-        Parts of the motion one after the other, whose durations are found, each with numbers or
-        pairs (low, high) that its inputs keep to: ``[{u: 1}, {u: -1}]``. Inputs may jump where one
-        ends: then switches do not take a scheme's order.
+        Consecutive phases whose durations the solver finds. Each phase maps inputs to numbers or
+        to pairs (low, high), for example ``[{u: 1}, {u: -1}]``. Inputs may jump between phases,
+        so a scheme keeps its order across such a switch.
     signals : mapping from symbol to function or array
-        Functions of the time that are known, as motions to be followed or measured ones, by the
-        symbols for which they stand in ``cost``, ``bounds`` and ``path``: callables that take an
-        array of times, expressions of ``symsimpson.time``, or arrays over equal times of the whole
-        duration, which is a number then.
+        Known functions of time, such as a reference motion or measured data. Their symbols may
+        appear in ``cost``, ``bounds`` and ``path``. Values are callables of an array of times,
+        expressions of ``symsimpson.time``, or arrays of samples at equal time intervals. Samples
+        span the whole duration. Signals require a duration that is a number.
 
     Raises
     ------
     InputError
-        If these make no sense, or contradict one another.
+        If an argument is invalid, or if two arguments contradict each other.
     ModelError
-        If an expression contains something else than the symbols of the problem.
+        If an expression contains symbols that do not belong to the problem.
 
     Examples
     --------
@@ -93,7 +99,7 @@ class OptimalControl:
     final_cost: Any = field(default=0, kw_only=True)
     start: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
     end: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
-    duration: Any = field(default=None, kw_only=True)  # what is missing is told
+    duration: Any = field(default=None, kw_only=True)  # required; None gets a message of its own
     bounds: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
     path: Sequence[Any] = field(default=(), kw_only=True)
     conditions: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
@@ -105,16 +111,15 @@ class OptimalControl:
         system = self.system
         if not isinstance(system, MechanicalSystem) or isinstance(system, RetimedSystem):
             reject(
-                f"{type(system).__name__} is no system that can be controlled.",
-                remedy="Pass a MechanicalSystem with inputs, not a retimed one.",
+                f"system is a {type(system).__name__}, which optimal control does not accept.",
+                remedy="Pass a MechanicalSystem with inputs and without a time transformation.",
             )
-        object.__setattr__(self, "_read", Reading(self))
+        _ = self.reading  # raises errors of the arguments
 
-    @property
-    def reading(self) -> Reading:
-        """The problem in a graph."""
-        reading: Reading = self.__dict__["_read"]
-        return reading
+    @cached_property
+    def reading(self) -> SymbolicProblem:
+        """The expressions of the problem as nodes of a graph."""
+        return SymbolicProblem(self)
 
     def solve(
         self,
@@ -128,64 +133,72 @@ class OptimalControl:
         condensed: bool = False,
         progress: bool | None = None,
     ) -> ControlResult:
-        """Solve the problem for the motions of a scheme.
+        """Solve the problem with the discrete equations of motion of a scheme.
 
         Parameters
         ----------
         scheme : str or Scheme
-            One of the Galerkin family.
+            A scheme of the Galerkin family. The default is ``"lobatto6"``.
         steps : int or sequence of int
-            How many; or the number of steps of each phase.
+            The total number of steps (default 40), or one number for each phase.
         guess : ControlResult or mapping, optional
-            Another result, of any scheme and grid; or functions of the time, expressions of
-            ``symsimpson.time``, numbers or arrays over equal times, of coordinates and inputs by
-            symbol or by name, and a number for "duration" and parameters that are found.
-            Coordinates go in a straight line from start to end unless given, inputs are 0. Where
-            that line runs into a bound or an obstacle, or passes a point at which a constraint
-            has no slope, lines that are bent to both sides are tried, and the least cost is taken.
+            The initial guess. Pass a result of any scheme and grid, a trajectory, or a mapping.
+            A mapping gives coordinates and inputs, by symbol or by name. Its values are functions
+            of time, expressions of ``symsimpson.time``, numbers, or arrays of samples at equal
+            time intervals. It may also give numbers for ``"duration"`` and for parameters that
+            the solver finds. By default, coordinates follow a straight line from start to end,
+            and inputs are 0. If this line violates a bound or a path constraint, the solver also
+            tries curved guesses on both sides. It does the same if a constraint has no gradient at
+            a point of the line. It then returns the solution of least cost.
         error : float, optional
-            The number of steps is doubled until the estimated error of the cost is below this, at
-            most six times. The error is relative to the larger of the cost and the cost of the
-            first guess.
+            The largest estimated error of the cost, a number between 0 and 1. The number of steps
+            is doubled until the error is smaller, at most six times. The error is relative to the
+            cost of the solution or of the first guess, whichever is larger. By default, the number
+            of steps is not changed.
         tolerance : float
-            Of the optimality conditions, scaled.
+            The tolerance of the scaled optimality conditions. The default is 1e-9.
         most_iterations : int
+            The largest number of iterations of the solver. The default is 500.
         condensed : bool
-            Deprecated, without effect. States are always unknowns of the problem.
+            Deprecated, without effect. States are always variables of the problem.
         progress : bool, optional
-            Whether to show the cost and the iterations (needs tqdm); None shows them after a
-            second. The result's ``history`` has the solver's report on each.
+            Whether to show the cost and the iterations, which needs tqdm. The default, None,
+            shows them after one second. The ``history`` of the result has the solver's record of
+            each iteration.
 
         Returns
         -------
         ControlResult
-            However it ended: its ``status`` tells, and the last iterate is there.
+            The solution, or the last iterate if the search failed. Its ``status`` says which.
 
         Raises
         ------
         InputError
-            If an argument makes no sense, or casadi or SciPy is not installed.
+            If an argument is invalid, or if casadi or SciPy is not installed.
         """
-        library("scipy", "optimal control", "control")
+        import_library("scipy", "optimal control", "control")
         from symsimpson.study.control.solution import solve  # casadi and SciPy are slow to import
 
-        galerkin_scheme = read_family(scheme)
+        galerkin_scheme = read_galerkin_scheme(scheme)
         grid = read_grid(steps, len(self.reading.phases))
         for name, value in (("tolerance", tolerance), ("error", error)):
             real = isinstance(value, Real) and not isinstance(value, bool) and 0 < value < 1
             if not real and (name != "error" or value is not None):
-                reject(f"{name} is {shortened(value)}.", remedy="Pass a number between 0 and 1.")
+                reject(
+                    f"{name} is {shortened(value)}, which is out of range.",
+                    remedy="Pass a number between 0 and 1.",
+                )
         read_progress(progress)
         if condensed:
             warn(
                 "condensed=True has no effect: the full form finds the same optimum faster.\n"
-                "Leave condensed out. The next version does not accept it.",
+                "Leave condensed out. The next version rejects this argument.",
                 DeprecationWarning,
             )
         most = whole_number(most_iterations)
         if most is None or not 0 <= most <= MOST_ITERATIONS:
             reject(
-                f"most_iterations is {shortened(most_iterations)}.",
+                f"most_iterations is {shortened(most_iterations)}, which is out of range.",
                 remedy=f"Pass a whole number from 0 to {MOST_ITERATIONS}.",
             )
         options = {"tol": float(tolerance), "max_iter": most, "print_level": 0}
@@ -196,24 +209,34 @@ class OptimalControl:
     ) -> ControlResult:
         """Read a solution of this problem that :meth:`ControlResult.save` wrote.
 
+        The cost and the constraint violations are computed again and compared with the file.
+
         Parameters
         ----------
         path : str or path-like
+            The ``.npz`` file to read.
         scheme : str or Scheme, optional
-            The scheme of the solution, if it has a name that is not known here.
+            The scheme of the solution. Pass it only if symsimpson does not know its name. By
+            default, the name in the file selects the scheme.
+
+        Returns
+        -------
+        ControlResult
+            The solution as it was saved.
 
         Raises
         ------
         StorageError
-            If the file is no such solution, or is damaged.
+            If the file does not contain a solution, or is damaged.
         InputError
-            If it is the solution of another problem: its cost is computed anew; or SciPy is not
-            installed.
+            If the file contains the solution of another problem, or if SciPy is not installed.
         """
-        library("scipy", "optimal control", "control")
-        from symsimpson.study.control.solution import opened  # casadi and SciPy are slow to import
+        import_library("scipy", "optimal control", "control")
+        from symsimpson.study.control.solution import (
+            open_solution,
+        )  # casadi and SciPy are slow to import
 
-        return opened(self.reading, path, scheme)
+        return open_solution(self.reading, path, scheme)
 
     def __repr__(self) -> str:
         return f"OptimalControl({self.system.name}: {', '.join(map(spelled, self.system.inputs))})"

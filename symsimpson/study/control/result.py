@@ -1,11 +1,11 @@
-"""The solution of a problem of optimal control, or the last iterate of one that was not found."""
+"""Solutions of optimal control problems, and last iterates of searches that failed."""
 
 from __future__ import annotations
 
 import os
 from dataclasses import dataclass
 from enum import Enum
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import groupby
 from typing import Any
 
@@ -17,18 +17,18 @@ from symsimpson.program.input_values import read_count
 from symsimpson.program.status import Status
 from symsimpson.results.html import solution
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.stepping.driving import driven
-from symsimpson.study.control.constraint_rows import projected, turned
+from symsimpson.stepping.driving import make_input_history
+from symsimpson.study.control.constraint_rows import correct_costates, project_momenta
 from symsimpson.study.control.layout import Layout
-from symsimpson.study.control.problem_parts import times_within
+from symsimpson.study.control.problem_parts import read_times
 from symsimpson.study.control.transcription import lagrange
 from symsimpson.study.control.uses import (
+    compute_gains,
     draw_iterations,
     draw_motion,
     draw_sparsity,
-    gains,
-    labels_of,
-    motions,
+    label_bounds,
+    run_phases,
     write_solution,
 )
 from symsimpson.support.array_types import Floats
@@ -36,54 +36,43 @@ from symsimpson.support.names import counted
 
 
 class ControlStatus(Enum):
-    """How the search for a solution ended, with a sentence that says so."""
+    """How the search for a solution ended; each value is a message with advice."""
 
     SOLVED = "A local optimum was found."
-    ACCEPTABLE = "An optimum was found, less exactly than was asked for."
+    ACCEPTABLE = "A local optimum was found, less accurately than the tolerance requires."
     INFEASIBLE = (
-        "The solver came to a point where the conditions cannot be satisfied better nearby. "
-        "Another guess, wider bounds or a longer duration may help."
+        "The solver cannot reduce the violation of the constraints near its last iterate. Try "
+        "another guess, wider bounds or a longer duration."
     )
-    ITERATION_LIMIT = "The solver used all its iterations. Allow more, or begin nearer."
+    ITERATION_LIMIT = "The solver reached most_iterations. Increase it, or pass a better guess."
     RESTORATION_FAILED = (
-        "The solver could not go on from where it is. A tolerance below 1e-11 asks for more than "
-        "rounding allows; else another guess may help."
+        "The solver could not continue from its last iterate. If the tolerance is below 1e-11, "
+        "increase it, because round-off errors are larger. Otherwise, try another guess."
     )
     NOT_RESOLVED = (
-        "The equations of steps are solved, but between the points at which they see forces, "
-        "costs and constraints the motion, or its cost, is another one: inputs chatter from node "
-        "to node, steps are too long, what is dear lies between nodes, or the path jumps to "
-        "another branch of the constraints. Take more steps, a Gauss "
-        "scheme such as 'gauss6' where inputs act on velocities, or a guess that follows the "
-        "constraints from start to end."
+        "The discrete equations are solved, but the steps do not resolve the motion or its cost. "
+        "Inputs may chatter from node to node, or large costs lie between nodes. The path may also "
+        "be one that jumps to another branch of the constraints. Use more steps. If inputs act on "
+        "velocities, use a Gauss scheme such as 'gauss6'. With constraints, pass a guess that "
+        "follows them from start to end."
     )
     NOT_OPTIMAL = (
-        "The conditions are satisfied, but the cost falls further nearby, or multipliers without "
-        "bound do not tell: some conditions follow from others, or touch them. Leave out what "
-        "follows, give in full what is known of an end, or begin at another guess."
+        "The constraints are satisfied, but the point is not a local minimum, or its multipliers "
+        "are unbounded. Some conditions may be redundant, or tangent to others. Remove redundant "
+        "conditions, prescribe all known values of an end, or try another guess."
     )
     NO_MASS = (
-        "The equations of steps are solved, but the mass matrix is not positive definite on the "
-        "way: what has no mass follows no force. Check the masses, and bound those that are found."
+        "The discrete equations are solved, but the mass matrix is not positive definite along the "
+        "motion. Check the masses, and bound masses that are unknown parameters."
     )
-    INTERRUPTED = "The search was interrupted; the last iterate is kept."
-    NOT_FINITE = "An energy, force or cost had no value on the way. Bound what must not be reached."
+    INTERRUPTED = "The search was interrupted. The result is the last iterate."
+    NOT_FINITE = "An energy, force or cost was not finite. Add bounds that exclude such states."
 
 
-#: What they are in the words of Ipopt.
-STATUSES = {
-    "Solve_Succeeded": ControlStatus.SOLVED,
-    "Solved_To_Acceptable_Level": ControlStatus.ACCEPTABLE,
-    "Infeasible_Problem_Detected": ControlStatus.INFEASIBLE,
-    "Not_Enough_Degrees_Of_Freedom": ControlStatus.INFEASIBLE,
-    "Maximum_Iterations_Exceeded": ControlStatus.ITERATION_LIMIT,
-    "User_Requested_Stop": ControlStatus.INTERRUPTED,
-    "Invalid_Number_Detected": ControlStatus.NOT_FINITE,
-}
 FOUND = (ControlStatus.SOLVED, ControlStatus.ACCEPTABLE)
-#: A cost that falls below that of the guess by so many times is not bounded.
+#: A cost below minus this multiple of the first cost counts as unbounded.
 UNBOUNDED = 1e6
-#: What is text of a solution beside its numbers, as files hold it: the kinds of its parts.
+#: Entries of a result in the JSON text of a file, with their conversions.
 SAVED: dict[str, Any] = {
     "cost": float,
     "status": ControlStatus.__getitem__,
@@ -99,27 +88,55 @@ SAVED: dict[str, Any] = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ControlResult:
-    """A solution, or the last iterate.
+    """A solution of an optimal control problem, or the last iterate of a failed search.
+
+    N is the number of steps, n of coordinates, m of inputs, and s of nodes in a step.
 
     Attributes
     ----------
     layout : Layout
+        The variables and rows of the nonlinear program.
     x : ndarray
-        All unknowns.
+        The values of all variables.
     multipliers : ndarray
-        Of the rows.
+        The multiplier of each row of the nonlinear program, except the cost.
     cost : float
+        The cost of the motion.
     status : ControlStatus
+        How the search ended.
     iterations : int
-    seconds, in_functions : float
-        Of the solver, and of these in functions of the problem.
+        The number of iterations in all searches.
+    seconds : float
+        The run time of the solver, in seconds.
+    in_functions : float
+        The part of ``seconds`` that functions of the problem took.
     violation : float
-        The largest of a row, in units of its size, and ``worst`` its name.
+        The largest violation of a row, divided by the size of the row.
+    worst : str
+        The name of the row with the largest violation.
     history : dict from str to list of float
-        What the solver tells of each, of the last search: ``obj`` the cost, ``inf_pr`` ...
+        Ipopt's record of the last search, with one number for each iteration. The key ``obj`` has
+        the cost, ``inf_pr`` the constraint violation, and ``inf_du`` the optimality error.
     error : float or None
-        An estimate of the error of the cost, if you requested one: relative to the larger of the
-        cost and the cost of the first guess.
+        The estimated error of the cost, relative to the larger of the cost and the cost of the
+        first guess. It is None unless you pass ``error=`` to ``solve``.
+
+    Examples
+    --------
+    >>> import sympy as sp, symsimpson as ss
+    >>> (x,), u = ss.coordinates("x"), sp.Symbol("u", real=True)
+    >>> cart = ss.MechanicalSystem(
+    ...     "cart", coordinates=(x,), kinetic=x.diff()**2 / 2, potential=0 * x,
+    ...     forces={x: u}, inputs=(u,))
+    >>> problem = ss.OptimalControl(
+    ...     cart, cost=u**2, start={x: 0, x.diff(): 0}, end={x: 1, x.diff(): 0}, duration=1)
+    >>> result = problem.solve("gauss4", steps=10)
+    >>> result.message
+    'A local optimum was found.'
+    >>> result.q.shape, result.input_values.shape
+    ((11, 1), (10, 2, 1))
+    >>> result.inputs([0.0, 1.0])["u"].round(6)  # u = 6 - 12 t
+    array([ 6., -6.])
     """
 
     layout: Layout
@@ -137,34 +154,34 @@ class ControlResult:
 
     @property
     def success(self) -> bool:
-        """Whether an optimum was found."""
+        """True if the search found a local optimum."""
         return self.status in FOUND
 
     @property
     def message(self) -> str:
-        """The status as a sentence, with the largest violation if there is one to tell."""
+        """The status as a sentence, with the largest violation if the search failed."""
         if self.success or self.status in (ControlStatus.NOT_RESOLVED, ControlStatus.NO_MASS):
             return self.status.value
         if not np.isfinite(self.violation):
-            return f"{self.status.value} Where the search ended, the {self.worst} has no value."
-        text = f"{self.status.value} The {self.worst} is off by {self.violation:.1e}."
+            return f"{self.status.value} At the last iterate, the {self.worst} is not finite."
+        text = f"{self.status.value} The {self.worst} has an error of {self.violation:.1e}."
         if self.cost < -UNBOUNDED * max(1.0, abs(self.history.get("obj", [0.0])[0])):
-            text += f" The cost fell to {self.cost:.1e}: bound what makes it negative."
+            text += f" The cost fell to {self.cost:.1e}. Bound the terms that make it negative."
         return text
 
     @property
     def duration(self) -> float:
-        """How long the motion is."""
+        """The length of the motion, in the system's unit of time."""
         return float(self.t[-1])
 
     @property
     def t(self) -> Floats:
-        """Times of the ends of steps, shape (N + 1,)."""
+        """Times at the ends of steps, shape (N + 1,)."""
         return self.layout.grid.times(self.layout.sizes(self.x))
 
     @property
     def switches(self) -> Floats:
-        """Times at which a phase ends and the next begins."""
+        """Times at which one phase ends and the next begins, shape (phases - 1,)."""
         return self.t[[phase.stop for phase in self.layout.grid.slices[:-1]]]
 
     @property
@@ -174,57 +191,62 @@ class ControlResult:
 
     @property
     def p(self) -> Floats:
-        """Momenta there."""
+        """Momenta at the ends of steps, shape (N + 1, n)."""
         layout = self.layout
-        return projected(layout, self.x) if layout.read.constraints else self.x[layout.momenta]
+        constrained = bool(layout.problem.constraint_names)
+        return project_momenta(layout, self.x) if constrained else self.x[layout.momenta]
 
     @property
     def unknowns(self) -> dict[str, float]:
-        """The parameters that were found, by name."""
+        """Values of the parameters in ``unknowns=``, by name."""
         layout = self.layout
         values = self.x[layout.parameters].tolist()
-        return dict(zip(layout.read.found_names, values, strict=True))
+        return dict(zip(layout.problem.free_names, values, strict=True))
 
     @property
     def input_values(self) -> Floats:
-        """Inputs at the nodes of steps, shape (N, s, m)."""
+        """Inputs at the nodes of all steps, shape (N, s, m)."""
         return self.x[self.layout.inputs]
 
     def inputs(self, t: ArrayLike) -> dict[str, Floats]:
-        """Return the inputs at times: the polynomials through their values at nodes.
+        """Return the inputs at given times.
+
+        In each step, an input is the polynomial through its values at the nodes.
 
         Parameters
         ----------
         t : array_like
+            Times between 0 and the duration, of any shape.
 
         Returns
         -------
         dict from name to ndarray
+            The values of each input, in the shape of ``t``.
 
         Raises
         ------
         InputError
             If a time lies outside of the motion.
         """
-        times, inputs = times_within(t, self.duration), self.layout.read.inputs
+        times, inputs = read_times(t, self.duration), self.layout.problem.inputs
         return {name: self.functions[name](times) for name in inputs}
 
     @property
     def functions(self) -> dict[str, Any]:
-        """Coordinates and inputs as functions of the time, as a guess has them."""
+        """Coordinates and inputs as functions of time, by name; ``guess=`` accepts this mapping."""
         layout = self.layout
         groups = (
-            (layout.read.names, layout.places, self.x[layout.points]),
-            (layout.read.inputs, layout.c, self.input_values),
+            (layout.problem.names, layout.places, self.x[layout.points]),
+            (layout.problem.inputs, layout.c, self.input_values),
         )
         return {
-            name: lambda t, places=places, values=values[..., a]: self._between(places, values, t)
+            name: partial(self._interpolate, places, values[..., a])
             for names, places, values in groups
             for a, name in enumerate(names)
         }
 
-    def _between(self, places: Floats, values: Floats, t: Floats) -> Floats:
-        """Return the polynomials of steps through values at places, shape (N, places), at times."""
+    def _interpolate(self, places: Floats, values: Floats, t: Floats) -> Floats:
+        """Evaluate at times the polynomials of steps through values, shape (N, places)."""
         ends = self.t
         k = np.clip(np.searchsorted(ends, t, side="right") - 1, 0, self.layout.steps - 1)
         within = (t - ends[k]) / (ends[k + 1] - ends[k])
@@ -233,22 +255,25 @@ class ControlResult:
 
     @cached_property
     def costates(self) -> tuple[Floats, Floats]:
-        """Derivatives of the least cost by the state at the ends of steps: by q at fixed p, by p.
+        """Derivatives of the optimal cost by the state at the ends of steps.
 
-        Each of shape (N + 1, n), of the order of the scheme.
+        The first array has derivatives by q at constant p, the second by p. Both have shape
+        (N + 1, n), and the order of accuracy of the scheme.
         """
         layout = self.layout
-        programme, *_ = layout.programme
-        steps = layout.step_rows - 1  # behind the row of the cost
+        nlp, *_ = layout.nlp
+        steps = layout.step_rows - 1  # row 0 is the cost
         first = layout.scale * self.multipliers[steps[:, 0]]
         last = layout.end_scale * self.multipliers[steps[:, -1]]
         by_p = np.concatenate([first - last, -last[-1:]])
         rows, n, N = np.concatenate([[1.0], self.multipliers]), layout.n, layout.steps
         by_q = np.zeros((N + 1, n))
-        first, last = (np.full(layout.size, -1) for _ in range(2))  # whose coordinates they are
+        first, last = (np.full(layout.size, -1) for _ in range(2))  # coordinates of which step end
         first[layout.points[:, 0]] = np.arange(N * n).reshape(N, n)
         last[layout.points[-1, -1]] = np.arange(n)
-        for block in programme.blocks[: layout.of_steps]:  # each step's own part of the Lagrangian
+        for block in nlp.blocks[
+            : layout.step_block_count
+        ]:  # the terms of each step in the Lagrangian
             for slopes, points in zip(block.gradient(self.x, rows), block.maps, strict=True):
                 entries = points.tocoo()
                 k = entries.row // (block.count // N)
@@ -257,29 +282,29 @@ class ControlResult:
                 np.add.at(by_q.reshape(-1), first[entries.col[mask]], values[mask])
                 mask = (last[entries.col] >= 0) & (k == N - 1)
                 np.add.at(by_q[-1], last[entries.col[mask]], -values[mask])
-        if layout.read.constraints:
-            by_q += turned(layout, self.x, self.x[layout.momenta] - self.p, by_p)
+        if layout.problem.constraint_names:
+            by_q += correct_costates(layout, self.x, self.x[layout.momenta] - self.p, by_p)
         return by_q, by_p
 
     @property
     def trajectory(self) -> Trajectory:
-        """The motion as a run of the scheme has it: energies, figures, states between steps.
+        """The motion as a trajectory, with energies, figures and states between steps.
 
         Raises
         ------
         InputError
-            If there are several phases: see ``trajectories``.
+            If the motion has several phases. Use ``trajectories`` instead.
         """
         if len(self.trajectories) > 1:
             reject(
-                f"the motion has {len(self.trajectories)} phases, each in steps of its own size.",
-                remedy="Take result.trajectories, one for each phase.",
+                f"the motion has {len(self.trajectories)} phases with different step sizes.",
+                remedy="Use result.trajectories, which has one trajectory for each phase.",
             )
         return self.trajectories[0]
 
     @cached_property
     def trajectories(self) -> tuple[Trajectory, ...]:
-        """The motion in each phase as a run of the scheme has it."""
+        """The motion as one trajectory for each phase."""
         layout, t, q, p = self.layout, self.t, self.q, self.p
         sizes, trajectories = layout.sizes(self.x).tolist(), []
         program = layout.stepper.program
@@ -301,41 +326,43 @@ class ControlResult:
                     program=program,
                     parameter_values=values,
                     input_values=inputs,
-                    driven=driven(inputs, t[phase.start], h, phase.stop - phase.start),
+                    driven=make_input_history(inputs, t[phase.start], h, phase.stop - phase.start),
                 )
             )
         return tuple(trajectories)
 
     def simulate(self, refine: int = 10) -> tuple[Any, float]:
-        """Run the inputs that were found from the start, with finer steps of the scheme.
+        """Simulate the motion from the start with the optimal inputs and smaller steps.
 
         Parameters
         ----------
         refine : int
-            How many steps in place of one.
+            The number of steps in place of each step. The default is 10.
 
         Returns
         -------
         Trajectory, or tuple of Trajectory if there are several phases
+            The simulated motion.
         float
-            How far from the end of the solution its end is, in coordinates.
+            The largest difference of a final coordinate from the solution.
         """
         layout, refine = self.layout, read_count("refine", refine, least=1)
-        # inputs at the nodes of finer steps, each by the polynomial of its own step
+        # evaluate the polynomial of each step at the nodes of its finer steps
         places = (np.arange(refine)[:, None] + layout.c) / refine
         values = np.einsum("rsi,kim->krsm", lagrange(layout.c, places), self.input_values)
         inputs = values.reshape(layout.steps * refine, layout.nodes, -1)
-        runs = tuple(motions(layout, self.x, (self.q[0], self.p[0]), inputs))
+        runs = tuple(run_phases(layout, self.x, (self.q[0], self.p[0]), inputs))
         motion: Any = runs[0] if len(runs) == 1 else runs
         return motion, float(np.abs(runs[-1].q[-1] - self.q[-1]).max())
 
     def arcs(self) -> list[dict[Any, float]]:
-        """Return the arcs of the motion: which inputs stay at which bound, one arc after another.
+        """Return the arcs of the motion: the inputs at their bounds, in order of time.
 
         Returns
         -------
         list of dict from symbol to float
-            What ``phases=`` of the same problem takes, to find the times of switches.
+            The inputs that are at a bound in each arc, with this bound. Pass the list as
+            ``phases=`` of the same problem to find the switching times.
 
         Examples
         --------
@@ -354,55 +381,58 @@ class ControlResult:
         >>> round(exact.duration**2, 8), exact.switches.round(8)  # 3 and 2 / sqrt(3)
         (3.0, array([1.15470054]))
         """
-        read, means = self.layout.read, self.input_values.mean(axis=1)
+        problem, means = self.layout.problem, self.input_values.mean(axis=1)
         labels = np.zeros(means.shape, dtype=np.int64)
-        for k, (low, high) in read.of_inputs.items():
+        for k, (low, high) in problem.input_bounds.items():
             if np.isfinite(low) and np.isfinite(high) and low < high:
-                labels[:, k] = labels_of((means[:, k] - low) / (high - low))
-        inputs, bounds = read.system.inputs, read.of_inputs
+                labels[:, k] = label_bounds((means[:, k] - low) / (high - low))
+        inputs, bounds = problem.system.inputs, problem.input_bounds
         return [
             {inputs[k]: bounds[k][bound > 0] for k, bound in enumerate(row) if bound}
             for row, _ in groupby(map(tuple, labels.tolist()))
         ]
 
     def lqr(self, Q: ArrayLike, R: ArrayLike, of: tuple[str, str] = ("q", "p")) -> Floats:
-        """Return gains that hold a run near the solution: u = u_k - K_k (z - z_k) on step k.
+        """Return feedback gains K of the linear-quadratic regulator along the solution.
 
-        The gains belong to the linear regulator for the exact linear maps of the steps, with least
-        sum of dz.Q.dz + du.R.du over the motion, and dz.Q.dz at its end.
+        On step k, the feedback is u = u_k - K_k (z - z_k). The gains use the exact linearisation of
+        each step. They minimise the sum of dz.Q.dz + du.R.du over all steps, plus dz.Q.dz at the
+        end.
 
         Parameters
         ----------
         Q : array_like, shape (2 n, 2 n)
-            The weights of z.
+            The weights of the state z. Only the symmetric part counts.
         R : array_like, shape (m, m)
-            The weights of the inputs.
+            The weights of the inputs, which must be positive definite.
         of : ("q", "p") or ("q", "v"), optional
-            What z, ``Q`` and the gains refer to: momenta (the default), or velocities.
+            Whether the state z has momenta (the default) or velocities.
 
         Returns
         -------
         ndarray, shape (N, m, 2 n)
+            The gains of each step.
 
         Raises
         ------
         InputError
-            If Q or R has another shape, or no finite numbers; if R is not positive definite.
+            If Q or R has a wrong shape or is not finite, or if R is not positive definite.
         """
-        return gains(self, Q, R, of)
+        return compute_gains(self, Q, R, of)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the solution to a file, which :meth:`OptimalControl.open` of its problem reads.
+        """Save the solution to a file; :meth:`OptimalControl.open` of the same problem reads it.
 
         Parameters
         ----------
         path : str or path-like
-            Such as ``"swing.npz"``: NumPy's format, numbers alone.
+            The name of the file, for example ``"swing.npz"``. The format is NumPy's, without
+            pickled objects.
 
         Raises
         ------
         StorageError
-            If it cannot be written.
+            If the file cannot be written.
         InputError
             If the name does not end in ``.npz``.
         """
@@ -412,11 +442,14 @@ class ControlResult:
         write_solution(path, text | {"status": self.status.name}, self.x, self.multipliers)
 
     def plot(self) -> Any:
-        """Draw coordinates and inputs over the time, a panel for each unit; inputs with bounds.
+        """Draw coordinates and inputs over time, with one panel for each unit.
+
+        Dotted lines show the bounds of inputs.
 
         Returns
         -------
         matplotlib.figure.Figure
+            The figure with all panels.
 
         Raises
         ------
@@ -426,11 +459,23 @@ class ControlResult:
         return draw_motion(self)
 
     def plot_iterations(self) -> Any:
-        """Draw the constraint violation and the optimality of each iteration, as a Figure."""
+        """Draw the constraint violation and the optimality error of each iteration.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure, with a logarithmic axis.
+        """
         return draw_iterations(self)
 
     def plot_sparsity(self) -> Any:
-        """Draw the entries of the constraints' Jacobian and of the Hessian, as a Figure."""
+        """Draw the sparsity patterns of the Jacobian of the constraints and of the Hessian.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure with one panel for each matrix.
+        """
         return draw_sparsity(self)
 
     _repr_html_ = solution
@@ -438,7 +483,7 @@ class ControlResult:
     def __repr__(self) -> str:
         layout = self.layout
         return (
-            f"ControlResult({layout.read.system.name}, {layout.scheme.name}: "
+            f"ControlResult({layout.problem.system.name}, {layout.scheme.name}: "
             f"{' + '.join(map(str, layout.grid.steps))} steps, cost {self.cost:.9g}, "
             f"{self.status.name} after {counted(self.iterations, 'iteration')})"
         )

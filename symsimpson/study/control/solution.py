@@ -1,4 +1,4 @@
-"""The search for a solution of the discretised problem, from a first path to a result."""
+"""The search for a solution of the discretised problem, from an initial guess to a result."""
 
 from __future__ import annotations
 
@@ -13,170 +13,185 @@ from symsimpson.errors import ResolutionWarning, reject
 from symsimpson.program.input_values import MOST_STEPS, read_reals
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.schemes.scheme import Scheme
-from symsimpson.study.control.constraint_rows import onto, resolved
+from symsimpson.study.control.constraint_rows import follows_constraints, project_points
 from symsimpson.study.control.layout import Layout
-from symsimpson.study.control.optimality import creeping, downhill, optimal, result_of
+from symsimpson.study.control.optimality import (
+    STATUSES,
+    find_descent_step,
+    is_creeping,
+    is_optimal,
+    make_result,
+)
 from symsimpson.study.control.problem_parts import (
     Grid,
     finite_values_at,
-    functions_of,
     read_function,
     read_grid,
     read_mapping,
+    run_to_functions,
 )
-from symsimpson.study.control.reading import Reading, read_family
-from symsimpson.study.control.result import FOUND, SAVED, STATUSES, ControlResult, ControlStatus
+from symsimpson.study.control.result import FOUND, SAVED, ControlResult, ControlStatus
 from symsimpson.study.control.solver import (
-    Outcome,
-    cost_size,
+    SolverOutcome,
+    compute_sizes,
+    compute_violations,
+    measure_cost,
     run_ipopt,
-    scaled,
-    sizes_at,
-    violations,
+    scale_program,
 )
+from symsimpson.study.control.symbolic_problem import SymbolicProblem, read_galerkin_scheme
 from symsimpson.study.control.transcription import PointFunctions
 from symsimpson.study.control.uses import read_solution
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import warn
-from symsimpson.support.interpreter import listening
+from symsimpson.support.interpreter import catch_interrupts
 from symsimpson.support.names import did_you_mean
 from symsimpson.support.progress import Progress
 
-#: How far guesses are bent, as parts of the way from start to end; two waves are as high as one.
-#: Of what bends can mend of violations the others mend all but this part.
-AMPLITUDES, TWICE, PART = (0.25, 0.5, 1.0, 2.0), 2.6, 0.5
-#: Searches begin at so many of them at most, bent to so many sides; sides differ by so much.
-MOST_BENT, MOST_SIDES, PARALLEL = 6, 6, 0.1
+#: Amplitudes of curved guesses, as fractions of the chord from start to end; the factor with which
+#: two waves are as high as one; and the largest violation of an accepted guess. The last one is a
+#: fraction of the reduction that the best curved guess achieves.
+AMPLITUDES, TWO_WAVES, ACCEPTED_FRACTION = (0.25, 0.5, 1.0, 2.0), 2.6, 0.5
+#: Largest numbers of curved guesses and of directions; and the least length of the component of a
+#: direction that is orthogonal to the others.
+MOST_CURVED, MOST_SIDES, PARALLEL = 6, 6, 0.1
 
 
-def initial_point(layout: Layout, guess: Any) -> Floats:
-    """Return unknowns to begin with: coordinates, inputs, momenta, steps, parameters.
+def build_initial_point(layout: Layout, guess: Any) -> Floats:
+    """Return the initial values of all variables.
 
-    Without a guess, straight lines between the ends. Raises InputError if the guess has other names
-    or shapes, or momenta are not finite.
+    Coordinates without a guess follow straight lines between the ends. Raises InputError if the
+    guess has unknown names or wrong shapes, or if its momenta are not finite.
     """
-    read, grid = layout.read, layout.grid
-    low, high = read.duration
-    given = _read_guess(read, guess)
-    whole = _number("duration", given.pop("duration", np.sqrt(low * high)))
-    if whole <= 0:
-        reject(f"guess['duration'] is {whole:g}.", remedy="Pass a positive number.")
+    problem, grid = layout.problem, layout.grid
+    low, high = problem.duration
+    given = _read_guess(problem, guess)
+    duration = _read_number("duration", given.pop("duration", np.sqrt(low * high)))
+    if duration <= 0:
+        reject(
+            f"guess['duration'] is {duration:g}: not positive.", remedy="Pass a positive number."
+        )
     values = []
-    for name, i, (a, b) in zip(read.found_names, read.found, read.found_bounds, strict=True):
+    for name, i, (a, b) in zip(
+        problem.free_names, problem.free_parameters, problem.free_bounds, strict=True
+    ):
         middle = np.sqrt(a * b) if 0 < a < b < np.inf else (a + b) / 2
-        middle = middle if np.isfinite(middle) else read.values[i]
-        values.append(_number(name, given.pop(name, middle)))
+        middle = middle if np.isfinite(middle) else problem.values[i]
+        values.append(_read_number(name, given.pop(name, middle)))
     functions = {
-        name: read_function(f"guess[{name!r}]", value, whole) for name, value in given.items()
+        name: read_function(f"guess[{name!r}]", value, duration) for name, value in given.items()
     }
-    whole = min(max(whole, low), high)
+    duration = min(max(duration, low), high)
     x = np.zeros(layout.size)
-    sizes = np.full(len(grid.steps), whole / layout.steps)
+    sizes = np.full(len(grid.steps), duration / layout.steps)
     if isinstance(guess, ControlResult) and len(guess.layout.grid.steps) == len(grid.steps):
         durations = guess.layout.sizes(guess.x) * guess.layout.grid.steps
-        sizes = whole * durations / durations.sum() / grid.steps
+        sizes = duration * durations / durations.sum() / grid.steps
     ends_of_steps, h = grid.times(sizes), sizes[grid.phase]
     starts = ends_of_steps[:-1]
     times = starts[:, None] + h[:, None] * layout.places
-    at_start, at_end = read.fixed(0), read.fixed(1)
-    for a, (name, node) in enumerate(zip(read.names, read.q, strict=True)):
+    at_start, at_end = problem.fixed_values(0), problem.fixed_values(1)
+    for a, (name, node) in enumerate(zip(problem.names, problem.q, strict=True)):
         first = at_start.get(node, at_end.get(node, 0.0))
         last = at_end.get(node, first)
         line = functions.get(
-            name, lambda t, first=first, last=last: first + (last - first) * t / whole
+            name, lambda t, first=first, last=last: first + (last - first) * t / duration
         )
         x[layout.points[:, :, a]] = finite_values_at(f"guess[{name!r}]", line, times)
     nodes = starts[:, None] + h[:, None] * layout.c
-    for k, name in enumerate(read.inputs):
+    for k, name in enumerate(problem.inputs):
         if name in functions:
             x[layout.inputs[..., k]] = finite_values_at(f"guess[{name!r}]", functions[name], nodes)
     x[layout.parameters] = values
     x[layout.h] = sizes[: len(layout.h)]
-    x = _with_momenta(layout, x)
+    x = _complete_guess(layout, x)
     if not np.isfinite(x).all():
         reject(
-            "the guess has no finite momenta, or holds NaN.",
-            remedy="Give functions of the time with which "
-            "the motion stays where the energies have values.",
+            "guess has momenta that are not finite, or contains NaN.",
+            remedy="Pass functions of time along which the energies are finite.",
         )
     return x
 
 
-def _read_guess(read: Reading, guess: Any) -> dict[str, Any]:
-    """Return what a guess gives, by names of coordinates, inputs, parameters, and "duration"."""
+def _read_guess(problem: SymbolicProblem, guess: Any) -> dict[str, Any]:
+    """Return the values of a guess by names of coordinates, inputs, parameters and "duration"."""
     if isinstance(guess, ControlResult):
         functions = guess.functions
-        strange = [name for name in functions if name not in (*read.names, *read.inputs)]
+        strange = [name for name in functions if name not in (*problem.names, *problem.inputs)]
         if strange:
             reject(
-                f"guess is a result of {guess.layout.read.system.name}, with {', '.join(strange)}; "
-                f"{read.system.name} has {', '.join((*read.names, *read.inputs))}.",
-                remedy="Pass those "
-                "that belong to one another by name: {name: result.functions[other]}.",
+                f"guess is a result of {guess.layout.problem.system.name}, which has "
+                f"{', '.join(strange)}.",
+                why=f"{problem.system.name} has {', '.join((*problem.names, *problem.inputs))}.",
+                remedy="Pass a mapping of corresponding names: {name: result.functions[other]}.",
             )
-        unknowns = {name: x for name, x in guess.unknowns.items() if name in read.found_names}
+        unknowns = {name: x for name, x in guess.unknowns.items() if name in problem.free_names}
         return {**functions, **unknowns, "duration": guess.duration}
     how = (
-        "another result, a run, or a mapping from names to functions of the time, numbers, or "
-        "arrays over equal times"
+        "a result, a trajectory, or a mapping from names to functions of time, numbers, or arrays "
+        "of samples"
     )
-    guess = functions_of(guess) if isinstance(guess, Trajectory) else {} if guess is None else guess
-    given = {name: value for name, _, value in read_mapping("guess", guess, how)}
-    allowed = {*read.names, *read.inputs, "duration", *read.found_names}
+    guess = run_to_functions(guess) if isinstance(guess, Trajectory) else guess
+    entries = [] if guess is None else read_mapping("guess", guess, how)
+    given = {name: value for name, _, value in entries}
+    allowed = {*problem.names, *problem.inputs, "duration", *problem.free_names}
     for name in given:
         if name not in allowed:
             reject(
-                f"guess names {name!r}.{did_you_mean(name, sorted(allowed))}",
-                remedy=f"It has values of {', '.join(sorted(allowed))}.",
+                f"guess contains {name!r}, which is unknown.{did_you_mean(name, sorted(allowed))}",
+                remedy=f"Use these names: {', '.join(sorted(allowed))}.",
             )
     return given
 
 
-def _with_momenta(layout: Layout, x: Floats) -> Floats:
-    """Put the path of a guess onto its constraints, and give it its own momenta."""
-    read, x, h = layout.read, x.copy(), layout.sizes(x)[layout.grid.phase]
-    x[layout.points] = q = onto(layout, x)
-    # momenta of the path at the ends of steps; slopes of a step's polynomials add up to 0
+def _complete_guess(layout: Layout, x: Floats) -> Floats:
+    """Project the path of a guess onto its constraints, and compute its momenta."""
+    problem, x, h = layout.problem, x.copy(), layout.sizes(x)[layout.grid.phase]
+    x[layout.points] = q = project_points(layout, x)
+    # velocities at the ends of steps; the slopes of the Lagrange polynomials add up to 0
     further = np.array(layout.scheme.end_slope, dtype=np.float64)
     at_end = np.array([-further.sum(), *further])
     at_start = -at_end[::-1]
     v = np.concatenate([at_start @ q / h[:, None], (at_end @ q[-1])[None] / h[-1]])
-    momenta = PointFunctions(read.graph, [], read.momenta)
-    x[layout.momenta] = momenta.values(layout.at_ends(x, v), layout.steps + 1).T
+    momenta = PointFunctions(problem.graph, [], problem.momenta)
+    x[layout.momenta] = momenta.values(layout.values_at_step_ends(x, v), layout.steps + 1).T
     x[layout.velocities] = v[[0, -1]]
     return np.clip(x, *layout.bounds)
 
 
-def violation(layout: Layout, x: Floats, among: Any = None) -> float:
-    """Return how far a guess is from what holds beside the equations of steps, by rows' slopes.
+def measure_violation(layout: Layout, x: Floats, among: Any = None) -> float:
+    """Return the sum of the scaled violations of a guess, without the equations of steps.
 
-    It is infinite where the path jumps to another branch of the constraints, or something has no
-    value. ``among`` chooses rows.
+    The violation is infinite if the path jumps to another branch of the constraints, or if a row
+    is not finite. ``among`` selects other rows.
     """
-    cost, off = layout.programme[0].values(x)[0], violations(layout, x)
-    if not (np.isfinite([cost, *off]).all() and resolved(layout, x)):
+    cost, violations = layout.nlp[0].values(x)[0], compute_violations(layout, x)
+    if not (np.isfinite([cost, *violations]).all() and follows_constraints(layout, x)):
         return np.inf
-    beside = np.setdiff1d(np.arange(len(off)), layout.step_rows - 1) if among is None else among
-    return float(off[beside].sum())
+    if among is None:
+        among = np.setdiff1d(np.arange(len(violations)), layout.step_rows - 1)
+    return float(violations[among].sum())
 
 
-def bent(layout: Layout, x: Floats) -> list[Floats]:
-    """Return bent guesses that violate the rows less; the guess that violates least comes first.
+def curve_guess(layout: Layout, x: Floats) -> list[Floats]:
+    """Return curved guesses that reduce the violation, in ascending order of violation.
 
-    The guesses bend to both sides, across the line from start to end, in one wave or two.
-    Coordinates that are free at an end move there.
+    They deviate to both sides of the line from start to end, in one or two waves. Coordinates that
+    are free at an end move there.
     """
-    read, q, ends = layout.read, x[layout.points], layout.grid.times(layout.sizes(x))
-    off, lengths = violation(layout, x), sizes_at(layout, x)[0][layout.points[0, 0]]
+    problem, q, ends = layout.problem, x[layout.points], layout.grid.times(layout.sizes(x))
+    violation = measure_violation(layout, x)
+    lengths = compute_sizes(layout, x)[0][layout.points[0, 0]]
     s = (ends[:-1, None] + np.diff(ends)[:, None] * layout.places)[..., None] / ends[-1] * np.pi
-    first, last = (np.array([node in read.fixed(end) for node in read.q]) for end in (0, 1))
+    fixed = problem.fixed_values(0), problem.fixed_values(1)
+    first, last = (np.array([node in values for node in problem.q]) for values in fixed)
     turn = np.where(first & last, np.cos(s), np.where(last, np.sin(s / 2), np.cos(s / 2)))
     wave = np.where(first | last, 1 - turn**2, 1.0)
-    shapes = [wave, wave * np.cos(s) * TWICE]
+    shapes = [wave, wave * np.cos(s) * TWO_WAVES]
     shapes += [] if (first & last).all() else [np.where(first & last, 0.0, 1 - turn)]
-    way = (q[-1, -1] - q[0, 0]) / lengths
-    reach = float(np.linalg.norm(way))
-    across = [way / reach] if reach else []
+    chord = (q[-1, -1] - q[0, 0]) / lengths
+    reach = float(np.linalg.norm(chord))
+    across = [chord / reach] if reach else []
     for side in np.eye(layout.n):
         for other in across:
             side = side - side @ other * other
@@ -186,49 +201,50 @@ def bent(layout: Layout, x: Floats) -> list[Floats]:
     sides = across[bool(reach) :][:MOST_SIDES]
     for side, shape, sign in product(sides, shapes, (1.0, -1.0)):
         trials = []
-        for far in AMPLITUDES:
+        for amplitude in AMPLITUDES:
             trial = x.copy()
-            trial[layout.points] += sign * far * (reach or 1.0) * lengths * side * shape
-            trial = _with_momenta(layout, trial)
-            trials.append((violation(layout, trial), len(guesses), far, trial))
+            trial[layout.points] += sign * amplitude * (reach or 1.0) * lengths * side * shape
+            trial = _complete_guess(layout, trial)
+            trials.append((measure_violation(layout, trial), len(guesses), amplitude, trial))
         guesses.append(min(trials, key=lambda trial: trial[:3]))
     guesses.sort(key=lambda trial: trial[:2])
-    least = guesses[0][0] if guesses else off
-    most = least + PART * (off - least)
-    return [trial for left, *_, trial in guesses[:MOST_BENT] if left < off and left <= most]
+    least = guesses[0][0] if guesses else violation
+    most = least + ACCEPTED_FRACTION * (violation - least)
+    return [trial for v, *_, trial in guesses[:MOST_CURVED] if v < violation and v <= most]
 
 
-def _number(name: str, given: Any) -> float:
-    """Read a number of a guess."""
+def _read_number(name: str, given: Any) -> float:
+    """Return a finite number of a guess."""
     how = "Pass a finite number."
     number = read_reals(f"guess[{name!r}]", given, how)
     if number.ndim or not np.isfinite(number):
-        reject(f"guess[{name!r}] is {given!r}, no finite number.", remedy=f"{how}")
+        reject(f"guess[{name!r}] is {given!r}, which is not a finite number.", remedy=how)
     return float(number)
 
 
-#: Measured on several problems and meshes: 12 to 33 iterations, where larger barriers fall into
-#: other optima; relaxed bounds would move a minimum time by 1e-8.
+#: On several problems and meshes, this initial barrier needs 12 to 33 iterations. Larger barriers
+#: converge to other optima. Relaxed bounds would change a minimum time by 1e-8.
 OPTIONS = {"mu_init": 1e-3, "bound_relax_factor": 0.0, "sb": "yes"}
-#: So often steps are halved to make the error small; so often while no solution is resolved, which
-#: one that is too coarse may come to.
+#: How often steps are halved for ``error=``; and how often if no solution is resolved yet, since a
+#: coarse grid may have only such solutions.
 MOST_REFINEMENTS, MOST_UNRESOLVED = 6, 3
-#: So many searches begin again beside a saddle or a maximum.
+#: Restarts next to saddle points or maxima.
 MOST_RESTARTS = 3
-#: A guess that violates what is bounded on the way by more than NEAR, in units of rows, has so many
-#: iterations at first, and bent ones so many. From these barriers of 1e-3 took up to 100 iterations
-#: and more, of 0.1 at most 49.
-NEAR, SHORT, BENT = 1e-6, 60, 100
-#: A solution is found once more if it moves so many times more, or less, than its guess.
-FAR = 1e4
-#: Costs below the first are scaled to 1, by no more than the second allows.
+#: A guess that violates path limits by more than FEASIBLE, relative to the sizes of rows, gets
+#: FIRST_ITERATIONS at first. Curved guesses get CURVED_ITERATIONS. From these, a barrier of 1e-3
+#: took 100 iterations and more, and a barrier of 0.1 at most 49.
+FEASIBLE, FIRST_ITERATIONS, CURVED_ITERATIONS = 1e-6, 60, 100
+#: A solution is computed again, with new sizes, if its displacements differ by this factor from the
+#: guess.
+LARGEST_RATIO = 1e4
+#: Scaled costs below SMALL are scaled again to 1, except those below SMALLEST.
 SMALL, SMALLEST = 0.1, 1e-12
-#: The cost of a solution in a file is computed again, and may differ by so much, relatively.
-ROUNDED = 1e-9
+#: Relative difference by which the cost in a file may differ from the computed cost.
+SAVED_TOLERANCE = 1e-9
 
 
 def solve(
-    read: Reading,
+    problem: SymbolicProblem,
     scheme: Scheme,
     grid: Grid,
     guess: Any,
@@ -238,100 +254,105 @@ def solve(
 ) -> ControlResult:
     """Solve a problem; halve the steps until the relative error of the cost is at most ``error``.
 
-    Raises InputError if the guess does not fit, conditions are too many, or casadi is not
-    installed.
+    Raises InputError if the guess does not fit, if there are too many conditions, or if casadi is
+    not installed.
     """
-    _warn_of_undetermined_inputs(read, scheme)
+    _warn_of_undetermined_inputs(problem, scheme)
 
     def result_from(layout: Layout, guess: Any) -> tuple[ControlResult, Floats]:
-        """Return the result from a guess, and the guess."""
-        x0, how = initial_point(layout, guess), (options, progress)
-        result, lengths = _solved(layout, x0, *how, straight=guess is None), layout.points.ravel()
-        sizes = (sizes_at(layout, x)[0][lengths] for x in (x0, result.x))
-        far = np.abs(np.log(np.divide(*sizes))).max() > np.log(FAR)
-        if far and result.violation < NEAR and result.status is not ControlStatus.INTERRUPTED:
-            again = _solved(layout, result.x, *how, straight=False)
-            if again.success:  # in units of its own
-                result = _with_sums(again, [result, again])
+        """Return the result of a search, and its initial point."""
+        x0, how = build_initial_point(layout, guess), (options, progress)
+        result = _solve_on_grid(layout, x0, *how, straight=guess is None)
+        lengths = layout.points.ravel()
+        sizes = (compute_sizes(layout, x)[0][lengths] for x in (x0, result.x))
+        moved = np.abs(np.log(np.divide(*sizes))).max() > np.log(LARGEST_RATIO)
+        feasible = result.violation < FEASIBLE
+        if moved and feasible and result.status is not ControlStatus.INTERRUPTED:
+            again = _solve_on_grid(layout, result.x, *how, straight=False)
+            if again.success:  # with sizes of the solution
+                result = _sum_searches(again, [result, again])
         return result, x0
 
-    result, x0 = result_from(Layout(read, scheme, grid), guess)
-    size = cost_size(result.layout, x0) if error is not None else 0.0
+    result, x0 = result_from(Layout(problem, scheme, grid), guess)
+    size = measure_cost(result.layout, x0) if error is not None else 0.0
     for refinements in range(MOST_REFINEMENTS if error is not None else 0):
         unresolved = result.status is ControlStatus.NOT_RESOLVED
         if not result.success and not (unresolved and refinements < MOST_UNRESOLVED):
             break
-        finer, _ = result_from(Layout(read, scheme, result.layout.grid.halved), result)
-        # an error of order 2 is a third of this change; where inputs jump, the order is no higher
-        off = abs(finer.cost - result.cost) / (3 * (max(abs(finer.cost), size) or 1.0))
-        result = replace(finer, error=off)
-        if result.success and off <= (error or 0.0):
+        finer, _ = result_from(Layout(problem, scheme, result.layout.grid.halved), result)
+        # the error is a third of the change at order 2, which is the order if inputs jump
+        estimate = abs(finer.cost - result.cost) / (3 * (max(abs(finer.cost), size) or 1.0))
+        result = replace(finer, error=estimate)
+        if result.success and estimate <= (error or 0.0):
             return result
     if error is not None and result.success:
         warn(
-            f"{read.system.name}: with {result.layout.steps} steps the relative error of the cost "
-            f"is about {result.error:.1e}, not {error:g}.\nBegin with more steps, or with phases= "
-            "that end where inputs jump.",
+            f"{problem.system.name}: with {result.layout.steps} steps the relative error of the "
+            f"cost is about {result.error:.1e}, above {error:g}.\nStart with more steps, or use "
+            "phases= that end where inputs jump.",
             ResolutionWarning,
         )
     return result
 
 
-def _solved(
+def _solve_on_grid(
     layout: Layout, x0: Floats, options: dict[str, Any], progress: bool | None, straight: bool
 ) -> ControlResult:
-    """Solve a problem with one number of steps, from a guess, and from bent ones where it fails.
+    """Solve a problem on one grid, from a guess, and from curved guesses if that fails.
 
-    One that is ``straight`` tells no side on which to pass what it runs into: all are tried.
+    A guess that is ``straight`` does not choose a side of an obstacle. If it violates path limits,
+    curved guesses on all sides are tried, too.
     """
-    programme, low, high = layout.programme
-    fixed = sum(pair[0] == pair[1] for pair in layout.read.found_bounds)
+    nlp, low, high = layout.nlp
+    fixed = sum(pair[0] == pair[1] for pair in layout.problem.free_bounds)
     equations, size = int((low == high).sum()), layout.size - fixed
     if equations > size:
         reject(
-            f"{layout.read.system.name}: {equations} equations for {size} unknowns: there are more "
-            "conditions than inputs can satisfy.",
-            remedy="Leave conditions out, or add inputs or steps.",
+            f"there are {equations} equations for {size} variables.",
+            where=layout.problem.system.name,
+            why="These are more conditions than inputs can satisfy.",
+            remedy="Remove conditions, or add inputs or steps.",
         )
-    form = scaled(programme, layout, x0)
-    bounds: Any = [*map(form.inside, layout.bounds)]
-    limits: Any = [x / form.of_rows for x in (low, high)]
+    scaled_nlp = scale_program(nlp, layout, x0)
+    bounds: Any = [*map(scaled_nlp.scale, layout.bounds)]
+    limits: Any = [x / scaled_nlp.row_sizes for x in (low, high)]
 
-    def escape_step(outcome: Outcome) -> Floats | None:
-        """Return a step along which the cost falls, where a search ended at no minimum."""
-        ended = STATUSES.get(outcome.ipopt_status) in FOUND or creeping(outcome)
-        return downhill(form, outcome, bounds, limits) if ended else None
+    def escape_step(outcome: SolverOutcome) -> Floats | None:
+        """Return a step of decreasing cost if a search ended at a saddle point or a maximum."""
+        ended = STATUSES.get(outcome.ipopt_status) in FOUND or is_creeping(outcome)
+        return find_descent_step(scaled_nlp, outcome, bounds, limits) if ended else None
 
-    def to_result(outcome: Outcome, step: Floats | None) -> ControlResult:
-        """Return the result, judged by its conditions of optimality unless the cost still falls."""
-        best = step is None and optimal(form, outcome, bounds, limits, options["tol"])
-        return result_of(layout, form.outcome(outcome), best)
+    def to_result(outcome: SolverOutcome, step: Floats | None) -> ControlResult:
+        """Return the result; a point with a descent ``step`` is not optimal."""
+        best = step is None and is_optimal(scaled_nlp, outcome, bounds, limits, options["tol"])
+        return make_result(layout, scaled_nlp.unscale(outcome), best)
 
-    name = f"{layout.read.system.name}, {layout.steps} steps"
+    name = f"{layout.problem.system.name}, {layout.steps} steps"
     bar = Progress(options["max_iter"] + 1, progress, look="{desc}, {elapsed}", what=name)
-    with listening() as heard, bar:
+    with catch_interrupts() as interrupts, bar:
 
         def stopped(cost: float) -> bool:
-            """Show the cost of an iterate, and return whether Ctrl-C was pressed."""
-            bar.say(f"{name}: cost {cost * form.of_cost:.6g}, {bar.count} iterations")
+            """Show the cost of an iterate, and return whether the user pressed Ctrl-C."""
+            bar.say(f"{name}: cost {cost * scaled_nlp.cost_size:.6g}, {bar.count} iterations")
             bar.add(1)
-            return bool(heard)
+            return bool(interrupts)
 
-        def run(x: Floats, **more: Any) -> Outcome:
-            return run_ipopt(form, x, bounds, limits, {**OPTIONS, **options, **more}, stopped)
+        def run(x: Floats, **changes: Any) -> SolverOutcome:
+            settings = {**OPTIONS, **options, **changes}
+            return run_ipopt(scaled_nlp, x, bounds, limits, settings, stopped)
 
-        outcomes: list[Outcome] = []
+        outcomes: list[SolverOutcome] = []
 
-        def search(begin: Floats, most: int, **more: Any) -> ControlResult:
-            """Search from a point; begin again beside points that are no minima."""
-            outcomes.append(run(begin, max_iter=most, **more))
+        def search(begin: Floats, most: int, **changes: Any) -> ControlResult:
+            """Search from a point, and restart next to points that are not minima."""
+            outcomes.append(run(begin, max_iter=most, **changes))
             step, restarts = escape_step(outcomes[-1]), 0
             while step is not None and restarts < MOST_RESTARTS:
                 outcomes.append(run(outcomes[-1].x + step))
                 step, restarts = escape_step(outcomes[-1]), restarts + 1
             result = to_result(outcomes[-1], step)
-            # the solver compares with 1: small costs are found once more, in a unit of their own
-            size = max(abs(form.values(begin)[0]), abs(result.cost) / form.of_cost)
+            # the solver's tolerance is relative to 1: search again with small costs scaled to 1
+            size = max(abs(scaled_nlp.values(begin)[0]), abs(result.cost) / scaled_nlp.cost_size)
             if outcomes[-1].ipopt_status == "Solve_Succeeded" and 0 < size < SMALL:
                 outcomes.append(run(outcomes[-1].x, obj_scaling_factor=1 / max(size, SMALLEST)))
                 again = to_result(outcomes[-1], escape_step(outcomes[-1]))
@@ -339,74 +360,77 @@ def _solved(
             return result
 
         most = options["max_iter"]
-        off = violation(layout, x0, layout.path_rows)
-        first = 0 if off == np.inf else min(most, SHORT) if off > NEAR else most
-        result = search(form.inside(x0), first)
-        if not result.success or (straight and off > NEAR):
+        violation = measure_violation(layout, x0, layout.path_rows)
+        first = most if violation <= FEASIBLE else min(most, FIRST_ITERATIONS)
+        first = 0 if violation == np.inf else first
+        result = search(scaled_nlp.scale(x0), first)
+        if not result.success or (straight and violation > FEASIBLE):
             end, results = outcomes[-1].x, [result]
-            for trial in bent(layout, x0):
-                if not heard:
-                    results.append(search(form.inside(trial), min(most, BENT), mu_init=0.1))
+            for trial in curve_guess(layout, x0):
+                if not interrupts:
+                    begin, limit = scaled_nlp.scale(trial), min(most, CURVED_ITERATIONS)
+                    results.append(search(begin, limit, mu_init=0.1))
             result = min(results, key=lambda trial: trial.cost if trial.success else np.inf)
             if first < most and result.status is ControlStatus.ITERATION_LIMIT:
                 result = search(end, most - first)
-    return _with_sums(result, outcomes)
+    return _sum_searches(result, outcomes)
 
 
-def _with_sums(result: ControlResult, parts: Any) -> ControlResult:
-    """Return a result with the iterations and seconds of all searches."""
+def _sum_searches(result: ControlResult, parts: Any) -> ControlResult:
+    """Return the result with the total iterations and seconds of all searches."""
     sums = ("iterations", "seconds", "in_functions")
     return replace(result, **{name: sum(getattr(part, name) for part in parts) for name in sums})
 
 
-def opened(read: Reading, path: str | os.PathLike[str], scheme: Any) -> ControlResult:
-    """Read a solution of a problem from a file; its cost and conditions are computed again.
+def open_solution(
+    problem: SymbolicProblem, path: str | os.PathLike[str], scheme: Any
+) -> ControlResult:
+    """Read a solution from a file, and compare its cost and violations with the problem.
 
-    Raises StorageError if the file holds no solution, or is damaged; InputError if it is the
-    solution of another problem.
+    Raises StorageError if the file does not contain a solution, or is damaged. Raises InputError
+    if it contains the solution of another problem.
     """
-    place, saved, x, multipliers = read_solution(path, {**SAVED, "scheme": str, "steps": _as_grid})
+    kinds = {**SAVED, "scheme": str, "steps": _read_saved_grid}
+    place, saved, x, multipliers = read_solution(path, kinds)
     name, grid = saved.pop("scheme"), saved.pop("steps")
-    galerkin_scheme, fits = read_family(scheme or name), 0
-    # a damaged number of steps must not ask for more memory than the file has numbers
-    if len(grid.steps) == len(read.phases) and grid.count <= len(x):
-        layout = Layout(read, galerkin_scheme, grid)
-        programme, *_ = layout.programme
-        fits = (len(multipliers), len(x)) == programme.shape
+    galerkin_scheme, fits = read_galerkin_scheme(scheme or name), 0
+    # do not allocate memory for a damaged number of steps
+    if len(grid.steps) == len(problem.phases) and grid.count <= len(x):
+        layout = Layout(problem, galerkin_scheme, grid)
+        nlp, *_ = layout.nlp
+        fits = (len(multipliers), len(x)) == nlp.shape
     if fits:
-        cost, (low, high) = programme.values(x)[0], layout.bounds
-        outside = np.maximum(low - x, x - high) / sizes_at(layout, x)[0]
-        largest = max(violations(layout, x).max(initial=0.0), outside.max(initial=0.0))
+        cost, (low, high) = nlp.values(x)[0], layout.bounds
+        outside = np.maximum(low - x, x - high) / compute_sizes(layout, x)[0]
+        largest = max(compute_violations(layout, x).max(initial=0.0), outside.max(initial=0.0))
         if np.isfinite([cost, largest]).all():
-            off = abs(cost - saved["cost"]) / (abs(cost) or 1.0)
-            fits = off <= ROUNDED and largest <= saved["violation"] + ROUNDED
-        else:  # where the search ended, something had no value
+            difference = abs(cost - saved["cost"]) / (abs(cost) or 1.0)
+            fits = difference <= SAVED_TOLERANCE and largest <= saved["violation"] + SAVED_TOLERANCE
+        else:  # the saved iterate was not finite
             fits = not np.isfinite(saved["violation"])
     if not fits:
         reject(
-            f"{place}: the file holds the solution of another problem, of {grid.count} steps of "
-            f"{name}.",
-            remedy=f"Of {read.system.name} as it is written down it has another cost, or "
-            "conditions or "
-            "equations are not satisfied. Write down the problem as it was, with the same "
-            "parameters.",
+            f"the file has the solution of another problem, with {grid.count} steps of {name}.",
+            where=str(place),
+            why=f"For {problem.system.name}, its cost or its constraint violations are different.",
+            remedy="Define the same problem as before, with the same parameters.",
         )
     return ControlResult(layout, x, multipliers, **saved)
 
 
-def _as_grid(steps: Any) -> Grid:
-    """Return the grid of the numbers of steps that a file holds."""
+def _read_saved_grid(steps: Any) -> Grid:
+    """Return the grid of the numbers of steps in a file."""
     return read_grid(steps, len(steps) if isinstance(steps, list) else 1, most=MOST_STEPS)
 
 
-def _warn_of_undetermined_inputs(read: Reading, scheme: Scheme) -> None:
-    """Warn of schemes that have more nodes in a step than its motion can tell apart."""
+def _warn_of_undetermined_inputs(problem: SymbolicProblem, scheme: Scheme) -> None:
+    """Warn if a scheme has more nodes than its motion can distinguish."""
     nodes, degree = scheme.stages, scheme.degree
     shared = scheme.quadrature.nodes[0] == 0 and scheme.quadrature.nodes[-1] == 1
-    if read.inputs and nodes > degree + shared:
+    if problem.inputs and nodes > degree + shared:
         warn(
-            f"{scheme.name} has {nodes} nodes in a step of degree {degree}: some inputs act only "
-            "in sums, and are found only where the cost is convex in them.\nTake a scheme with "
-            "fewer nodes, as 'lobatto6' or 'gauss6'.",
+            f"{scheme.name} has {nodes} nodes in a step of degree {degree}. Some inputs act only "
+            "in sums, and are unique only if the cost is convex in them.\nUse a scheme with fewer "
+            "nodes, such as 'lobatto6' or 'gauss6'.",
             ResolutionWarning,
         )

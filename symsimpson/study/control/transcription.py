@@ -1,12 +1,14 @@
-"""A problem of optimal control as a sparse programme: unknowns, rows, and exact derivatives.
+"""Sparse nonlinear programs of optimal control, with exact first and second derivatives.
 
-Steps are not solved: their control points, momenta and inputs are unknowns, and their equations
-rows (Ober-Bloebaum, Junge, Marsden, ESAIM COCV 17 (2011), 322, with any Galerkin scheme). Values
-are linear in functions of single points of the path, whose arguments are linear in the unknowns:
+The transcription is direct (DMOC: Ober-Bloebaum, Junge, Marsden, ESAIM COCV 17 (2011), 322), with
+any Galerkin scheme. Control points, momenta and inputs of all steps are the variables x. The
+discrete Euler-Lagrange equations are equality constraints. All rows are linear in functions f of
+single points of the path, and the arguments of f are linear in x:
 
-    rows = C f(L x) + D x,   Jacobian = C f' L + D,   Hessian = L^T (C^T lambda . f'') L,
+    rows = C f(L x) + D x,   Jacobian = C f' L + D,   Hessian = L^T (C^T lambda . f'') L.
 
-so that each derivative is a constant sparse matrix times those of f, at all points at once.
+Each derivative is a product of constant sparse matrices and the derivatives of f, which are
+evaluated at all points at once.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from symsimpson.support.array_types import Floats, Ints
 Entries = list[tuple[int, int, Value]]
 
 
-#: Functions of arrays, by the names that the graph has for them.
+#: Functions of arrays by their names in the graph.
 FUNCTIONS: dict[str, Any] = {
     **{name: getattr(np, name) for name in ("cos", "cosh", "exp", "log", "abs")},
     **{name: getattr(np, name) for name in ("sin", "sinh", "sqrt", "tan", "tanh")},
@@ -42,9 +44,10 @@ CONSTANTS["Tiny"] = TINY
 
 
 class PointFunctions:
-    """Functions f of the variables of a point: values, slopes, and second derivatives of w.f.
+    """Functions f of the variables at a point, with their first and second derivatives.
 
-    Variables are nodes of the symbols by which the ``outputs`` are differentiated.
+    Second derivatives belong to the weighted sum w.f. ``variables`` are the nodes by which
+    ``outputs`` are differentiated.
     """
 
     def __init__(self, graph: Graph, variables: Sequence[int], outputs: Sequence[Value]) -> None:
@@ -60,7 +63,7 @@ class PointFunctions:
         self.slopes = [(r, c) for r, c, _ in self._slopes]
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_compiled": {}}  # they are made again
+        return self.__dict__ | {"_compiled": {}}  # functions are compiled again on demand
 
     @cached_property
     def _curvatures(self) -> Entries:
@@ -73,19 +76,19 @@ class PointFunctions:
 
     @property
     def curved(self) -> list[tuple[int, int]]:
-        """The pairs of variables by which w.f is curved."""
+        """Pairs of variables with a nonzero second derivative of w.f."""
         return [(i, j) for i, j, _ in self._curvatures]
 
     def values(self, at: Mapping[int, Any], count: int) -> Floats:
-        """Return f at so many points, shape (len(f), count)."""
-        return self._evaluated("values", self._outputs, at, count)
+        """Return f at ``count`` points, shape (len(f), count)."""
+        return self._evaluate("values", self._outputs, at, count)
 
     def slopes_at(self, at: Mapping[int, Any], count: int) -> Floats:
-        """Return the slopes at points, shape (len(slopes), count)."""
-        return self._evaluated("slopes", [x for *_, x in self._slopes], at, count)
+        """Return the nonzero first derivatives at points, shape (len(slopes), count)."""
+        return self._evaluate("slopes", [x for *_, x in self._slopes], at, count)
 
     def jacobian(self, at: Mapping[int, Any], count: int) -> Floats:
-        """Return all slopes at points, shape (count, len(f), len(variables))."""
+        """Return the Jacobian at points, shape (count, len(f), len(variables))."""
         jacobian = np.zeros((count, len(self._outputs), len(self.variables)))
         for (r, c), slope in zip(self.slopes, self.slopes_at(at, count), strict=True):
             jacobian[:, r, c] = slope
@@ -94,52 +97,54 @@ class PointFunctions:
     def curvatures_at(self, at: Mapping[int, Any], weights: Floats, count: int) -> Floats:
         """Return second derivatives of w.f at points, shape (len(curved), count)."""
         known = {**at, **dict(zip(self.weights, weights, strict=True))}
-        return self._evaluated("curvatures", [x for *_, x in self._curvatures], known, count)
+        return self._evaluate("curvatures", [x for *_, x in self._curvatures], known, count)
 
-    def _evaluated(
-        self, kind: str, wanted: Sequence[Value], at: Mapping[int, Any], count: int
+    def _evaluate(
+        self, kind: str, outputs: Sequence[Value], at: Mapping[int, Any], count: int
     ) -> Floats:
         if kind not in self._compiled:
-            self._compiled[kind] = _function(self._graph, wanted)
+            self._compiled[kind] = _compile_values(self._graph, outputs)
         function, needed = self._compiled[kind]
-        values = np.empty((len(wanted), count))
+        values = np.empty((len(outputs), count))
         with np.errstate(all="ignore"):
             function(values, *(at[n] for n in needed))
         return values
 
 
-def _function(graph: Graph, wanted: Sequence[Value]) -> tuple[Callable[..., None], list[int]]:
-    """Return what fills rows with values of the graph, and the symbols that it takes."""
+def _compile_values(
+    graph: Graph, outputs: Sequence[Value]
+) -> tuple[Callable[..., None], list[int]]:
+    """Compile a function that writes nodes to the rows of an array; return it and its symbols."""
     lines, needed = [], []
-    for n in graph.reached(n for c, n in wanted if c):
+    for n in graph.descendants(n for c, n in outputs if c):
         kind, parts, _ = graph.nodes[n]
         match kind:
             case "symbol":
                 needed.append(n)
                 continue
             case "sum":
-                text = " + ".join(_times(c, f"x{m}") for c, m in parts)
+                text = " + ".join(_write_product(c, f"x{m}") for c, m in parts)
             case "product":
-                text = " * ".join(_power(f"x{m}", e) for m, e in parts)
+                text = " * ".join(_write_power(f"x{m}", e) for m, e in parts)
             case "function":
-                given = ", ".join(_times(c, f"x{m}") for c, m in parts[1:])
+                given = ", ".join(_write_product(c, f"x{m}") for c, m in parts[1:])
                 text = f"{parts[0]}({given})"
             case _:
                 text = repr(CONSTANTS[parts[0]] if parts else 1.0)
         lines.append(f"    x{n} = {text}")
-    for row, (c, n) in enumerate(wanted):
-        lines.append(f"    found[{row}] = {_times(c, f'x{n}') if c else '0.0'}")
+    for row, (c, n) in enumerate(outputs):
+        lines.append(f"    found[{row}] = {_write_product(c, f'x{n}') if c else '0.0'}")
     head = ", ".join(["found", *(f"x{n}" for n in needed)])
     space = dict(FUNCTIONS)
     exec("\n".join([f"def fill({head}):", *lines, "    return"]), space)
     return space["fill"], needed
 
 
-def _times(c: Exact, x: str) -> str:
+def _write_product(c: Exact, x: str) -> str:
     return x if c == 1 else f"-{x}" if c == -1 else f"{float(c)!r} * {x}"
 
 
-def _power(x: str, e: Exact) -> str:
+def _write_power(x: str, e: Exact) -> str:
     if e == 1 or e == 2:
         return " * ".join([x] * int(e))
     if e == -1 or e == -2:
@@ -148,87 +153,88 @@ def _power(x: str, e: Exact) -> str:
 
 
 def lagrange(places: Floats, at: Floats) -> Floats:
-    """Return the polynomials that are 1 at one of some places and 0 at the others, last axis."""
+    """Return the Lagrange polynomials of ``places`` at the points ``at``; the last axis is new."""
     values = [np.prod([(at - y) / (x - y) for y in places if y != x], axis=0) for x in places]
     return np.stack([value + 0 * at for value in values], axis=-1)
 
 
 def lagrange_slopes(places: Floats, at: Floats) -> Floats:
-    """Return the slopes of these polynomials, last axis."""
+    """Return the derivatives of the Lagrange polynomials; the last axis is new."""
     slopes = []
     for x in places:
-        rest = places[places != x]
+        others = places[places != x]
         parts = [
-            np.prod([(at - z) / (x - z) for z in rest if z != y], axis=0) / (x - y) for y in rest
+            np.prod([(at - z) / (x - z) for z in others if z != y], axis=0) / (x - y)
+            for y in others
         ]
         slopes.append(sum(parts, 0.0 * at))
     return np.stack(slopes, axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
-    """Functions of points: the same ones of many."""
+class FunctionBlock:
+    """The same functions at many points, with their variables and rows in the program."""
 
     functions: PointFunctions
-    #: A sparse matrix for each variable, shape (K, x): what it is at each point, as it is linear
-    #: in the unknowns.
+    #: A sparse matrix for each variable of a point, shape (K, x). It maps the variables of the
+    #: program to the K points.
     maps: list[Any]
-    #: A sparse matrix for each function, shape (g, K): which rows have it, and how often; the
-    #: first row is the cost.
+    #: A sparse matrix for each function, shape (g, K): its coefficients in each row. Row 0 is the
+    #: cost.
     rows: list[Any]
-    #: What else stands in the functions, by node: numbers, or arrays of shape (K,).
+    #: Other arguments of the functions by node: numbers, or arrays of shape (K,).
     given: dict[int, Any]
 
     @property
     def count(self) -> int:
-        """Number of points."""
+        """Number of points, K."""
         return int(self.maps[0].shape[0])
 
     @cached_property
     def _stacked(self) -> tuple[Any, Any, Any]:
-        """All maps below one another, all rows beside one another, and these transposed."""
+        """All maps stacked vertically; all rows stacked horizontally, and their transpose."""
         rows = sparse.hstack(self.rows, format="csr")
         return sparse.vstack(self.maps, format="csr"), rows, rows.T.tocsr()
 
-    def at(self, x: Floats) -> dict[int, Any]:
-        """Return the variables of the points."""
+    def point_variables(self, x: Floats) -> dict[int, Any]:
+        """Return the arguments of the functions at the points, by node."""
         values = (self._stacked[0] @ x).reshape(-1, self.count)
         return {**self.given, **dict(zip(self.functions.variables, values, strict=True))}
 
     def weights(self, rows: Floats) -> Floats:
-        """Return the weights of the functions at each point, of weighted rows."""
+        """Return the weights of the functions at each point for weights of the rows."""
         return np.asarray(self._stacked[2] @ rows).reshape(-1, self.count)
 
     def values(self, at: dict[int, Any]) -> Floats:
-        """Return what the block has in each row."""
+        """Return the contribution of the block to each row."""
         return np.asarray(self._stacked[1] @ self.functions.values(at, self.count).ravel())
 
     def slopes(self, at: dict[int, Any]) -> Floats:
-        """Return the slopes at the points, one after the other."""
+        """Return the first derivatives at all points, in one row."""
         return self.functions.slopes_at(at, self.count).ravel()
 
     def gradient(self, x: Floats, rows: Floats) -> Floats:
-        """Return slopes of the weighted rows by each variable at each point."""
+        """Return derivatives of the weighted rows by each variable at each point."""
         weights = self.weights(rows)
-        slopes = self.slopes(self.at(x)).reshape(-1, self.count)
+        slopes = self.slopes(self.point_variables(x)).reshape(-1, self.count)
         gradient = np.zeros((len(self.maps), self.count))
         for (r, c), slope in zip(self.functions.slopes, slopes, strict=True):
             gradient[c] += weights[r] * slope
         return gradient
 
     def curvatures(self, at: dict[int, Any], rows: Floats) -> Floats:
-        """Return second derivatives of the weighted rows, one after the other."""
+        """Return second derivatives of the weighted rows at all points, in one row."""
         return self.functions.curvatures_at(at, self.weights(rows), self.count).ravel()
 
-    def slope_places(self) -> tuple[Ints, Ints, Ints, Floats]:
-        """Return which slope has which part in which entry (row, unknown) of the Jacobian."""
+    def jacobian_entries(self) -> tuple[Ints, Ints, Ints, Floats]:
+        """Return the number, row, column and coefficient of each term of the Jacobian."""
         pairs = [(self.rows[r].tocsc(), self.maps[c].tocsr()) for r, c in self.functions.slopes]
-        return _placed(pairs, self.count)
+        return _multiply_patterns(pairs, self.count)
 
-    def curvature_places(self) -> tuple[Ints, Ints, Ints, Floats]:
-        """Return the same for the Hessian: both halves of it, of which one is kept."""
+    def hessian_entries(self) -> tuple[Ints, Ints, Ints, Floats]:
+        """Return the number, row, column and coefficient of each term of the whole Hessian."""
         pairs = [(self.maps[i].T.tocsc(), self.maps[j].tocsr()) for i, j in self.functions.curved]
-        number, row, column, part = _placed(pairs, self.count)
+        number, row, column, part = _multiply_patterns(pairs, self.count)
         same = np.array([i == j for i, j in self.functions.curved], dtype=bool)
         other = ~same[number // self.count]
         return (
@@ -239,8 +245,10 @@ class Block:
         )
 
 
-def _placed(pairs: Sequence[tuple[Any, Any]], count: int) -> tuple[Ints, Ints, Ints, Floats]:
-    """Return parts a[r, k] b[k, c] of the entries (r, c) of a.diag(z).b, for many pairs a, b."""
+def _multiply_patterns(
+    pairs: Sequence[tuple[Any, Any]], count: int
+) -> tuple[Ints, Ints, Ints, Floats]:
+    """Return coefficients a[r, k] b[k, c] of z[k] in entries (r, c) of a.diag(z).b for pairs."""
     entries: list[tuple[Any, ...]] = [(np.zeros(0, int),) * 3 + (np.zeros(0),)]
     for place, (a, b) in enumerate(pairs):
         size_a, size_b = np.diff(a.indptr), np.diff(b.indptr)
@@ -256,8 +264,8 @@ def _placed(pairs: Sequence[tuple[Any, Any]], count: int) -> tuple[Ints, Ints, I
     return number, row, column, part
 
 
-class _Pattern:
-    """Entries of a sparse matrix that are linear in numbers."""
+class _SparsePattern:
+    """A sparse matrix with entries that are linear in numbers; the pattern is constant."""
 
     def __init__(
         self, places: Sequence[tuple[Any, ...]], shape: tuple[int, int], constant: Any = None
@@ -279,42 +287,41 @@ class _Pattern:
         self._constant = np.bincount(inverse[count:], more.data, minlength=len(keys))
 
     def __call__(self, numbers: Sequence[Floats]) -> Floats:
-        """Return the entries, by columns."""
+        """Return the entries in column-major order."""
         return np.asarray(self._linear @ np.concatenate(numbers) + self._constant)
 
 
-class Programme:
-    """A sparse programme: least cost, where rows and unknowns are within bounds.
+class NonlinearProgram:
+    """A sparse nonlinear program: minimise the cost, with bounds on rows and variables.
 
-    It is made of blocks, and of what is ``linear``, D: a sparse matrix whose first row is that of
-    the cost.
+    It is the sum of nonlinear blocks and of the sparse matrix ``linear``, D. Row 0 is the cost.
     """
 
-    def __init__(self, blocks: Sequence[Block], linear: Any) -> None:
+    def __init__(self, blocks: Sequence[FunctionBlock], linear: Any) -> None:
         self.blocks, self._linear = tuple(blocks), linear.tocsr()
         g, x = linear.shape
         slopes = [
-            (*block.slope_places(), len(block.functions.slopes) * block.count)
+            (*block.jacobian_entries(), len(block.functions.slopes) * block.count)
             for block in self.blocks
         ]
-        self._jacobian = _Pattern(slopes, (g, x), linear)
-        self._rest = self._jacobian.row > 0
+        self._jacobian = _SparsePattern(slopes, (g, x), linear)
+        self._in_rows = self._jacobian.row > 0
         #: Rows and columns of the entries of the Jacobian.
         self.jacobian_places: tuple[Ints, Ints] = (
-            self._jacobian.row[self._rest] - 1,
-            self._jacobian.column[self._rest],
+            self._jacobian.row[self._in_rows] - 1,
+            self._jacobian.column[self._in_rows],
         )
         curved = []
         for block in self.blocks:
-            number, row, column, part = block.curvature_places()
+            number, row, column, part = block.hessian_entries()
             upper = row <= column
             size = len(block.functions.curved) * block.count
             curved.append((number[upper], row[upper], column[upper], part[upper], size))
-        self._hessian = _Pattern(curved, (x, x))
-        #: Those of the Hessian, on and above the diagonal.
+        self._hessian = _SparsePattern(curved, (x, x))
+        #: Rows and columns of the entries of the Hessian, on and above the diagonal.
         self.hessian_places: tuple[Ints, Ints] = (self._hessian.row, self._hessian.column)
         self.shape: tuple[int, int] = (g - 1, x)
-        #: The last unknowns, their points, and what was asked for there.
+        #: The last variables, their points, and the results that were computed there.
         self._x: Floats | None = None
         self._points: list[dict[int, Any]] = []
         self._values: tuple[float, Floats] | None = None
@@ -322,7 +329,7 @@ class Programme:
 
     def values(self, x: Floats) -> tuple[float, Floats]:
         """Return the cost and the rows."""
-        points = self._at(x)
+        points = self._evaluate_points(x)
         if self._values is None:
             rows = self._linear @ x
             for block, at in zip(self.blocks, points, strict=True):
@@ -332,24 +339,24 @@ class Programme:
 
     def slopes(self, x: Floats) -> tuple[Floats, Floats]:
         """Return the gradient of the cost, and the entries of the Jacobian."""
-        points = zip(self.blocks, self._at(x), strict=True)
+        points = zip(self.blocks, self._evaluate_points(x), strict=True)
         if self._slopes is None:
             entries = self._jacobian([block.slopes(at) for block, at in points])
             gradient = np.zeros(self.shape[1])
-            cost_entries = ~self._rest
+            cost_entries = ~self._in_rows
             gradient[self._jacobian.column[cost_entries]] = entries[cost_entries]
-            self._slopes = gradient, entries[self._rest]
+            self._slopes = gradient, entries[self._in_rows]
         return self._slopes
 
     def curvatures(self, x: Floats, cost: float, multipliers: Floats) -> Floats:
         """Return entries of the Hessian of cost times the cost, and multipliers times the rows."""
         weights = np.concatenate([[cost], multipliers])
-        points = zip(self.blocks, self._at(x), strict=True)
+        points = zip(self.blocks, self._evaluate_points(x), strict=True)
         return self._hessian([block.curvatures(at, weights) for block, at in points])
 
-    def _at(self, x: Floats) -> list[dict[int, Any]]:
-        """Return the variables of all points; solvers ask for the same ones again."""
+    def _evaluate_points(self, x: Floats) -> list[dict[int, Any]]:
+        """Return the arguments at all points; the last ones are cached."""
         if self._x is None or not np.array_equal(self._x, x):
-            self._x, self._points = x.copy(), [block.at(x) for block in self.blocks]
+            self._x, self._points = x.copy(), [block.point_variables(x) for block in self.blocks]
             self._values = self._slopes = None
         return self._points

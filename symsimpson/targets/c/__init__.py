@@ -1,1 +1,1 @@
-"""Steps in other languages: a module and its driver as one file of C."""
+"""C99 code from a generated module and its driver."""

@@ -1,8 +1,8 @@
-"""Functions of a module or of the driver, as C has them: for one lane, with kinds of names.
+"""Functions of a module or of the driver, prepared for C: with one lane and known C types.
 
-The texts are those that are walked and compiled. Their columns are lanes; in C there is one, so
-that an index of a lane, a loop over lanes and an argument that names one say nothing. What the
-driver gets of the layout, ``at[NAME]``, is a constant of this module.
+The texts are the same as for the compiled kernels. In C there is only one lane, so lane indices,
+loops over lanes and lane arguments are removed. An entry of the driver's layout, ``at[NAME]``,
+becomes a constant.
 """
 
 from __future__ import annotations
@@ -12,31 +12,31 @@ import copy
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
-from typing import Any, cast
+from typing import Any, NoReturn, cast
 
 import numpy as np
 
 from symsimpson.errors import reject
 
-#: Arguments that say nothing where there is one lane.
+#: Arguments that C functions do not have.
 DROPPED = ("lane", "at")
-#: The workspace, and how the driver asks for the number of its rows.
+#: The name of the workspace, and the expression for its number of rows.
 WORKSPACE, ROWS = "W", "W.shape[0]"
 
 
 @dataclass(frozen=True)
 class Source:
-    """Functions that name the same constants: those of a module, or those of the driver."""
+    """The functions of a module or of the driver, and the constants that they name."""
 
     functions: Mapping[str, ast.FunctionDef]
     constants: Mapping[str, Any]  #: Numbers, tuples or arrays.
-    driver_layout: Mapping[str, int]  #: What ``at[NAME]`` is.
-    lines: list[str]  #: Lines of the text, for its comments.
+    driver_layout: Mapping[str, int]  #: Values of ``at[NAME]``.
+    lines: list[str]  #: Lines of the text, which contain its comments.
 
 
 @dataclass(frozen=True)
 class Function:
-    """A function with one lane."""
+    """A function of a text, rewritten for one lane."""
 
     name: str
     doc: str
@@ -46,7 +46,7 @@ class Function:
 
 
 class Functions(Mapping[str, Function]):
-    """Functions of some sources by name, each read when it is first asked for."""
+    """The functions of several sources by name; each is rewritten at its first access."""
 
     def __init__(self, sources: Sequence[Source]) -> None:
         self._source = {name: source for source in sources for name in source.functions}
@@ -54,7 +54,7 @@ class Functions(Mapping[str, Function]):
 
     def __getitem__(self, name: str) -> Function:
         if name not in self._read:
-            self._read[name] = plain_function(name, self._source[name])
+            self._read[name] = remove_lanes(name, self._source[name])
         return self._read[name]
 
     def __contains__(self, name: object) -> bool:
@@ -67,14 +67,14 @@ class Functions(Mapping[str, Function]):
         return len(self._source)
 
 
-def plain_function(name: str, source: Source) -> Function:
-    """Read a function for one lane."""
+def remove_lanes(name: str, source: Source) -> Function:
+    """Rewrite a function of a source for one lane."""
     node = source.functions[name]
     arguments = [argument.arg for argument in node.args.args if argument.arg not in DROPPED]
-    if "workspace" in arguments:  # a kernel, which makes an array of it
+    if "workspace" in arguments:  # a kernel, which converts this pointer to an array
         arguments[arguments.index("workspace")] = WORKSPACE
     doc = ast.get_docstring(node) or ""
-    plain = _Plain(source)
+    plain = _LaneRemover(source)
     body: list[ast.stmt] = []
     for statement in copy.deepcopy(node.body[1:] if doc else node.body):
         result = plain.visit(statement)
@@ -82,16 +82,16 @@ def plain_function(name: str, source: Source) -> Function:
     return Function(name, doc, tuple(arguments), body, source)
 
 
-class _Plain(ast.NodeTransformer):
+class _LaneRemover(ast.NodeTransformer):
     """Rewrites statements for one lane, in place."""
 
     def __init__(self, source: Source) -> None:
         self.source = source
-        #: Names of lanes, and of their number.
+        #: Names of lane indices, and of the number of lanes.
         self.lanes, self.counts = {"lane"}, {"LANES"}
 
     def visit_For(self, node: ast.For) -> Any:
-        """Take statements out of a loop over lanes."""
+        """Replace a loop over lanes by its body."""
         match node:
             case ast.For(target=ast.Name(id=index), iter=ast.Call(args=[ast.Name(id=count)])) if (
                 count in self.counts
@@ -101,7 +101,7 @@ class _Plain(ast.NodeTransformer):
         return self.generic_visit(node)
 
     def visit_Assign(self, node: ast.Assign) -> Any:
-        """Leave out the number of lanes and the array of a workspace, which are known."""
+        """Remove assignments of the number of lanes and of the workspace array."""
         (target,), value, kept = node.targets, node.value, []
         pairs = [(target, value)]
         if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
@@ -120,13 +120,13 @@ class _Plain(ast.NodeTransformer):
         return assignments
 
     def visit_Name(self, node: ast.Name) -> ast.expr:
-        """Write 0 for a lane, and 1 for their number."""
+        """Replace a lane index by 0, and the number of lanes by 1."""
         if node.id in self.lanes:
             return ast.Constant(0)
         return ast.Constant(1) if node.id in self.counts else node
 
     def visit_Compare(self, node: ast.Compare) -> ast.expr:
-        """Compare lanes, of which there is one."""
+        """Evaluate a comparison of two constants."""
         node = cast(ast.Compare, self.generic_visit(node))
         match node:
             case ast.Compare(ast.Constant(value=a), [ast.Eq()], [ast.Constant(value=b)]):
@@ -134,14 +134,14 @@ class _Plain(ast.NodeTransformer):
         return node
 
     def visit_IfExp(self, node: ast.IfExp) -> ast.expr:
-        """Choose where a condition is known."""
+        """Evaluate a conditional expression whose condition is constant."""
         node = cast(ast.IfExp, self.generic_visit(node))
         if isinstance(node.test, ast.Constant):
             return node.body if node.test.value else node.orelse
         return node
 
     def visit_Subscript(self, node: ast.Subscript) -> ast.expr:
-        """Leave out the index of a lane."""
+        """Remove the lane index of a row, and name the constants of the layout."""
         if ast.unparse(node) == ROWS:
             return ast.Name("at.ROWS", ast.Load())
         if isinstance(node.value, ast.Name):
@@ -157,7 +157,7 @@ class _Plain(ast.NodeTransformer):
         return node
 
     def visit_Call(self, node: ast.Call) -> ast.expr:
-        """Leave out arguments that a function does not take any more."""
+        """Remove the arguments that C functions do not have."""
         name = getattr(node.func, "id", "")
         if name in self.source.functions:
             taken = [parameter.arg for parameter in self.source.functions[name].args.args]
@@ -168,15 +168,18 @@ class _Plain(ast.NodeTransformer):
         return node
 
 
-#: Whole numbers and conditions, real numbers, rows of the workspace, a kernel, and a set of them.
+#: C types of integers and conditions, real numbers, rows, kernels, and sets of kernels.
 INT, REAL, POINTER, KERNEL, SET = "int", "double", "double *", "kernel *", "const kernels *"
-#: Functions of whole numbers, if these are.
-LIKE_ITS_ARGUMENTS = ("min", "max", "abs")
+#: Functions whose result is an integer if all arguments are integers.
+INTEGER_PRESERVING = ("min", "max", "abs")
 
 
 @dataclass
 class Signature:
-    """Kinds of the arguments of a function and of what it returns: several numbers are a tuple."""
+    """The C types of the arguments and of the result of a function.
+
+    ``several`` is the number of results of a function that returns a tuple.
+    """
 
     arguments: list[str]
     returned: str | None = None
@@ -185,19 +188,19 @@ class Signature:
 
 @dataclass
 class Kinds:
-    """Kinds of the names of functions, found by following calls."""
+    """The C types ("kinds") of the local names of functions, inferred by following calls."""
 
     functions: Mapping[str, Function]
-    #: By function; ``names[function][name]`` is the kind of a local name.
+    #: Signatures by function; ``names[function][name]`` is the kind of a local name.
     signatures: dict[str, Signature] = field(default_factory=dict)
     names: dict[str, dict[str, str]] = field(default_factory=dict)
 
     def follow(self, name: str, given: list[str]) -> Signature:
-        """Find the kinds in a function that is called with arguments of these kinds."""
+        """Infer the kinds in a function from a call with arguments of these kinds."""
         function = self.functions[name]
         signature = self.signatures.get(name)
         if signature is not None:
-            joined = [_joined(a, b) for a, b in zip(signature.arguments, given, strict=True)]
+            joined = [_common_kind(a, b) for a, b in zip(signature.arguments, given, strict=True)]
             if joined == signature.arguments:
                 return signature
             given = joined
@@ -207,30 +210,30 @@ class Kinds:
         while True:
             before = dict(local)
             for statement in function.body:
-                self._look(statement, name, local)
+                self._infer_statement(statement, name, local)
             if local == before:
                 return self.signatures[name]
 
-    def _look(self, node: ast.stmt, name: str, local: dict[str, str]) -> None:
+    def _infer_statement(self, node: ast.stmt, name: str, local: dict[str, str]) -> None:
         match node:
             case ast.For(target=ast.Name(id=index), iter=over, body=body):
                 local[index] = INT
                 for argument in getattr(over, "args", ()):  # of a range; a table has none
                     self.of(argument, name)
                 for statement in body:
-                    self._look(statement, name, local)
+                    self._infer_statement(statement, name, local)
             case ast.If(test=test, body=body, orelse=orelse):
                 self.of(test, name)
                 for statement in [*body, *orelse]:
-                    self._look(statement, name, local)
+                    self._infer_statement(statement, name, local)
             case ast.Assign(targets=[ast.Name(id=target)], value=value):
                 kind = self.of(value, name)
-                local[target] = _joined(local.get(target, kind), kind)
+                local[target] = _common_kind(local.get(target, kind), kind)
             case ast.Assign(targets=[ast.Tuple(elts=targets)], value=value):
                 self.of(value, name)
                 local.update({ast.unparse(element): REAL for element in targets})
             case ast.AugAssign(target=ast.Name(id=target), value=value):
-                local[target] = _joined(local[target], self.of(value, name))
+                local[target] = _common_kind(local[target], self.of(value, name))
             case (
                 ast.Assign(targets=[place], value=value) | ast.AugAssign(target=place, value=value)
             ):
@@ -240,12 +243,12 @@ class Kinds:
                 self.signatures[name].several = len(values)
             case ast.Return(value=ast.expr() as value):
                 before, kind = self.signatures[name].returned, self.of(value, name)
-                self.signatures[name].returned = _joined(before or kind, kind)
+                self.signatures[name].returned = _common_kind(before or kind, kind)
             case ast.Expr(value=value):
                 self.of(value, name)
 
     def of(self, node: ast.expr, name: str) -> str:
-        """Return the kind of an expression in a function."""
+        """Return the kind of an expression in the function ``name``."""
         function = self.functions[name]
         match node:
             case ast.Constant(value=value):
@@ -266,13 +269,13 @@ class Kinds:
                 return INT if table.dtype.kind == "i" else REAL
             case ast.BinOp(left=left, right=right, op=op):
                 kinds = self.of(left, name), self.of(right, name)
-                return REAL if isinstance(op, ast.Div) else _joined(*kinds)
+                return REAL if isinstance(op, ast.Div) else _common_kind(*kinds)
             case ast.UnaryOp(operand=operand, op=op):
                 kind = self.of(operand, name)
                 return INT if isinstance(op, ast.Not) else kind
             case ast.IfExp(test=test, body=body, orelse=orelse):
                 self.of(test, name)
-                return _joined(self.of(body, name), self.of(orelse, name))
+                return _common_kind(self.of(body, name), self.of(orelse, name))
             case ast.Compare(left=left, comparators=others):
                 for operand in (left, *others):
                     self.of(operand, name)
@@ -284,19 +287,24 @@ class Kinds:
             case ast.Attribute(attr="inf"):
                 return REAL
             case ast.Call():
-                return self._called(node, name)
-        reject(f"a line of {name} has no counterpart in C: {ast.unparse(node)}.")
+                return self._call_kind(node, name)
+        reject_line(node, name)
 
-    def _called(self, node: ast.Call, name: str) -> str:
+    def _call_kind(self, node: ast.Call, name: str) -> str:
         given = [self.of(argument, name) for argument in node.args]
         called = ast.unparse(node.func)
         if called in self.functions and called != "sincos":
             return self.follow(called, given).returned or "void"
         if called in ("np.empty", "np.zeros"):
             return POINTER
-        if called in LIKE_ITS_ARGUMENTS:
+        if called in INTEGER_PRESERVING:
             return INT if set(given) == {INT} else REAL
         return INT if called == "int" else REAL
+
+
+def reject_line(node: ast.AST, name: str) -> NoReturn:
+    """Raise InputError for a line of the function ``name`` that C cannot express."""
+    reject("a line has no counterpart in C.", where=name, why=f"The line is {ast.unparse(node)}.")
 
 
 def constant_of(name: str, function: Function) -> Any:
@@ -308,18 +316,18 @@ def constant_of(name: str, function: Function) -> Any:
 
 
 def _base(node: ast.expr) -> str:
-    """Return the name of an array or a table, whatever indices follow it."""
+    """Return the name of an array or a table without its indices."""
     while isinstance(node, ast.Subscript):
         node = node.value
     return ast.unparse(node)
 
 
-def _joined(a: str, b: str) -> str:
+def _common_kind(a: str, b: str) -> str:
     return REAL if {a, b} == {INT, REAL} else a
 
 
-def with_lengths(body: list[ast.stmt]) -> list[ast.stmt]:
-    """Let arrays have lengths that the compiler knows: names that have one value are that value."""
+def fix_array_lengths(body: list[ast.stmt]) -> list[ast.stmt]:
+    """Give arrays constant lengths: replace names that are assigned once by their values."""
     values: dict[str, list[ast.expr]] = {}
     arrays = []
     for x in (x for statement in body for x in ast.walk(statement)):
@@ -343,8 +351,8 @@ def with_lengths(body: list[ast.stmt]) -> list[ast.stmt]:
     return body
 
 
-def used(body: list[ast.stmt]) -> list[ast.stmt]:
-    """Leave out values that nothing reads, until none is left."""
+def remove_unread(body: list[ast.stmt]) -> list[ast.stmt]:
+    """Remove assignments of values that nothing reads, repeatedly."""
     while True:
         read = {
             x.id
@@ -352,14 +360,14 @@ def used(body: list[ast.stmt]) -> list[ast.stmt]:
             for x in ast.walk(statement)
             if isinstance(x, ast.Name) and isinstance(x.ctx, ast.Load)
         }
-        pruned = _Unread(read)
+        pruned = _UnreadRemover(read)
         body = [left for statement in body if (left := pruned.visit(statement)) is not None]
         if not pruned.found:
             return body
 
 
-class _Unread(ast.NodeTransformer):
-    """Takes away assignments of values to names that are not read."""
+class _UnreadRemover(ast.NodeTransformer):
+    """Removes assignments to names that are not in ``read``."""
 
     def __init__(self, read: set[str]) -> None:
         self.read, self.found = read, False
@@ -372,28 +380,28 @@ class _Unread(ast.NodeTransformer):
         return node
 
 
-#: A place of a name: the blocks around it, from the outermost on, the statement, and whether it
-#: gets a value there.
+#: A use of a name: the enclosing blocks from the outermost on, the statement, and True for an
+#: assignment.
 _Place = tuple[tuple[int, ...], int, bool]
 
 
 class Scopes:
-    """Where names are declared: as they first get a value, if all that use them stand there."""
+    """The places of declarations: the first assignment of a name, if all its uses are in scope."""
 
     def __init__(self, body: list[ast.stmt], arguments: set[str]) -> None:
         self._places: dict[str, list[_Place]] = {}
         self._visit(body, (), frozenset(arguments))
-        #: Of each name and statement that declares it, whether it has no other value later.
+        #: For each name and the statement that declares it, True if the value is constant.
         self.begins: dict[tuple[str, int], bool] = {}
         self.stored = {k for k, x in self._places.items() if any(gets for *_, gets in x)}
-        #: Names and statements that give them a value which nothing reads.
+        #: Names and statements that assign a value which nothing reads.
         self.unread: set[tuple[str, int]] = set()
-        #: Names that must be known before.
-        self.ahead = {name for name, places in self._places.items() if self._declared(name, places)}
+        #: Names to declare at the beginning of the function.
+        self.ahead = {name for name, places in self._places.items() if self._declare(name, places)}
 
-    def _declared(self, name: str, places: list[_Place]) -> bool:
-        """Declare a name where it first gets a value; return whether it must be known before."""
-        declarations = _beginnings(places, 0)
+    def _declare(self, name: str, places: list[_Place]) -> bool:
+        """Find the declarations of a name; return True if it needs one at the beginning."""
+        declarations = _find_declarations(places, 0)
         if declarations is not None:
             for statement_id, fixed, read in declarations:
                 if read:
@@ -439,10 +447,10 @@ class Scopes:
             self._places.setdefault(target.id, []).append((path, id(at), True))
 
 
-def _beginnings(places: list[_Place], depth: int) -> list[tuple[int, bool, bool]] | None:
-    """Return the statements that declare a name, whether it has one value and is read behind them.
+def _find_declarations(places: list[_Place], depth: int) -> list[tuple[int, bool, bool]] | None:
+    """Return the statements that declare a name; None if its value may come from another block.
 
-    None where a name that is read may have got its value in another block.
+    Each entry is the statement, True if the value is constant, and True if it is read later.
     """
     while all(len(x) > depth and x[depth] == places[0][0][depth] for x, _, _ in places):
         depth += 1
@@ -454,7 +462,7 @@ def _beginnings(places: list[_Place], depth: int) -> list[tuple[int, bool, bool]
         return None
     declarations = []
     for _, some in groupby(places, key=lambda x: x[0][depth]):
-        inner = _beginnings(list(some), depth + 1)
+        inner = _find_declarations(list(some), depth + 1)
         if inner is None:
             return None
         declarations += inner

@@ -1,7 +1,7 @@
-"""A module and what drives it as a file of C99 and its header: no allocation, no input or output.
+"""Write a module and its driver as a C99 file and header, without allocation, input or output.
 
-The functions are those of the module and of the driver, one for one, for one trajectory; what
-calls them for a step stands in ``step.c``. The C library is asked for functions of <math.h> alone.
+Each function of the module and of the driver becomes a C function, for one trajectory. The template
+``step.c`` has the functions that call them for a step. The code needs only <math.h>.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from symsimpson.targets.c.statements import (
     Expressions,
     comment,
     number,
-    written_function,
+    write_function,
 )
 from symsimpson.targets.llvm.intrinsics import read_functions
 from symsimpson.targets.llvm.trees import Text, read_text
@@ -45,8 +45,8 @@ from symsimpson.text.interface import EXPLICIT, constants
 from symsimpson.text.syntax import syntax
 from symsimpson.text.workspace_layout import BLOCKS, DRIVER_LAYOUT
 
-#: Outcomes of runs that are no outcomes of a step.
-OF_RUNS = (
+#: Outcomes of runs that cannot be the outcome of a single step.
+RUN_OUTCOMES = (
     Status.INTERRUPTED,
     Status.DIVERGED,
     Status.SINGULAR_JACOBIAN,
@@ -54,17 +54,17 @@ OF_RUNS = (
     Status.RATE_NOT_POSITIVE,
     Status.TOLERANCE_NOT_MET,
 )
-OUTCOMES = "Outcomes of a call: 0, or why the step was not taken; q and p are then unchanged."
-#: Copies of a workspace stand on the stack, of which programs have 8 MB.
+OUTCOMES = "Results of a call: 0, or why it failed. A failed step does not change q and p."
+#: The largest size of workspace copies on the stack, in bytes; programs usually have 8 MB.
 MOST_STACK = 2**22
-#: What other files see, behind the prefix.
+#: Public names of the C code, without their prefix.
 PUBLIC = ("state", "begin", "begin_moving", "step", "energy", "get")
-#: Functions whose names <math.h> or C itself may have.
+#: C names of functions whose own names <math.h> or C may use.
 RENAMED = {"finite": "all_finite"}
 
 
-class _Sets(KernelSets):
-    """Sets of kernels by their names."""
+class _KernelNameSets(KernelSets):
+    """Sets of kernels, which contain the names of the kernels."""
 
     location = "a file of C"
 
@@ -79,45 +79,50 @@ class _Sets(KernelSets):
 
     @property
     def all(self) -> list[tuple[int, tuple[str, ...]]]:
-        """Sets to take steps with, each where the one before fails, without repetitions."""
+        """The sets in the order in which a step tries them, without repetitions."""
         return list(dict.fromkeys(map(self.set, self.fallbacks)))
 
 
-def written_c(program: Program, prefix: str) -> tuple[str, str]:
-    """Return the header and the source of a stepper in C.
+def write_c(program: Program, prefix: str) -> tuple[str, str]:
+    """Return the texts of the C header and of the C source of a stepper.
 
-    ``prefix`` begins all names that other files see. Raises InputError if it computes with many
-    digits, keeps a time of its own, or is too large for loops of C.
+    All public names begin with ``prefix``. Raises InputError if the stepper has a ``precision``,
+    the system has a time transformation, or a step needs more stack than ``MOST_STACK``.
     """
     header = program.header
     if not program.numbers.compiled:
         reject(
-            "a stepper of many digits cannot be exported: C has double precision.",
-            remedy="Export the stepper compiled without precision; its equations are the same.",
+            "a stepper with many digits cannot be exported.",
+            where=header.system,
+            why="C has double precision.",
+            remedy="Export the stepper compiled without precision. Its equations are the same.",
         )
     if header.retimed:
         reject(
-            f"{header.system} keeps a time of its own, and steps in C have the size that they are "
-            "given.",
+            "a system with a time transformation cannot be exported.",
+            where=header.system,
+            why="Steps in C have a fixed size in time.",
             remedy="Export the system before retimed().",
         )
     if header.newton_unknowns and _stack(header) > MOST_STACK:
         reject(
-            f"a step of {header.system} would take {_stack(header) / 2**20:.0f} MB of stack in C.",
-            remedy="Export an explicit scheme, as 'kahan_li8', where M is constant; or "
-            "fewer coordinates.",
+            f"a step would take {_stack(header) / 2**20:.0f} MB of stack in C.",
+            where=header.system,
+            why=f"The limit is {MOST_STACK / 2**20:.0f} MB.",
+            remedy="Export a system with fewer coordinates. If M is constant, you can also export "
+            "an explicit scheme such as 'kahan_li8'.",
         )
     return _Writer(program, prefix).files()
 
 
 def _stack(header: Header) -> int:
-    """Return the bytes of copies that are made of a workspace while a step is looked at."""
+    """Return the size of the workspace copies of a step on the stack, in bytes."""
     return 8 * (2 * header.rows + 9 * header.layout["UNKNOWNS"] + 64)
 
 
 @dataclass(frozen=True, eq=False)
 class _Writer:
-    """Writes the parts of the files."""
+    """Writes the header and the source file of a program."""
 
     program: Program
     prefix: str
@@ -128,7 +133,7 @@ class _Writer:
 
     @cached_property
     def _sets(self) -> list[tuple[int, tuple[str, ...]]]:
-        return _Sets(self._header, by_stages=self._header.by_stages).all
+        return _KernelNameSets(self._header, by_stages=self._header.by_stages).all
 
     @cached_property
     def _driver(self) -> Text:
@@ -136,7 +141,7 @@ class _Writer:
 
     @cached_property
     def _expressions(self) -> Expressions:
-        """Functions that a step calls, with the kinds of their numbers."""
+        """The writer of expressions, which knows the kinds of all functions that a step calls."""
         text, driver = self.program.source, self._driver
         driver_layout = dict(zip(DRIVER_LAYOUT, self._header.driver_layout.tolist(), strict=True))
         module = read_text(text)
@@ -163,25 +168,25 @@ class _Writer:
 
     @cached_property
     def _kernels(self) -> list[str]:
-        """Kernels that are called by their address, or from outside."""
+        """Names of the kernels that sets contain, or that ``step.c`` calls."""
         called = [x for _, kernels in self._sets for x in kernels if x != "0"]
         return list(dict.fromkeys([*called, "legendre", "energy"]))
 
     def files(self) -> tuple[str, str]:
-        """Write the header and the source."""
+        """Return the texts of the header and of the source."""
         write = self._expressions
         functions = [
             line
-            for name in _in_order(write.kinds)
-            for line in written_function(write.kinds.functions[name], write)
+            for name in _dependency_order(write.kinds)
+            for line in write_function(write.kinds.functions[name], write)
         ]
-        step = self._filled("step.c").splitlines()
+        step = self._fill_template("step.c").splitlines()
         agreed = {**self._driver.constants, **constants(), **self._header.layout}
         for name in re.findall(r"\b[A-Z][A-Z_]+\b", "\n".join(step)):  # constants that it names
             if name in agreed:
                 write.constants.setdefault(name, agreed[name])
         lines = [
-            *comment(self._said()),
+            *comment(self._source_comment()),
             "",
             "#include <math.h>",
             f'#include "{self.prefix}.h"',
@@ -198,21 +203,22 @@ class _Writer:
             *self._tables_of_kernels(),
             *step,
         ]
-        return self._filled("step.h"), "\n".join(lines) + "\n"
+        return self._fill_template("step.h"), "\n".join(lines) + "\n"
 
-    def _said(self) -> str:
-        """Return what the file says of itself."""
+    def _source_comment(self) -> str:
+        """Return the first comment of the source file."""
         header = self._header
         doc = syntax(self.program.source).body[0].value.value  # type: ignore[attr-defined]
         about = re.sub("(?m)^(State|Parameters):", r"    \1:", doc.split("Kernels take")[0].strip())
         return (
             f"{about}\n\nWritten by symsimpson from the module of digest {header.digest[:16]}; "
-            "change the system, not this file. W is the workspace, blocks of rows; a lane is a "
-            "trajectory, of which there is one. Sums are compensated: -ffast-math would undo it."
+            "change the system, not this file. W is the workspace, which consists of blocks of "
+            "rows. It has one lane, for one trajectory. Do not compile with -ffast-math: it would "
+            "break the compensated sums."
         )
 
-    def _faced(self) -> str:
-        """Return what the header says of itself."""
+    def _header_comment(self) -> str:
+        """Return the first comment of the header file."""
         header = self._header
         pairs = zip(header.parameters, header.defaults, strict=True)
         parameters = ", ".join(f"{name} ({value:g})" for name, value in pairs) or "none"
@@ -222,29 +228,29 @@ class _Writer:
             f"    Coordinates: {', '.join(header.coordinates)}\n"
             f"    Parameters, with the values of the declaration: {parameters}\n"
             f"    Inputs, held constant during a step: {', '.join(header.inputs) or 'none'}\n\n"
-            "Arrays q, v, p, parameters and inputs have this order; p are conjugate momenta dL/dv, "
-            "units are those of the declaration, angles are not wrapped. Nothing is allocated, and "
-            f"nothing is kept outside the state, of {8 * header.rows + 24} bytes: threads may each "
-            f"have one.{self._held()}"
+            "The arrays q, v, p, parameters and inputs have this order. p are the conjugate "
+            "momenta dL/dv. Units are those of the declaration. Angles are not wrapped. The code "
+            f"allocates no memory and has no global state. A state has {8 * header.rows + 24} "
+            f"bytes, and each thread can have its own.{self._constraint_comment()}"
         )
 
-    def _held(self) -> str:
-        """Return what is said of constraints."""
+    def _constraint_comment(self) -> str:
+        """Return the paragraph of the comment about constraints; "" without constraints."""
         names = self._header.constraints
         if not names:
             return ""
         return (
-            f"\n\nThe start must satisfy the constraints {', '.join(names)}, and velocities or "
-            "momenta what follows from them; this is not checked here. In Python "
-            "system.consistent(q0, v0) finds such a start."
+            f"\n\nThe initial positions must satisfy the constraints {', '.join(names)}. The "
+            "initial velocities or momenta must satisfy their time derivatives. The C code does "
+            "not check this. In Python, system.consistent(q0, v0) returns such a state."
         )
 
     def _constants(self) -> Iterator[str]:
-        """Write blocks of the workspace in their order, then all other constants."""
+        """Yield the constants: blocks of the workspace in their order, then all others."""
         values = self._expressions.constants
         whole = {k: v for k, v in values.items() if isinstance(v, (int, np.integer))}
         blocks = {k: whole.pop(k) for k in sorted(whole, key=whole.__getitem__) if k in BLOCKS}
-        yield "/* the workspace: first row of each block */"
+        yield "/* The first row of each block of the workspace. */"
         yield "enum {"
         for name, value in blocks.items():
             line = f"    {name} = {value},"
@@ -252,7 +258,7 @@ class _Writer:
         yield f"    ROWS = {whole.pop('ROWS') + 1}"  # the last row is the driver's
         yield "};"
         yield ""
-        yield "/* sizes and strides, limits, outcomes */"
+        yield "/* Sizes, strides, limits and results of steps. */"
         yield "enum {"
         pairs = ", ".join(f"{name}~=~{number(x)}" for name, x in whole.items())
         lines = textwrap.wrap(pairs, WIDTH, initial_indent="    ", subsequent_indent="    ")
@@ -276,7 +282,7 @@ class _Writer:
                 yield f"{first}_{name} = {place}"
 
     def _tables_of_kernels(self) -> Iterator[str]:
-        yield "/* sets of kernels, each for steps at which the one before fails */"
+        yield "/* Sets of kernels. A step tries the next set if a set fails. */"
         yield "static const kernels SETS[] = {"
         for mode, names in self._sets:
             yield f"    {{{mode}, {{0, {', '.join(names)}}}}},"
@@ -284,12 +290,12 @@ class _Writer:
         yield f"enum {{ NUMBER_OF_SETS = {len(self._sets)}, STRETCH = {FALLBACK_STRETCH} }};"
         yield ""
 
-    def _filled(self, name: str) -> str:
-        """Fill in a text that stands beside this file, for the kind of steps that are taken."""
+    def _fill_template(self, name: str) -> str:
+        """Fill in the template ``name`` of this folder, for explicit or implicit steps."""
         header = self._header
         modes = {mode for mode, _ in self._sets}
         explicit, n = EXPLICIT in modes, header.n
-        outcomes = [x for x in Status if x not in OF_RUNS]
+        outcomes = [x for x in Status if x not in RUN_OUTCOMES]
         text = resources.files("symsimpson.targets.c").joinpath(name).read_text("utf-8")
         parts = {
             "explicit": explicit,
@@ -313,10 +319,10 @@ class _Writer:
             rows=header.rows + 1,
             stack=_stack(header),
             hopeless="".join(
-                f"\n            || W[STATUS] == {x.name}" for x in HOPELESS if x not in OF_RUNS
+                f"\n            || W[STATUS] == {x.name}" for x in HOPELESS if x not in RUN_OUTCOMES
             ),
             defaults=", ".join(map(number, header.defaults)) or "0.0",
-            said="\n".join(comment(self._faced())),
+            said="\n".join(comment(self._header_comment())),
             places=",\n".join(self._places()),
             outcomes=",\n".join(
                 f"    {self.prefix.upper()}_{x.name:<{width}} = {x.value}" for x in outcomes
@@ -326,7 +332,7 @@ class _Writer:
 
 
 def identifiers(names: Sequence[str]) -> list[str]:
-    """Return the part of an identifier of C for each name; all parts differ."""
+    """Return a different C identifier for each name."""
     parts = {name: name for name in names if re.fullmatch(r"\w+", name, re.ASCII)}
     for name in names:
         letters = unicodedata.normalize("NFKD", name)
@@ -338,27 +344,27 @@ def identifiers(names: Sequence[str]) -> list[str]:
 
 
 def _in_ascii(letter: str) -> str:
-    """Return a letter, or the last word of its name in Unicode, as "omega"."""
+    """Return an ASCII letter, or the last word of its Unicode name, such as "omega"."""
     word = letter if letter.isascii() else unicodedata.name(letter, "unknown").split()[-1]
     return word.lower() if letter.islower() else word
 
 
-def _in_order(kinds: Kinds) -> Iterator[str]:
-    """Give functions behind those that they call."""
-    given: set[str] = set()
+def _dependency_order(kinds: Kinds) -> Iterator[str]:
+    """Iterate over function names, each after the functions that it calls."""
+    visited: set[str] = set()
 
-    def reach(name: str) -> Iterator[str]:
-        if name in given:
+    def visit(name: str) -> Iterator[str]:
+        if name in visited:
             return
-        given.add(name)
+        visited.add(name)
         for statement in kinds.functions[name].body:
             for x in ast.walk(statement):
                 if isinstance(x, ast.Name) and x.id in kinds.signatures:
-                    yield from reach(x.id)
+                    yield from visit(x.id)
         yield name
 
     for name in list(kinds.signatures):
-        yield from reach(name)
+        yield from visit(name)
 
 
 def _entries(table: Any) -> str:
@@ -367,7 +373,7 @@ def _entries(table: Any) -> str:
     return number(table.item())
 
 
-#: Names of C, but for those that belong to the compiler.
+#: C identifiers that do not begin with an underscore.
 NAME = re.compile("[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 
 
@@ -377,10 +383,10 @@ def write_files(program: Program, path: str | os.PathLike[str]) -> tuple[Path, P
     name = place.name.removesuffix(".c").removesuffix(".h")
     if not NAME.fullmatch(name) or name in {*WORDS, "math"}:
         reject(
-            f"path is {os.fspath(path)!r}, and {name!r} begins no name of C.",
-            remedy="Take letters and digits, and a letter first: 'firmware/top'.",
+            f"path is {os.fspath(path)!r}, but {name!r} cannot be a prefix of C names.",
+            remedy="Use letters, digits and underscores, with a letter first: 'firmware/top'.",
         )
-    texts = written_c(program, name)
+    texts = write_c(program, name)
     paths = place.with_name(f"{name}.h"), place.with_name(f"{name}.c")
     for target, text in zip(paths, texts, strict=True):
         write_text(target, text, "C file")

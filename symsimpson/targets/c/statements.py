@@ -1,4 +1,4 @@
-"""Functions of Python as C writes them, with their comments."""
+"""Write Python functions as C functions, with their comments."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.errors import reject
 from symsimpson.targets.c.kinds import (
     INT,
     REAL,
@@ -20,11 +19,12 @@ from symsimpson.targets.c.kinds import (
     Kinds,
     Scopes,
     constant_of,
-    used,
-    with_lengths,
+    fix_array_lengths,
+    reject_line,
+    remove_unread,
 )
 
-#: How tightly operators bind: what is looser stands in parentheses.
+#: Precedence of operators, from the loosest; looser operands need parentheses.
 CHOICE, OR, AND, EQUAL, LESS, SUM, PRODUCT, SIGN, WHOLE = range(9)
 OPERATORS: dict[type, tuple[str, int]] = {
     ast.Add: (" + ", SUM),
@@ -44,10 +44,10 @@ OPERATORS: dict[type, tuple[str, int]] = {
     ast.Gt: (" > ", LESS),
     ast.GtE: (" >= ", LESS),
 }
-#: Powers that are written as products, where a name is raised.
+#: The largest power of a name that is written as a product.
 SHORT = 4
 
-#: Functions of our own, written where they are called.
+#: Definitions of C helper functions; a file has those that it calls.
 HELPERS = {
     "smaller": "static double smaller(double a, double b)\n{\n    return b < a ? b : a;\n}\n",
     "larger": "static double larger(double a, double b)\n{\n    return b > a ? b : a;\n}\n",
@@ -56,12 +56,12 @@ HELPERS = {
     "abs_int": "static int abs_int(int a)\n{\n    return a < 0 ? -a : a;\n}\n",
     "square": "static double square(double a)\n{\n    return a * a;\n}\n",
 }
-#: Functions that are called by these names: no variable of a text may hide one.
+#: Names of functions that no variable may hide.
 CALLED = frozenset([*HELPERS, "fabs", "pow"])
 
 
 def number(value: Any) -> str:
-    """Write a number with all its digits."""
+    """Write a number in C with all its digits."""
     if isinstance(value, (bool, int, np.integer)):
         return str(int(value))
     value = float(value)
@@ -74,28 +74,28 @@ def number(value: Any) -> str:
 
 @dataclass
 class Expressions:
-    """Writes expressions of functions, and keeps in mind what they need."""
+    """Writes expressions in C, and collects the constants and helpers that they need."""
 
     kinds: Kinds
-    called: dict[str, str]  #: Names in C of the functions of the texts.
-    #: Names in C of local names, where these are taken.
+    called: dict[str, str]  #: C names of the functions of the texts.
+    #: C names of local names that C or a helper already uses.
     renamed: dict[str, str] = field(default_factory=dict)
-    #: Values of the constants that are named, by their names in C.
+    #: Values of the constants that expressions name, by their C names.
     constants: dict[str, Any] = field(default_factory=dict)
-    #: Functions of this package's own that are called.
+    #: Names of the helper functions that expressions call.
     helpers: set[str] = field(default_factory=set)
 
     def write(self, node: ast.expr, name: str, around: int = CHOICE) -> str:
-        """Write an expression in a function, as an operand of something that binds so tightly."""
-        text, tight = self._written(node, name)
+        """Write an expression of the function ``name`` as an operand of precedence ``around``."""
+        text, tight = self._write_node(node, name)
         return f"({text})" if tight < around else text
 
-    def _written(self, node: ast.expr, name: str) -> tuple[str, int]:
+    def _write_node(self, node: ast.expr, name: str) -> tuple[str, int]:
         match node:
             case ast.Constant(value=value):
                 return number(value), WHOLE
             case ast.Name(id=identifier):
-                return self._named(identifier, name), WHOLE
+                return self._write_name(identifier, name), WHOLE
             case ast.Attribute(attr="inf"):
                 return "INFINITY", WHOLE
             case ast.Subscript(value=ast.Name(id="kernels"), slice=index):
@@ -110,9 +110,9 @@ class Expressions:
                     place = f"(int)({place})"
                 return f"{self.write(value, name, WHOLE)}[{place}]", WHOLE
             case ast.BinOp(left=left, op=ast.Pow(), right=right):
-                return self._power(left, right, name)
+                return self._write_power(left, right, name)
             case ast.BinOp(left=left, op=op, right=right):
-                return self._operation(left, op, right, name)
+                return self._write_operation(left, op, right, name)
             case ast.UnaryOp(op=ast.Not(), operand=operand):
                 return f"!{self.write(operand, name, SIGN)}", SIGN
             case ast.UnaryOp(op=ast.USub(), operand=operand):
@@ -121,15 +121,15 @@ class Expressions:
                 sign, tight = OPERATORS[type(op)]
                 return sign.join(self.write(x, name, EQUAL) for x in values), tight
             case ast.Compare(left=left, ops=ops, comparators=others):
-                return self._compared([left, *others], ops, name)
+                return self._write_comparison([left, *others], ops, name)
             case ast.IfExp(test=test, body=body, orelse=orelse):
                 parts = (self.write(x, name, OR) for x in (test, body, orelse))
                 return "{} ? {} : {}".format(*parts), CHOICE
             case ast.Call(func=func, args=given):
-                return self._call(ast.unparse(func), given, name)
-        reject(f"a line of {name} has no counterpart in C: {ast.unparse(node)}.")
+                return self._write_function_call(ast.unparse(func), given, name)
+        reject_line(node, name)
 
-    def _named(self, identifier: str, name: str) -> str:
+    def _write_name(self, identifier: str, name: str) -> str:
         if identifier in self.kinds.names[name]:
             return self.renamed.get(identifier, identifier)
         if identifier in self.called:
@@ -141,22 +141,24 @@ class Expressions:
         if self.constants.setdefault(here, value) is not value and not np.array_equal(
             self.constants[here], value
         ):
-            return number(value)  # the driver has another one of this name
+            return number(value)  # module and driver have different constants of this name
         return here
 
-    def _operation(
+    def _write_operation(
         self, left: ast.expr, op: ast.operator, right: ast.expr, name: str
     ) -> tuple[str, int]:
         sign, tight = OPERATORS[type(op)]
         if tight in (AND, OR):
             return sign.join(self.write(x, name, EQUAL) for x in (left, right)), tight
         first = self.write(left, name, tight)
-        second = self.write(right, name, tight + 1)  # sums are added up in the same order
+        second = self.write(right, name, tight + 1)  # C adds in the same order
         if isinstance(op, ast.Div) and {self.kinds.of(x, name) for x in (left, right)} == {INT}:
             first = f"(double){self.write(left, name, WHOLE)}"
         return f"{first}{sign}{second}", tight
 
-    def _compared(self, values: list[ast.expr], ops: list[ast.cmpop], name: str) -> tuple[str, int]:
+    def _write_comparison(
+        self, values: list[ast.expr], ops: list[ast.cmpop], name: str
+    ) -> tuple[str, int]:
         parts = []
         for left, op, right in zip(values, ops, values[1:], strict=False):
             sign, _ = OPERATORS[type(op)]
@@ -165,7 +167,7 @@ class Expressions:
             )
         return (" && ".join(parts), AND) if len(parts) > 1 else (parts[0], EQUAL)
 
-    def _power(self, base: ast.expr, to: ast.expr, name: str) -> tuple[str, int]:
+    def _write_power(self, base: ast.expr, to: ast.expr, name: str) -> tuple[str, int]:
         exponent = getattr(to, "value", None)
         if isinstance(exponent, int) and 2 <= exponent <= SHORT:
             if isinstance(base, (ast.Name, ast.Subscript)):
@@ -176,7 +178,9 @@ class Expressions:
                 return f"square({self.write(base, name)})", WHOLE
         return f"pow({self.write(base, name)}, {self.write(to, name)})", WHOLE
 
-    def _call(self, called: str, given: list[ast.expr], name: str) -> tuple[str, int]:
+    def _write_function_call(
+        self, called: str, given: list[ast.expr], name: str
+    ) -> tuple[str, int]:
         written = [self.write(x, name) for x in given]
         if called == "call":
             first, *others = written
@@ -205,13 +209,13 @@ class Expressions:
         return f"{called}({', '.join(written)})", WHOLE
 
 
-#: How a line that declares numbers begins.
+#: Beginning of a line that declares numbers.
 DECLARED = re.compile(r"\s+(const (?:double|int)) ")
-#: Where lines are broken: at spaces, but not behind an operator.
+#: Places where a line may break: spaces that do not follow an operator.
 BREAK = re.compile(r"(?<![-+*/?:<>=&|]) ")
-#: No line of the file is longer.
+#: The largest length of a line.
 WIDTH = 96
-#: Words that are no names in C, or not everywhere; those of the texts may be.
+#: Reserved words of C and C++, which names of the texts may equal.
 WORDS = frozenset(
     re.findall(
         r"\w+",
@@ -222,12 +226,12 @@ WORDS = frozenset(
         "math_errhandling",
     )
 )
-#: Names that are macros of <math.h>, or may be.
+#: Names that may be macros of <math.h>.
 MACRO = re.compile("[A-Z][A-Z0-9_]+")
 
 
 def comment(text: str, indent: str = "") -> list[str]:
-    """Write a comment of C over as many lines as it takes; indented lines stay lines."""
+    """Return the lines of a C comment, wrapped; indented lines of the text stay lines."""
     text = text.replace("*/", "* /").replace("/*", "/ *")
     lines: list[str] = []
     for right, group in groupby(text.split("\n"), key=lambda x: x.startswith(" ") or not x):
@@ -241,46 +245,46 @@ def comment(text: str, indent: str = "") -> list[str]:
     return [f"{indent}/* {lines[0]}", *rest, f"{indent} */"]
 
 
-def written_function(function: Function, expressions: Expressions) -> list[str]:
-    """Write a function; the kinds of its arguments are known."""
-    return _Body(function, expressions).written()
+def write_function(function: Function, expressions: Expressions) -> list[str]:
+    """Return the lines of a C function, and an empty line; its signature must be known."""
+    return _FunctionWriter(function, expressions).write()
 
 
 @dataclass
-class _Body:
-    """Writes the statements of a function."""
+class _FunctionWriter:
+    """Writes the statements of one function in C."""
 
     function: Function
     expressions: Expressions
     pairs: int = 0
 
-    def written(self) -> list[str]:
-        """Return the lines of the function, and an empty one behind it."""
+    def write(self) -> list[str]:
+        """Return the lines of the function, and an empty line."""
         name, write = self.function.name, self.expressions
         signature, kinds = write.kinds.signatures[name], write.kinds.names[name]
-        body = used(with_lengths(self.function.body))
+        body = remove_unread(fix_array_lengths(self.function.body))
         write.renamed = {
             x: f"{x}_" for x in kinds if x in WORDS or x in CALLED or MACRO.fullmatch(x)
         }
         self.scopes = Scopes(body, set(self.function.arguments))
         read = {x.id for statement in body for x in ast.walk(statement) if isinstance(x, ast.Name)}
-        arguments = [_declared(kinds[x], self._name(x)) for x in self.function.arguments]
+        arguments = [_declaration(kinds[x], self._name(x)) for x in self.function.arguments]
         arguments += ["double *result"] if signature.several else []
         head = f"{signature.returned or 'void'} {write.called[name]}({', '.join(arguments)})"
         lines = comment(self.function.doc) if self.function.doc else []
-        lines += [*_broken(f"static {head}", ""), "{"]
+        lines += [*_break_line(f"static {head}", ""), "{"]
         unused = [f"(void){x};" for x in self.function.arguments if x not in read]
         lines += [f"    {' '.join(unused)}"] if unused else []
         for variable in sorted(self.scopes.ahead & self.scopes.stored):
             value = "0" if kinds[variable] == INT else "0.0"
-            lines.append(f"    {_declared(kinds[variable], self._name(variable))} = {value};")
+            lines.append(f"    {_declaration(kinds[variable], self._name(variable))} = {value};")
         return [*lines, *self._block(body, "    "), "}", ""]
 
     def _block(self, body: list[ast.stmt], indent: str) -> list[str]:
         lines: list[str] = []
         line, joined = -1, ""
         for statement in body:
-            beside = statement.lineno == line  # values that one line of the text gives
+            beside = statement.lineno == line  # one line of the text may assign several values
             if not beside:
                 lines += self._comments(statement, indent)
             texts = list(self._statement(statement, indent))
@@ -293,7 +297,7 @@ class _Body:
         return lines
 
     def _comments(self, statement: ast.stmt, indent: str) -> list[str]:
-        """Return the comments above a statement."""
+        """Return the comment above a statement, as C."""
         lines, at, comments = self.function.source.lines, statement.lineno - 2, []
         while at >= 0 and lines[at].lstrip().startswith("# "):
             comments.append(lines[at].strip("# \n"))
@@ -312,7 +316,7 @@ class _Body:
                 head = (
                     f"{index} = {self._text(first)}; {index} {'<>'[back]} {self._text(last)}; {on}"
                 )
-                yield from _broken(f"for (int {head}) {{", indent)
+                yield from _break_line(f"for (int {head}) {{", indent)
                 yield from self._block(body, inner)
                 yield f"{indent}}}"
             case ast.For(target=ast.Name(id=index), iter=ast.Name() as table, body=body):
@@ -323,63 +327,63 @@ class _Body:
                 yield from self._block(body, inner)
                 yield f"{indent}}}"
             case ast.If(test=test, body=body, orelse=orelse):
-                yield from _broken(f"if ({write(test, name)}) {{", indent)
+                yield from _break_line(f"if ({write(test, name)}) {{", indent)
                 yield from self._block(body, inner)
                 if orelse:
                     yield f"{indent}}} else {{"
                     yield from self._block(orelse, inner)
                 yield f"{indent}}}"
             case ast.Assign(targets=[ast.Tuple(elts=targets)], value=ast.Call() as call):
-                yield from self._several(statement, targets, call, indent)
+                yield from self._write_call(statement, targets, call, indent)
             case ast.Assign(targets=[target], value=ast.Call(func=func, args=[shape])) if (
                 ast.unparse(func) in ("np.empty", "np.zeros")
             ):
                 zeros = " = {0}" if "zeros" in ast.unparse(func) else ""
                 yield f"{indent}double {self._text(target)}[{self._text(shape)}]{zeros};"
             case ast.Assign(targets=[target], value=value):
-                yield from self._assigned(statement, target, write(value, name), indent)
+                yield from self._write_assignment(statement, target, write(value, name), indent)
             case ast.AugAssign(target=target, op=op, value=value):
                 sign = {ast.Add: "+=", ast.Sub: "-=", ast.Mult: "*=", ast.Div: "/="}[type(op)]
                 text = f"{write(target, name)} {sign} {write(value, name)};"
-                yield from _broken(text, indent)
+                yield from _break_line(text, indent)
             case ast.Return(value=None):
                 yield f"{indent}return;"
             case ast.Return(value=ast.Tuple(elts=values)):
                 for k, value in enumerate(values):
-                    yield from _broken(f"result[{k}] = {write(value, name)};", indent)
+                    yield from _break_line(f"result[{k}] = {write(value, name)};", indent)
             case ast.Return(value=ast.expr() as value):
-                yield from _broken(f"return {write(value, name)};", indent)
+                yield from _break_line(f"return {write(value, name)};", indent)
             case ast.Pass():
                 yield f"{indent};"
             case ast.Break():
                 yield f"{indent}break;"
             case ast.Expr(value=ast.Call() as call):
-                yield from _broken(f"{write(call, name)};", indent)
+                yield from _break_line(f"{write(call, name)};", indent)
             case _:
-                reject(f"a line of {name} has no counterpart in C: {ast.unparse(statement)}.")
+                reject_line(statement, name)
 
-    def _several(
+    def _write_call(
         self, statement: ast.stmt, targets: list[ast.expr], call: ast.Call, indent: str
     ) -> Iterator[str]:
-        """Write a call that gives several numbers; sine and cosine are those of the C library."""
+        """Write a call with several results; sine and cosine call the C library."""
         write, name = self.expressions.write, self.function.name
         called, given = ast.unparse(call.func), [write(x, name) for x in call.args]
         if called == "sincos":
             for target, what in zip(targets, ("sin", "cos"), strict=True):
-                yield from self._assigned(statement, target, f"{what}({given[0]})", indent)
+                yield from self._write_assignment(statement, target, f"{what}({given[0]})", indent)
             return
         self.pairs += 1
         place = f"{called}_{self.pairs}"
         yield f"{indent}double {place}[{len(targets)}];"
         called = self.expressions.called[called]
-        yield from _broken(f"{called}({', '.join([*given, place])});", indent)
+        yield from _break_line(f"{called}({', '.join([*given, place])});", indent)
         for k, target in enumerate(targets):
-            yield from self._assigned(statement, target, f"{place}[{k}]", indent)
+            yield from self._write_assignment(statement, target, f"{place}[{k}]", indent)
 
-    def _assigned(
+    def _write_assignment(
         self, statement: ast.stmt, target: ast.expr, value: str, indent: str
     ) -> Iterator[str]:
-        """Write an assignment, and declare what first gets a value by it."""
+        """Write an assignment, and declare its target if this is the first assignment."""
         to = self.expressions.write(target, self.function.name)
         if isinstance(target, ast.Name):
             if (target.id, id(statement)) in self.scopes.unread:
@@ -387,8 +391,8 @@ class _Body:
             fixed = self.scopes.begins.get((target.id, id(statement)))
             if fixed is not None:
                 kind = self.expressions.kinds.names[self.function.name][target.id]
-                to = _declared(kind, to, fixed=fixed)
-        yield from _broken(f"{to} = {value};", indent)
+                to = _declaration(kind, to, fixed=fixed)
+        yield from _break_line(f"{to} = {value};", indent)
 
     def _name(self, name: str) -> str:
         return self.expressions.renamed.get(name, name)
@@ -398,19 +402,19 @@ class _Body:
 
 
 def _bounds(bounds: list[ast.expr]) -> list[ast.expr]:
-    """Return the first number of a range, that behind its end, and the distance of two."""
+    """Return the start, the stop and the step of a range."""
     return [*([ast.Constant(0)] if len(bounds) == 1 else []), *bounds, ast.Constant(1)][:3]
 
 
-def _declared(kind: str, name: str, *, fixed: bool = False) -> str:
+def _declaration(kind: str, name: str, *, fixed: bool = False) -> str:
     """Write the declaration of a name."""
     if kind.endswith("*"):
         return f"{kind}{'const ' if fixed else ''}{name}"
     return f"{'const ' if fixed else ''}{kind} {name}"
 
 
-def _broken(text: str, indent: str) -> list[str]:
-    """Break a line before an operator, or behind a comma."""
+def _break_line(text: str, indent: str) -> list[str]:
+    """Break a long line before an operator, or after a comma."""
     lines, parts = [], BREAK.split(text)
     line = indent + parts[0]
     for part in parts[1:]:

@@ -1,4 +1,4 @@
-/* Take one step by one set of kernels; return the status, 0 where it was taken. */
+/* Take one step with one set of kernels. Return the status: 0 if the step succeeded. */
 static int take(const kernels *kernels, double h, double t, double *W)
 {
     //if explicit
@@ -18,10 +18,10 @@ static int take(const kernels *kernels, double h, double t, double *W)
     return (int)W[STATUS];
 }
 
-/* parameters of the declaration */
+/* Parameter values of the declaration. */
 static const double DEFAULTS[] = {$defaults};
 
-/* Begin in a workspace in which another run may have been. */
+/* Initialise a workspace, which may contain the state of another run. */
 static int begin_at(double h, double t, ${prefix}_state *state, const double *q, const double *p,
     const double *v, const double *parameters)
 {
@@ -66,8 +66,8 @@ int ${prefix}_begin_moving(double h, double t, ${prefix}_state *state, const dou
     return begin_at(h, t, state, q, 0, v, parameters);
 }
 
-/* Go on with another set of kernels. */
-static void go_on_with(int set, double h, double t, ${prefix}_state *state)
+/* Switch to another set of kernels. */
+static void switch_to(int set, double h, double t, ${prefix}_state *state)
 {
     const int anew = SETS[0].mode == STAGES && (set == 0 || state->set == 0);
     change_to(&SETS[set], anew, h, t, state->workspace);
@@ -103,10 +103,10 @@ int ${prefix}_step(double h, double t, ${prefix}_state *state, const double *inp
         if (state->set + 1 == NUMBER_OF_SETS$hopeless) {
             return (int)W[STATUS];
         }
-        go_on_with(state->set + 1, h, t, state);
+        switch_to(state->set + 1, h, t, state);
     }
     if (state->left > 0 && --state->left == 0) {
-        go_on_with(0, h, t + h, state);
+        switch_to(0, h, t + h, state);
     }
     return 0;
 }

@@ -1,1 +1,1 @@
-"""Kernels from their text: its syntax tree is walked with values, and what these do is the code."""
+"""LLVM code from the text of a kernel: a walker visits its syntax tree and emits instructions."""

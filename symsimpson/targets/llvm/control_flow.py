@@ -1,4 +1,4 @@
-"""Loops, branches, calls, variables or tables in LLVM."""
+"""Loops, branches, variables, tables, arrays and function calls in LLVM."""
 
 from __future__ import annotations
 
@@ -10,17 +10,25 @@ import numpy as np
 from llvmlite import ir
 
 from symsimpson.targets.llvm.memory import BYTE, Array, Rows
-from symsimpson.targets.llvm.values import BIT, DOUBLE, FLAGS, INT, LaneNumber, Refused, known
+from symsimpson.targets.llvm.values import (
+    BIT,
+    DOUBLE,
+    FLAGS,
+    INT,
+    LaneNumber,
+    UnsupportedConstruct,
+    is_known,
+)
 
-#: Results stand behind each other in so much memory.
+#: The largest number of results of a function that is not inlined.
 MOST_RESULTS = 8
 
 
 @dataclass(frozen=True)
 class Slot:
-    """A variable that loops or branches change; the compiler turns it into a register.
+    """A variable in memory that loops or branches change; LLVM turns it into a register.
 
-    It was made where the lanes of a mask counted; None if all did.
+    ``mask`` has the lanes that were active at its definition; None means all lanes.
     """
 
     place: Any
@@ -29,7 +37,7 @@ class Slot:
 
 @dataclass(frozen=True)
 class Loop:
-    """Blocks that a loop goes on with, and that stand behind it; lanes for which it turns."""
+    """The targets of ``continue`` and ``break`` in a loop, and its active lanes."""
 
     following: Any
     after: Any
@@ -37,7 +45,7 @@ class Loop:
 
 
 class Calls(Rows):
-    """Values with control flow, variables, tables and functions beside the one that is walked."""
+    """Values with control flow, variables, tables, arrays, and functions that are not inlined."""
 
     def __init__(self, builder: ir.IRBuilder, flags: tuple[str, ...] = FLAGS) -> None:
         super().__init__(builder, flags)
@@ -46,16 +54,16 @@ class Calls(Rows):
     # -- tables
 
     def entry(self, table: Any, places: list[Any]) -> Any:
-        """Return an entry of a table, an array or a tuple of numbers."""
-        if all(known(place) for place in places):
+        """Return an entry of a constant table, which is an array or a tuple of numbers."""
+        if all(is_known(place) for place in places):
             for place in places:
                 table = table[int(place)]
             return table.item() if hasattr(table, "item") else table
         if any(isinstance(place, LaneNumber) for place in places):
-            raise Refused("an entry of a table for each lane")
+            raise UnsupportedConstruct("an entry of a table for each lane")
         variable, shape = self._table(table)
         if len(shape) != len(places):
-            raise Refused("a part of a table")
+            raise UnsupportedConstruct("a part of a table")
         flat: Any = 0
         for size, place in zip(shape, places, strict=True):
             flat = self.add(self.multiply(flat, size), place)
@@ -82,13 +90,13 @@ class Calls(Rows):
     # -- variables
 
     def slot(self, value: Any, width: int, mask: Any = None) -> Slot:
-        """Return a variable with this value."""
+        """Return a new variable with this value."""
         if isinstance(value, (LaneNumber, tuple, list)):
-            raise Refused("a variable of this kind, that a loop or a branch changes")
-        if known(value):
-            value = self.typed(value, value)
+            raise UnsupportedConstruct("a variable of this kind, that a loop or a branch changes")
+        if is_known(value):
+            value = self.as_typed(value, value)
         if width and value.type == DOUBLE:
-            value = self.spread(value, width)
+            value = self.broadcast(value, width)
         with self.builder.goto_entry_block():
             place = self.builder.alloca(value.type)
         self.builder.store(value, place)
@@ -99,7 +107,7 @@ class Calls(Rows):
         return self.builder.load(slot.place)
 
     def write(self, slot: Slot, value: Any) -> None:
-        """Change a variable."""
+        """Assign a value to a variable, converted to the type of the variable."""
         kind = slot.place.type.pointee
         if kind == INT:
             value = self.whole(value)
@@ -108,17 +116,17 @@ class Calls(Rows):
         else:
             value = self.real(value)
             if isinstance(kind, ir.VectorType):
-                value = self.spread(value, kind.count)
+                value = self.broadcast(value, kind.count)
         if value.type != kind:
-            raise Refused("a variable that changes its kind")
+            raise UnsupportedConstruct("a variable that changes its kind")
         self.builder.store(value, slot.place)
 
     # -- control flow
 
     def branch(self, truth: Any, yes: Callable[[], bool], other: Callable[[], bool]) -> bool:
-        """Walk one of two ways, as something turns out; returns whether both of them left."""
+        """Emit a branch with two bodies; return True if both leave the block."""
         if isinstance(truth.type, ir.VectorType):
-            raise Refused("a branch that lanes take differently")
+            raise UnsupportedConstruct("a branch that lanes take differently")
         builder = self.builder
         blocks = [builder.append_basic_block(name) for name in ("yes", "no", "then")]
         builder.cbranch(truth, *blocks[:2])
@@ -133,8 +141,8 @@ class Calls(Rows):
             builder.unreachable()
         return all(left)
 
-    def picked(self, truth: Any, yes: Callable[[], Any], other: Callable[[], Any]) -> Any:
-        """Return one of two values, of which the other is not computed."""
+    def select_lazily(self, truth: Any, yes: Callable[[], Any], other: Callable[[], Any]) -> Any:
+        """Return one of two values; the branch computes only this one."""
         builder, incoming, ends = self.builder, [], []
         blocks = [builder.append_basic_block(name) for name in ("yes", "no", "then")]
         builder.cbranch(truth, *blocks[:2])
@@ -142,39 +150,39 @@ class Calls(Rows):
             builder.position_at_end(block)
             incoming.append(way())
             ends.append(builder.block)
-        if isinstance(incoming[0], Array):  # a part of an array is computed without reading it
+        if isinstance(incoming[0], Array):
             for end in ends:
                 builder.position_at_end(end)
                 builder.branch(blocks[2])
             builder.position_at_end(blocks[2])
-            return self._joined(incoming, ends)
-        if all(known(x) for x in incoming):
-            incoming = [self.typed(x, y) for x, y in zip(incoming, incoming[::-1], strict=True)]
-        kinds = {x.type for x in incoming if not known(x)}
+            return self._phi_array(incoming, ends)
+        if all(is_known(x) for x in incoming):
+            incoming = [self.as_typed(x, y) for x, y in zip(incoming, incoming[::-1], strict=True)]
+        kinds = {x.type for x in incoming if not is_known(x)}
         for k, end in enumerate(ends):
             builder.position_at_end(end)
             if DOUBLE in kinds:
                 incoming[k] = self.real(incoming[k])
-            elif known(incoming[k]):
+            elif is_known(incoming[k]):
                 incoming[k] = self.bit(incoming[k]) if kinds == {BIT} else self.whole(incoming[k])
             builder.branch(blocks[2])
         builder.position_at_end(blocks[2])
-        return self._either_of(incoming, ends)
+        return self._phi(incoming, ends)
 
-    def _either_of(self, values: list[Any], ends: list[Any]) -> Any:
-        """Return the value of the block that came before."""
+    def _phi(self, values: list[Any], ends: list[Any]) -> Any:
+        """Return a phi node: the value that belongs to the preceding block."""
         result = self.builder.phi(values[0].type)
         for value, end in zip(values, ends, strict=True):
             result.add_incoming(value, end)
         return result
 
-    def _joined(self, arrays: list[Array], ends: list[Any]) -> Array:
-        """Return the array of the way that was taken."""
+    def _phi_array(self, arrays: list[Array], ends: list[Any]) -> Array:
+        """Return the array that belongs to the preceding block."""
 
         def join(parts: list[Any]) -> Any:
-            if all(known(x) and x == parts[0] for x in parts):
+            if all(is_known(x) and x == parts[0] for x in parts):
                 return parts[0]
-            return self._either_of([self.whole(x) if known(x) else x for x in parts], ends)
+            return self._phi([self.whole(x) if is_known(x) else x for x in parts], ends)
 
         shape, strides = (
             tuple(join(list(x)) for x in zip(*parts, strict=True))
@@ -183,9 +191,9 @@ class Calls(Rows):
         return Array(join([a.pointer for a in arrays]), shape, strides)
 
     def loop(self, ends: tuple[Any, Any, int], body: Callable[[Any, Loop], bool]) -> None:
-        """Walk a body that stays a loop; it is told where to go on and where to break."""
+        """Emit a loop over a range; ``body`` emits one turn, and returns True if it jumps away."""
         builder, (first, end, step) = self.builder, ends
-        first, end, certain = self.whole(first), self.whole(end), known(first) and known(end)
+        first, end, certain = self.whole(first), self.whole(end), is_known(first) and is_known(end)
         inside, following, after = map(builder.append_basic_block, ("loop", "next", "after"))
         sign = "<" if step > 0 else ">"
         before = builder.block
@@ -205,7 +213,7 @@ class Calls(Rows):
         builder.position_at_end(after)
 
     def repeat(self, truth: Callable[[], Any], body: Callable[[Loop], bool]) -> None:
-        """Walk a body while something is true."""
+        """Emit a while loop; ``body`` emits one turn, and returns True if it jumps away."""
         builder = self.builder
         test, inside, after = map(builder.append_basic_block, ("while", "loop", "after"))
         builder.branch(test)
@@ -217,16 +225,17 @@ class Calls(Rows):
         builder.position_at_end(after)
 
     def call_at(self, address: Any, arguments: list[Any]) -> None:
-        """Call a kernel by its address."""
+        """Emit a call of a kernel by its address."""
         kind = ir.FunctionType(ir.VoidType(), [argument.type for argument in arguments])
         self.builder.call(self.builder.inttoptr(address, kind.as_pointer()), arguments)
 
     # -- memory
 
-    def room(self, kind: Any, shape: list[Any], value: Any, freed: list[Any]) -> Array:
-        """Return an array of a function's own, all of one value unless that is None.
+    def allocate_array(self, kind: Any, shape: list[Any], value: Any, freed: list[Any]) -> Array:
+        """Allocate an array on the heap, filled with ``value`` unless that is None.
 
-        What is to be freed when the function is left goes to a list, as a place of its address.
+        The method appends the variable with its address to ``freed``, whose first entry is the
+        function ``free``. The function that allocates frees the array when it returns.
         """
         builder = self.builder
         size: Any = 1
@@ -241,40 +250,40 @@ class Calls(Rows):
         if not freed:
             freed.append(free)
         freed.append(place)
-        # a size of 0 has an address, too
-        least = self.multiply(max(size, 1) if known(size) else self.add(size, 1), 8)
+        # an empty array needs an address, too
+        least = self.multiply(max(size, 1) if is_known(size) else self.add(size, 1), 8)
         address = builder.call(malloc, [self.whole(least)])
-        # an array that is made again in a loop takes the place of the one before
+        # in a loop, the new array replaces the previous one
         builder.call(free, [builder.load(place)])
         builder.store(address, place)
         array = self.contiguous(builder.bitcast(address, kind.as_pointer()), shape)
         if value is not None:
             flat = Array(array.pointer, (size,), (1,))
-            self.each(size, lambda k: self.store(flat, [k], value, 0))
+            self.for_each(size, lambda k: self.store(flat, [k], value, 0))
         return array
 
-    def each(self, count: Any, act: Callable[[Any], None]) -> None:
-        """Act for each number below a count."""
+    def for_each(self, count: Any, act: Callable[[Any], None]) -> None:
+        """Emit a loop that calls ``act`` for each number below ``count``."""
 
         def body(number: Any, loop: Loop) -> bool:
             act(number)
             return False
 
-        if not (known(count) and count == 0):
+        if not (is_known(count) and count == 0):
             self.loop((0, count, 1), body)
 
     def release(self, freed: list[Any]) -> None:
-        """Free what a function had."""
+        """Free the arrays that a function allocated."""
         for place in freed[1:]:
             self.builder.call(freed[0], [self.builder.load(place)])
 
     # -- functions
 
-    def packed(self, name: str, arguments: list[Any]) -> tuple[Any, list[Any]]:
-        """Return what a function is made for, and the values to call it with.
+    def pack_arguments(self, name: str, arguments: list[Any]) -> tuple[Any, list[Any]]:
+        """Return a key for the types of the arguments, and the values to pass.
 
-        Numbers that are known are part of the function. An array is a pointer, and what is not
-        known of its shape and strides; a tuple is what stands in it.
+        Known numbers are part of the key. An array is a pointer and the unknown numbers of its
+        shape and strides. A tuple is the sequence of its entries.
         """
         given: list[Any] = []
 
@@ -283,15 +292,15 @@ class Calls(Rows):
                 return "array", tuple(map(take, (value.pointer, *value.shape, *value.strides)))
             if isinstance(value, list):
                 return "several", tuple(map(take, value))
-            if known(value):
+            if is_known(value):
                 return type(value).__name__, value
             given.append(value)
             return str(value.type)
 
         return (name, tuple(map(take, arguments))), given
 
-    def unpacked(self, key: Any, values: list[Any]) -> list[Any]:
-        """Return the arguments of a function, made of the values that it was called with."""
+    def unpack_arguments(self, key: Any, values: list[Any]) -> list[Any]:
+        """Return the arguments that :meth:`pack_arguments` packed, from a key and values."""
         rest = iter(values)
 
         def back(kind: Any) -> Any:
@@ -308,14 +317,14 @@ class Calls(Rows):
 
         return list(map(back, key[1]))
 
-    def apart(
+    def define_function(
         self,
         name: str,
         given: list[Any],
         walk: Callable[[list[Any]], Any],
         attributes: Sequence[str] = (),
     ) -> tuple[Any, Any]:
-        """Walk a function by itself; returns it, and the types of its results."""
+        """Emit a function of its own; return it, and the types of its results."""
         module, builder = self.builder.module, self.builder
         kind = ir.FunctionType(ir.VoidType(), [INT.as_pointer(), *(x.type for x in given)])
         function = ir.Function(module, kind, module.get_unique_name(f"walked_{name}"))
@@ -326,7 +335,7 @@ class Calls(Rows):
         self.builder = ir.IRBuilder(function.append_basic_block("entry"))
         result = walk(list(function.args[1:]))
         results = result if isinstance(result, list) else [] if result is None else [result]
-        typed = [self.typed(x, x) if known(x) else x for x in results]
+        typed = [self.as_typed(x, x) if is_known(x) else x for x in results]
         for k, value in enumerate(typed):
             self.builder.store(value, self._result(function.args[0], k, value.type))
         self.builder.ret_void()
@@ -334,8 +343,8 @@ class Calls(Rows):
         types = [value.type for value in typed]
         return function, types if isinstance(result, list) else types[0] if types else None
 
-    def call_apart(self, function: Any, given: list[Any], results: Any) -> Any:
-        """Call such a function."""
+    def call_function(self, function: Any, given: list[Any], results: Any) -> Any:
+        """Emit a call of a function from :meth:`define_function`, and return its results."""
         with self.builder.goto_entry_block():
             place = self.builder.alloca(INT, MOST_RESULTS)
         self.builder.call(function, [place, *given])

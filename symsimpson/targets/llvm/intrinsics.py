@@ -1,4 +1,4 @@
-"""Kernels as intrinsics of numba, with its module of LLVM, options, machine, cache."""
+"""Kernels as numba intrinsics, which use the LLVM module, options and cache of numba."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from symsimpson.errors import GenerationError
 from symsimpson.targets.llvm.control_flow import Calls
 from symsimpson.targets.llvm.memory import Array, BlockBuilder
 from symsimpson.targets.llvm.trees import ARGUMENTS, Text, read_text
-from symsimpson.targets.llvm.values import DOUBLE, INT, Refused
+from symsimpson.targets.llvm.values import DOUBLE, INT, UnsupportedConstruct
 from symsimpson.targets.llvm.walker import Walker
 
-#: Loops of fewer operations in all are no loops.
+#: Loops of the driver with at most this many operations in all turns are unrolled.
 FEW = 16
-#: Functions that are called rarely are made small: LLVM unrolls none of their loops, which takes it
+#: LLVM attributes of functions that are called rarely. LLVM does not unroll their loops, and needs
 #: a fifth of the time.
 SMALL = ("noinline", "minsize", "optsize")
 
 
-@lru_cache(maxsize=4)  # functions of a text are made one after the other
+@lru_cache(maxsize=4)  # the functions of a text are compiled one after the other
 def read_functions(text: str) -> Text:
-    """Read a text of functions for numba, which is executed for its constants."""
+    """Read the decorated functions of a text; the text is executed for its constants."""
     functions = {
         node.name: node
         for node in ast.parse(text).body
@@ -38,20 +38,20 @@ def read_functions(text: str) -> Text:
     return Text(functions, constants)
 
 
-def walking_function(text: Callable[[], Text], name: str, signature: Any, bits: int) -> Any:
-    """Return what a stub calls: its code is that of a function, walked when it is compiled.
+def function_intrinsic(text: Callable[[], Text], name: str, signature: Any, bits: int) -> Any:
+    """Return the intrinsic that a stub calls; the walker emits the code of the function ``name``.
 
-    ``text`` gives the functions, and is called when something is compiled; ``bits`` says how wide
-    vectors may be.
+    ``text()`` returns the functions, and is called only during compilation. ``bits`` is the largest
+    width of vectors.
     """
     from numba import types
 
     def code(context: Any, builder: Any, called: Any, arguments: list[Any]) -> Any:
-        # no fused products: times are what Python makes of the same steps
+        # without fused products, times equal those that Python computes
         values = Calls(builder, ())
-        set.add(builder.function.attributes, wide(bits))
+        set.add(builder.function.attributes, vector_attributes(bits))
         whole = text()
-        # what is called in each step stands in the loop
+        # functions that each step calls are inlined
         apart = {
             k: SMALL if "RARE" in _options(node) else ()
             for k, node in whole.functions.items()
@@ -61,13 +61,15 @@ def walking_function(text: Callable[[], Text], name: str, signature: Any, bits: 
             builder.function.attributes.add(attribute)
         pairs = zip(called.args, arguments, strict=True)
         given = [_argument(context, values, kind, argument) for kind, argument in pairs]
-        return_value = Walker(whole, values, library(context), FEW, apart).function(name, given)
+        return_value = Walker(whole, values, library_caller(context), FEW, apart).function(
+            name, given
+        )
         if called.return_type == types.void:
             return context.get_dummy_value()
         result = called.return_type
         return values.bit(return_value) if result == types.boolean else values.whole(return_value)
 
-    return called_by_stub(signature, code)
+    return make_intrinsic(signature, code)
 
 
 def _options(node: ast.FunctionDef) -> str:
@@ -75,7 +77,7 @@ def _options(node: ast.FunctionDef) -> str:
 
 
 def _argument(context: Any, values: Calls, kind: Any, value: Any) -> Any:
-    """Return an argument of numba's: a number, an array, or a list of what stands in a tuple."""
+    """Convert an argument of numba to a number, an array, or a list for a tuple."""
     from numba import types
 
     if isinstance(kind, types.BaseTuple):
@@ -88,7 +90,7 @@ def _argument(context: Any, values: Calls, kind: Any, value: Any) -> Any:
 
 
 def _array(context: Any, values: Calls, kind: Any, value: Any) -> Array:
-    """Return an array of numba's."""
+    """Convert an array of numba to an array of the walker."""
     builder = values.builder
     array = context.make_array(kind)(context, builder, value)
     shape = tuple(builder.extract_value(array.shape, k) for k in range(kind.ndim))
@@ -101,26 +103,26 @@ def _array(context: Any, values: Calls, kind: Any, value: Any) -> Array:
 
 @cache
 def walker_digest() -> str:
-    """Return a digest of the files of this package, which may make other code of the same text."""
+    """Return the SHA-256 digest of the files of this package: changes invalidate cached code."""
     files = sorted(resources.files("symsimpson.targets.llvm").iterdir(), key=lambda file: file.name)
     content = b"".join(file.read_bytes() for file in files if file.name.endswith(".py"))
     return hashlib.sha256(content).hexdigest()
 
 
 def stub(name: str, count: int) -> str:
-    """Return the text of a function with so many arguments that calls ``walk_<name>``."""
+    """Return the text of a function with ``count`` arguments that calls ``walk_<name>``."""
     names = _names(count)
     return f"def {name}({names}):\n    return walk_{name}({names})\n"
 
 
 def stubs(text: str, names: list[str]) -> str:
-    """Return a text with functions to compile in place of kernels, for the same signature."""
+    """Return a text with stubs that replace kernels, with the same signature and options."""
     lines = [line for line in text.splitlines() if line.startswith(("SIGNATURE =", "OPTIONS ="))]
     return "\n\n".join(["\n".join(lines), *(stub(name, len(ARGUMENTS)) for name in names)])
 
 
-def called_by_stub(signature: Any, code: Callable[..., Any]) -> Any:
-    """Return an intrinsic of numba with this signature and this generator of instructions."""
+def make_intrinsic(signature: Any, code: Callable[..., Any]) -> Any:
+    """Return a numba intrinsic with this signature, whose instructions ``code`` emits."""
     from numba.extending import intrinsic
 
     namespace: dict[str, Any] = {"signature": signature, "code": code}
@@ -133,41 +135,41 @@ def _names(count: int) -> str:
     return ", ".join(f"a{k}" for k in range(count))
 
 
-def walking(text: str, name: str, lanes: int, bits: int) -> Any:
-    """Return an intrinsic of numba whose instructions are made of a kernel when it is compiled.
+def kernel_intrinsic(text: str, name: str, lanes: int, bits: int) -> Any:
+    """Return a numba intrinsic for a kernel; the walker emits its code during compilation.
 
-    ``text`` is the module, and ``bits`` says how wide vectors may be.
+    ``text`` is the module, and ``bits`` is the largest width of vectors.
     """
     from numba import types
 
     def code(context: Any, builder: Any, signature: Any, arguments: list[Any]) -> Any:
-        set.add(builder.function.attributes, wide(bits))  # it is inlined there
-        callee = function(context, builder.module, read_text(text), name, lanes, bits)
+        set.add(builder.function.attributes, vector_attributes(bits))  # it is inlined there
+        callee = build_kernel(context, builder.module, read_text(text), name, lanes, bits)
         builder.call(callee, arguments)
         return context.get_dummy_value()
 
     pointer: Any = types.CPointer  # which has no types of its own
     signature = types.void(types.float64, types.float64, pointer(types.float64))
-    return called_by_stub(signature, code)
+    return make_intrinsic(signature, code)
 
 
-def function(
+def build_kernel(
     context: Any, module: ir.Module, text: Text, name: str, lanes: int, bits: int
 ) -> ir.Function:
-    """Write a kernel into a module of LLVM: lanes, or nodes, as one vector, or one by one."""
+    """Add a kernel to an LLVM module, with lanes or nodes as vectors if possible."""
     alone: frozenset[str] = frozenset()
     while True:
         try:
-            return _walked(context, module, text, name, lanes, bits, at_once=True, alone=alone)
-        except Refused as refused:  # lanes that go different ways, in all of it or a part
+            return _walk_kernel(context, module, text, name, lanes, bits, at_once=True, alone=alone)
+        except UnsupportedConstruct as refused:  # lanes take different branches
             if lanes == 1 or refused.function in {"", name, *alone}:
                 break
             alone |= {refused.function}
-    return _walked(context, module, text, name, lanes, bits, at_once=False)
+    return _walk_kernel(context, module, text, name, lanes, bits, at_once=False)
 
 
-def library(context: Any) -> Callable[[Any, Any, list[Any]], Any]:
-    """Return a function that writes calls of functions of ``math`` as numba does."""
+def library_caller(context: Any) -> Callable[[Any, Any, list[Any]], Any]:
+    """Return a function that emits calls of functions of ``math`` like numba does."""
     from numba import types
 
     def call(builder: ir.IRBuilder, function: Any, arguments: list[Any]) -> Any:
@@ -179,16 +181,16 @@ def library(context: Any) -> Callable[[Any, Any, list[Any]], Any]:
     return call
 
 
-def wide(bits: int) -> str:
-    """Return attributes of a function by which its vectors may have so many bits.
+def vector_attributes(bits: int) -> str:
+    """Return the LLVM attributes of a function for vectors of this many bits.
 
-    llvmlite does not know them: they are added to its set. Longer vectors of the text are taken
-    apart: none of them has to be in one register.
+    llvmlite does not accept them, so callers add them to its set of attributes directly. LLVM
+    splits longer vectors of the text into several registers.
     """
     return f'"prefer-vector-width"="{bits}" "min-legal-vector-width"="0"'
 
 
-def _walked(
+def _walk_kernel(
     context: Any,
     module: ir.Module,
     text: Text,
@@ -203,16 +205,16 @@ def _walked(
     kernel = ir.Function(module, kind, module.get_unique_name(f"walked_{name}"))
     kernel.linkage = "internal"
     kernel.attributes.add("alwaysinline")
-    set.add(kernel.attributes, wide(bits))
+    set.add(kernel.attributes, vector_attributes(bits))
     builder = BlockBuilder(kernel.append_basic_block("entry"))
     h, t, workspace = kernel.args
 
     rows = Array(workspace, (None, lanes), (lanes, 1), values=True)
-    walker = Walker(text, Calls(builder), library(context))
+    walker = Walker(text, Calls(builder), library_caller(context))
     try:
         vector, lane_scratch = at_once and lanes > 1, at_once and lanes == 1
         walker.kernel(name, h, t, rows, vector=vector, lane_scratch=lane_scratch, alone=alone)
-    except (Refused, GenerationError):
+    except (UnsupportedConstruct, GenerationError):
         module.globals.pop(kernel.name)
         raise
     builder.ret_void()

@@ -1,4 +1,4 @@
-"""The syntax tree of a text, as the walker takes it."""
+"""Syntax trees of texts, and their properties that the walker needs."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ import numpy as np
 from symsimpson.text.syntax import syntax
 from symsimpson.text.workspace_layout import rows_of_blocks, scratch
 
-#: How often a loop of unknown length is taken to turn.
+#: Assumed number of turns of a loop of unknown length.
 TURNS = 4
 
 
 def assigned(body: Iterable[ast.stmt]) -> frozenset[str]:
-    """Return the names that statements give a value."""
-    return frozenset(name for statement in body for name in _assigned(statement))
+    """Return the names that statements assign."""
+    return frozenset(name for statement in body for name in _names_assigned(statement))
 
 
 @lru_cache(maxsize=4096)
-def _assigned(statement: ast.stmt) -> frozenset[str]:
+def _names_assigned(statement: ast.stmt) -> frozenset[str]:
     stored = (
         node.id
         for node in ast.walk(statement)
@@ -35,7 +35,7 @@ def _assigned(statement: ast.stmt) -> frozenset[str]:
 
 @lru_cache(maxsize=1024)
 def used_once(function: ast.FunctionDef) -> frozenset[str]:
-    """Return the names that a function sets once and uses once."""
+    """Return the names that a function assigns once and reads once."""
     uses = Counter(
         (part.id, isinstance(part.ctx, ast.Store))
         for part in ast.walk(function)
@@ -48,27 +48,29 @@ def used_once(function: ast.FunctionDef) -> frozenset[str]:
 
 @lru_cache(maxsize=4096)
 def leaves(node: ast.For) -> bool:
-    """Return whether turns of a loop may end early."""
+    """Return True if a loop has a break or continue."""
     return any(isinstance(part, (ast.Break, ast.Continue)) for part in ast.walk(node))
 
 
 @lru_cache(maxsize=65536)
-def must_wait(node: ast.expr, text: Text) -> bool:
-    """Return whether an expression must not be evaluated before it is known to be needed."""
-    risky = (ast.Subscript, ast.FloorDiv, ast.Mod)  # reads outside of arrays, divisions by zero
+def needs_short_circuit(node: ast.expr, text: Text) -> bool:
+    """Return True if an expression must be evaluated only when its value is needed."""
+    risky = (ast.Subscript, ast.FloorDiv, ast.Mod)  # out-of-range reads, divisions by zero
     called = (text.functions[name] for name in _calls(node) if name in text.functions)
-    return any(isinstance(x, risky) for x in ast.walk(node)) or not all(map(_straight, called))
+    return any(isinstance(x, risky) for x in ast.walk(node)) or not all(
+        map(_is_pure_arithmetic, called)
+    )
 
 
 @lru_cache(maxsize=16384)
 def _calls(node: ast.AST) -> frozenset[str]:
-    """Return the names of functions that a tree calls."""
+    """Return the names of the functions that a tree calls."""
     calls = (part.func for part in ast.walk(node) if isinstance(part, ast.Call))
     return frozenset(name.id for name in calls if isinstance(name, ast.Name))
 
 
 def _parts(node: ast.AST) -> Iterator[ast.AST]:
-    """Walk a tree, but not into loops below it."""
+    """Iterate over the nodes of a tree, without the bodies of its loops."""
     yield node
     if isinstance(node, ast.For):
         return
@@ -78,7 +80,7 @@ def _parts(node: ast.AST) -> Iterator[ast.AST]:
 
 @lru_cache(maxsize=65536)
 def weight(node: ast.AST, text: Text) -> int:
-    """Return about how many operations a statement has, in the functions that it calls too."""
+    """Estimate the number of operations of a statement, including the functions that it calls."""
     operations = 0
     for part in _parts(node):
         match part:
@@ -96,7 +98,7 @@ def weight(node: ast.AST, text: Text) -> int:
 
 
 def _turns(source: ast.expr, text: Text) -> int:
-    """Return how often a loop turns, or a guess where its ends are no constants."""
+    """Return the number of turns of a loop, or ``TURNS`` if its ends are not constants."""
     match source:
         case ast.Call(func=ast.Name(id="range"), args=[end]):
             return _number(end, text, {}) or TURNS
@@ -105,15 +107,18 @@ def _turns(source: ast.expr, text: Text) -> int:
     return TURNS
 
 
-#: Rows from one to before another; of those that are somewhere in a block, as what.
+#: First row, end of the rows, and the text of the index if the rows are somewhere in a block.
 _Rows = tuple[int, int, str]
 
 
-def vectors(node: ast.For, name: str, turns: range, text: Text, known: Mapping[str, int]) -> bool:
-    """Return whether the turns of a loop may be done at once, with vectors.
+def can_vectorise(
+    node: ast.For, name: str, turns: range, text: Text, known: Mapping[str, int]
+) -> bool:
+    """Return True if the turns of a loop can run at once, as vectors.
 
-    They may where statements only compute, read and write; where each row that has the number of
-    the turn in it has it as a last summand; and where no row that one turn writes is another's.
+    Three conditions are necessary. The statements only compute, read and write. If the index of a
+    row contains the number of the turn, this is its last summand. No turn writes a row that another
+    turn uses.
     """
     set_here: set[str] = set()
     written: list[_Rows] = []
@@ -147,7 +152,7 @@ def vectors(node: ast.For, name: str, turns: range, text: Text, known: Mapping[s
                 return used != name and (used in set_here or used not in inside)
             case ast.Call(func=ast.Name(id=called), args=arguments):
                 function = text.functions.get(called)
-                if function is not None and not _straight(function):
+                if function is not None and not _is_pure_arithmetic(function):
                     return False
                 return all(fine(argument) for argument in arguments)
         return all(fine(child) for child in ast.iter_child_nodes(expression))
@@ -180,8 +185,8 @@ def vectors(node: ast.For, name: str, turns: range, text: Text, known: Mapping[s
 
 
 @lru_cache(maxsize=256)
-def _straight(function: ast.FunctionDef) -> bool:
-    """Return whether a function only computes with numbers."""
+def _is_pure_arithmetic(function: ast.FunctionDef) -> bool:
+    """Return True if a function has only assignments of numbers, without rows and branches."""
     allowed = (ast.Assign, ast.Return, ast.Expr)
     plain = all(isinstance(statement, allowed) for statement in function.body)
     return plain and not any(
@@ -191,17 +196,24 @@ def _straight(function: ast.FunctionDef) -> bool:
 
 
 @lru_cache(maxsize=256)
-def of_reals(function: ast.FunctionDef, text: Text) -> bool:
-    """Return whether a function, and all that it calls, only computes, and counts nothing."""
+def is_real_arithmetic(function: ast.FunctionDef, text: Text) -> bool:
+    """Return True if a function and its callees compute only with real numbers."""
     inside = [text.functions[name] for name in _calls(function) if name in text.functions]
     counts = "int" in _calls(function) or any(
         isinstance(x, ast.Attribute) for x in ast.walk(function)
     )
-    return _straight(function) and not counts and all(of_reals(x, text) for x in inside)
+    return (
+        _is_pure_arithmetic(function)
+        and not counts
+        and all(is_real_arithmetic(x, text) for x in inside)
+    )
 
 
 def _base(place: ast.expr, name: str) -> ast.expr | None:
-    """Return a row without a last summand of this name: the row itself if it has none, or None."""
+    """Return a row index without its last summand ``name``.
+
+    The result is the index itself if it has no such summand, and None if it is ``name`` alone.
+    """
     match place:
         case ast.Name(id=identifier) if identifier == name:
             return None
@@ -218,7 +230,7 @@ def _names(node: ast.AST) -> frozenset[str]:
 
 
 def _block(place: ast.expr | None, text: Text, known: Mapping[str, int]) -> range | None:
-    """Return the block in which a row stands that is its first and so many times STRIDE."""
+    """Return the rows of the block of an index of the form first + k * STRIDE, else None."""
     match place:
         case ast.BinOp(
             left=left, op=ast.Add(), right=ast.BinOp(op=ast.Mult(), right=ast.Name(id="STRIDE"))
@@ -229,7 +241,7 @@ def _block(place: ast.expr | None, text: Text, known: Mapping[str, int]) -> rang
 
 
 def _number(node: ast.expr, text: Text, known: Mapping[str, int]) -> int | None:
-    """Return the value of a row that is known; None if it is not."""
+    """Return the value of an index of constants and known names; None for others."""
     match node:
         case ast.Constant(value=int(value)):
             return value
@@ -244,32 +256,32 @@ def _number(node: ast.expr, text: Text, known: Mapping[str, int]) -> int | None:
     return None
 
 
-#: What each kernel takes.
+#: Names of the arguments of a kernel.
 ARGUMENTS = ["h", "t", "workspace"]
-#: What stands for a compiler in a text.
+#: Modules whose imports are ignored, because they belong to the compiler.
 _COMPILER = ("numba", "numba.extending")
 
 
 @dataclass(frozen=True, eq=False)
 class Text:
-    """Functions and constants of a module."""
+    """The functions and constants of a module, as the walker reads them."""
 
-    functions: Mapping[str, ast.FunctionDef]  #: Kernels, and what they call.
-    #: Everything else that has a name, functions of ``math`` among it.
+    functions: Mapping[str, ast.FunctionDef]  #: Kernels, and the functions that they call.
+    #: All other names of the module, including functions of ``math``.
     constants: Mapping[str, Any]
     #: Rows of the blocks of the workspace.
     blocks: Mapping[str, range] = field(default_factory=dict)
-    #: Of those in which no kernel leaves anything to others.
+    #: Rows of scratch blocks, whose values no kernel passes to another.
     scratch: Mapping[str, range] = field(default_factory=dict)
 
 
-@lru_cache(maxsize=4)  # kernels of a module are made one after the other
+@lru_cache(maxsize=4)  # the kernels of a module are compiled one after the other
 def read_text(text: str) -> Text:
-    """Read a module; what makes its tables is executed, so that it must be trusted."""
+    """Read a trusted module; the statements that define its constants are executed."""
     functions, others = {}, []
     for node in syntax(text).body:
         match node:
-            case ast.FunctionDef(name=name) if _walked(node):
+            case ast.FunctionDef(name=name) if _is_walked(node):
                 functions[name] = node
             case ast.ImportFrom(module=module) if module in _COMPILER:
                 continue
@@ -283,6 +295,6 @@ def read_text(text: str) -> Text:
     return Text(functions, constants | tables, rows_of_blocks(constants), scratch(constants))
 
 
-def _walked(node: ast.FunctionDef) -> bool:
+def _is_walked(node: ast.FunctionDef) -> bool:
     marks = [mark.id for mark in node.decorator_list if isinstance(mark, ast.Name)]
     return "compiled" in marks or [argument.arg for argument in node.args.args] == ARGUMENTS

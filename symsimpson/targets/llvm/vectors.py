@@ -1,45 +1,45 @@
-"""Loops or calls whose turns can be done at once, as vectors."""
+"""Analysis of loops and calls that can become vector instructions."""
 
 from __future__ import annotations
 
 import ast
 from collections.abc import Iterable, Iterator, Sequence
 
-from symsimpson.targets.llvm.trees import Text, assigned, of_reals, weight
+from symsimpson.targets.llvm.trees import Text, assigned, is_real_arithmetic, weight
 
-#: Names that a value comes from; that of the turn among them.
+#: For each variable, the names that its value depends on, including the number of the turn.
 Origins = dict[str, frozenset[str]]
 _WHOLE = "set as a whole"
 _TURN, _OF_TURN = "the number of the turn", "a number that follows from it"
 _MOVING = frozenset({_TURN, _OF_TURN})
 
 
-def own_blocks(node: ast.For, name: str, text: Text) -> frozenset[str] | None:
-    """Return the blocks of which each turn of a loop needs rows of its own.
+def private_blocks(node: ast.For, name: str, text: Text) -> frozenset[str] | None:
+    """Return the blocks of which each turn of a loop needs private rows.
 
-    None if turns depend on each other, or branch.
+    The result is None if turns depend on each other, or branch.
     """
-    accesses = _Accesses(text, node)
+    accesses = _RowAccesses(text, node)
     fine = accesses.follow(node.body, {name: frozenset({_TURN})})
-    # rows that one turn sets are no others'
+    # no turn uses rows that another turn sets
     apart = not (accesses.first.keys() & accesses.set_along or accesses.written & accesses.along)
     set_first = all(accesses.first[block] == _WHOLE for block in accesses.written)
     return frozenset(accesses.written) if fine and apart and set_first else None
 
 
-class _Accesses:
-    """Uses of rows by statements, in their order.
+class _RowAccesses:
+    """The reads and writes of rows by the statements of a loop, in their order.
 
-    Of each block that all turns share ``first`` says what is done first with it: "read", "set", or
-    "set as a whole"; those that are set are ``written``. Blocks with rows of each turn are
-    ``along``, and ``set_along`` if turns set them.
+    ``first`` has the first access to each block that all turns share: "read", "set" or "set as a
+    whole". ``written`` has the shared blocks that turns set. ``along`` has the blocks with separate
+    rows for each turn, and ``set_along`` those of them that turns set.
     """
 
     def __init__(self, text: Text, loop: ast.For) -> None:
         self._text, self._depth = text, 0
-        #: Variables of the loop that the turn has not set yet: the one before did.
+        #: Variables of the loop that the turn has not set yet, so that they have earlier values.
         self._unset = set(assigned(loop.body))
-        #: Variables that count from 0 to before a number.
+        #: Loop variables that count from 0, with their numbers of turns.
         self._counts: dict[str, int] = {}
         self.first: dict[str, str] = {}
         self.written: set[str] = set()
@@ -47,7 +47,7 @@ class _Accesses:
         self.set_along: set[str] = set()
 
     def follow(self, body: Iterable[ast.stmt], origins: Origins) -> bool:
-        """Follow statements; returns whether all of them are of kinds that are known here."""
+        """Follow statements; return False if one of them is unsupported."""
         return all(self._statement(statement, origins) for statement in body)
 
     def _statement(self, node: ast.stmt, origins: Origins) -> bool:
@@ -65,13 +65,13 @@ class _Accesses:
                 return read and self._set(target, self._names(node, origins), origins)
             case ast.For(target=ast.Name(id=name), iter=source):
                 origins[name] = self._names(source, origins)
-                return not origins[name] & _MOVING and self._inner(node, name, origins)
+                return not origins[name] & _MOVING and self._follow_loop(node, name, origins)
             case ast.Return(value=ast.expr() as value):
                 return self._read(value, origins)
         return False
 
-    def _inner(self, node: ast.For, name: str, origins: Origins) -> bool:
-        """Follow a loop in the loop, until it is known where all that it carries comes from."""
+    def _follow_loop(self, node: ast.For, name: str, origins: Origins) -> bool:
+        """Follow an inner loop until the origins of its variables no longer change."""
         match node.iter:
             case ast.Call(func=ast.Name(id="range"), args=[ast.Name(id=size)]):
                 count = self._text.constants.get(size)
@@ -87,7 +87,7 @@ class _Accesses:
             if origins == before:
                 return True
 
-    def _called(self, function: ast.FunctionDef, given: list[frozenset[str]]) -> bool:
+    def _follow_call(self, function: ast.FunctionDef, given: list[frozenset[str]]) -> bool:
         self._depth += 1
         names = [parameter.arg for parameter in function.args.args]
         counts, self._counts = self._counts, {}
@@ -119,7 +119,7 @@ class _Accesses:
                     return False
                 function = self._text.functions.get(called)
                 given = [self._names(argument, origins) for argument in arguments]
-                return function is None or self._called(function, given)
+                return function is None or self._follow_call(function, given)
             case ast.Name(id=name) if not self._depth and name in self._unset:
                 return False
         return all(self._read(child, origins) for child in ast.iter_child_nodes(node))
@@ -139,7 +139,7 @@ class _Accesses:
         return bool(blocks)
 
     def _whole(self, row: ast.expr, block: str) -> bool:
-        """Return whether a row goes through a whole block, in a loop of so many turns."""
+        """Return True if an index runs through a whole block in the present loop."""
         size = len(self._text.blocks[block])
         match row:
             case ast.BinOp(left=ast.Name(id=first), op=ast.Add(), right=ast.Name(id=name)):
@@ -149,7 +149,7 @@ class _Accesses:
         return False
 
     def _by_turn(self, row: ast.expr, origins: Origins) -> bool:
-        """Return whether a row is BLOCK + turn, or BLOCK + k * STRIDE + turn."""
+        """Return True if an index is BLOCK + turn, or BLOCK + k * STRIDE + turn."""
         match row:
             case ast.BinOp(left=first, op=ast.Add(), right=ast.Name(id=last)):
                 match first:
@@ -175,33 +175,36 @@ class _Accesses:
         return sources - _MOVING | {_OF_TURN} if sources & _MOVING else sources
 
 
-#: As many calls are one vector; functions of fewer operations are not worth it.
+#: The largest number of calls in one vector, and the fewest operations of such a function.
 MOST, LEAST = 4, 20
-#: What an expression is made of that may be computed earlier than where it stands.
+#: Node types of expressions that may be evaluated earlier.
 _PLAIN = (
     *(ast.Name, ast.Constant, ast.BinOp, ast.UnaryOp),
     *(ast.operator, ast.unaryop, ast.expr_context),
 )
-#: What follows these statements may be left out.
+#: Statements that leave a block.
 LEAVING = (ast.Break, ast.Continue, ast.Return)
-#: Statements at a place of a block; several are calls that are one vector.
+#: The place of statements in a block, and the statements; several are calls for one vector.
 Item = tuple[int, tuple[ast.stmt, ...]]
 
 
-def in_order(body: Sequence[ast.stmt], text: Text) -> list[Item]:
-    """Return the statements of a block in an order in which calls of one function stand together.
+def order_statements(body: Sequence[ast.stmt], text: Text) -> list[Item]:
+    """Order the statements of a block so that calls of one function are adjacent.
 
-    What their arguments are made of is moved before them; all other statements keep their order.
+    The statements that compute the arguments of a moved call move before it. All other statements
+    keep their order.
     """
-    return list(_Order(body, text).items())
+    return list(_StatementOrder(body, text).items())
 
 
-class _Order:
-    """The statements of a block, with what each of them reads and sets."""
+class _StatementOrder:
+    """The statements of a block, with the names that each of them reads and sets."""
 
     def __init__(self, body: Sequence[ast.stmt], text: Text) -> None:
         self.body, self.text = body, text
-        self.calls = {k: name for k, node in enumerate(body) if (name := _called(node, text))}
+        self.calls = {
+            k: name for k, node in enumerate(body) if (name := _vector_function(node, text))
+        }
         self.done: set[int] = set()
         self.leaves = [
             k
@@ -210,7 +213,7 @@ class _Order:
         ]
         if len(self.calls) < 2:
             return
-        self.reads = [_read(node) for node in body]
+        self.reads = [_names_read(node) for node in body]
         self.setters: dict[str, list[int]] = {}
         self.first_read: dict[str, int] = {}
         for k, node in enumerate(body):
@@ -220,13 +223,13 @@ class _Order:
                 self.first_read.setdefault(name, k)
 
     def items(self) -> Iterator[Item]:
-        """Go through all statements."""
+        """Iterate over all statements in their new order."""
         for k, node in enumerate(self.body):
             if k in self.done:
                 continue
             together = [k]
-            for call in self._alike(k):
-                before = self._before(call, k)
+            for call in self._similar_calls(k):
+                before = self._prerequisites(call, k)
                 if before is not None and len(together) < MOST:
                     yield from ((k, (self.body[n],)) for n in before)
                     self.done.update(before)
@@ -234,17 +237,17 @@ class _Order:
             self.done.update(together)
             yield k, (node, *(self.body[n] for n in together[1:]))
 
-    def _alike(self, k: int) -> list[int]:
-        """Return later calls of the function that is called at a place, if one is.
+    def _similar_calls(self, k: int) -> list[int]:
+        """Return the later calls of the function that statement k calls.
 
-        What stands behind a statement by which the block may be left stays there.
+        Calls after a statement that may leave the block do not count.
         """
         name = self.calls.get(k)
         end = next((n for n in self.leaves if n > k), len(self.body))
         return [n for n, other in self.calls.items() if k < n < end and other == name]
 
-    def _before(self, call: int, k: int) -> list[int] | None:
-        """Return the statements that a call must stand behind if it moves to place k, if it can."""
+    def _prerequisites(self, call: int, k: int) -> list[int] | None:
+        """Return the statements to move with a call to place k; None if it cannot move."""
         if call in self.done:
             return None
         needed: set[int] = set()
@@ -262,47 +265,51 @@ class _Order:
         return sorted(needed)
 
     def _may_move(self, n: int) -> bool:
-        """Return whether a statement gives names their only values, before anybody reads them."""
+        """Return True if a statement is the only assignment of its names, before all reads."""
         names = assigned([self.body[n]])
         only = all(self.setters[x] == [n] and self.first_read.get(x, n + 1) > n for x in names)
-        return only and _computes(self.body[n], self.text)
+        return only and _is_computation(self.body[n], self.text)
 
 
-def _computes(node: ast.stmt, text: Text) -> bool:
-    """Return whether a statement gives names the values of arithmetic, or of a function of it."""
+def _is_computation(node: ast.stmt, text: Text) -> bool:
+    """Return True if a statement assigns arithmetic, or a function of arithmetic, to names."""
     match node:
         case ast.Assign(targets=[target], value=value):
             names = all(isinstance(x, ast.Name) for x in getattr(target, "elts", [target]))
-            return names and (_plain(value) or bool(_function(value, text)))
+            return names and (_is_arithmetic(value) or bool(_called_function(value, text)))
     return False
 
 
-def _function(value: ast.expr, text: Text) -> str:
-    """Return the function that is called with plain numbers and only computes, if one is."""
+def _called_function(value: ast.expr, text: Text) -> str:
+    """Return the name of a real function that is called with arithmetic arguments, else ""."""
     match value:
         case ast.Call(func=ast.Name(id=name), args=[_, *_] as arguments, keywords=[]):
             function = text.functions.get(name)
-            if function is not None and all(map(_plain, arguments)) and of_reals(function, text):
+            if (
+                function is not None
+                and all(map(_is_arithmetic, arguments))
+                and is_real_arithmetic(function, text)
+            ):
                 return name
     return ""
 
 
-def _called(node: ast.stmt, text: Text) -> str:
-    """Return the function that a statement calls with plain numbers, if it is worth a vector."""
-    name = _function(node.value, text) if isinstance(node, ast.Assign) else ""
-    if not name or not _computes(node, text):
+def _vector_function(node: ast.stmt, text: Text) -> str:
+    """Return the name of a function that a statement calls, if a vector is worthwhile, else ""."""
+    name = _called_function(node.value, text) if isinstance(node, ast.Assign) else ""
+    if not name or not _is_computation(node, text):
         return ""
     operations = sum(weight(statement, text) for statement in text.functions[name].body)
     return name if operations >= LEAST else ""
 
 
-def _plain(value: ast.expr) -> bool:
-    """Return whether an expression is arithmetic on names and numbers."""
+def _is_arithmetic(value: ast.expr) -> bool:
+    """Return True if an expression is arithmetic of names and numbers."""
     return all(isinstance(part, _PLAIN) for part in ast.walk(value))
 
 
-def _read(node: ast.stmt) -> frozenset[str]:
-    """Return the names that a statement reads, or changes."""
+def _names_read(node: ast.stmt) -> frozenset[str]:
+    """Return the names that a statement reads or changes."""
     names = (part for part in ast.walk(node) if isinstance(part, ast.Name))
     changed = assigned([node]) if isinstance(node, ast.AugAssign) else frozenset()
     return changed.union(part.id for part in names if isinstance(part.ctx, ast.Load))

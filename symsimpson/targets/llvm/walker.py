@@ -1,9 +1,9 @@
-"""The walker: it goes through the syntax tree of a kernel and does with values what stands there.
+"""The walker visits the syntax tree of a kernel and emits an instruction for each operation.
 
-Functions are walked where they are called. What is known while walking is computed at once: entries
-of tables, rows, conditions on them. Short loops over constants are walked again and again; long
-ones, and those whose ends are not known, stay loops. A loop over neighbouring rows, whose turns do
-not depend on each other, is walked once, with vectors.
+It inlines functions at their calls. It evaluates known values at once: entries of tables, numbers
+of rows, and conditions on them. It unrolls short loops over constants. Long loops, and loops whose
+ends are unknown, stay loops. A loop over adjacent rows, whose turns are independent, becomes vector
+instructions.
 """
 
 from __future__ import annotations
@@ -14,27 +14,27 @@ from dataclasses import replace
 from typing import Any
 
 from symsimpson.errors import GenerationError
-from symsimpson.targets.llvm.assigning import Assigning
+from symsimpson.targets.llvm.assigning import Assignments
 from symsimpson.targets.llvm.control_flow import Loop, Slot
-from symsimpson.targets.llvm.expressions import Ahead, Env, Frame, Product
+from symsimpson.targets.llvm.expressions import Env, Frame, Product, ScratchUse
 from symsimpson.targets.llvm.memory import Array
-from symsimpson.targets.llvm.trees import assigned, leaves, vectors, weight
-from symsimpson.targets.llvm.values import LaneNumber, Refused, known
-from symsimpson.targets.llvm.vectors import own_blocks
+from symsimpson.targets.llvm.trees import assigned, can_vectorise, leaves, weight
+from symsimpson.targets.llvm.values import LaneNumber, UnsupportedConstruct, is_known
+from symsimpson.targets.llvm.vectors import private_blocks
 from symsimpson.text.interface import LOOKED_AT, PIVOTED
 
-#: As many turns are made to one vector.
+#: Numbers of turns that can become one vector.
 WIDTHS = (4, 8, 16)
-#: Lanes have no more scratch of their own, in numbers: it stands on the stack.
+#: The largest size of private scratch rows of all lanes, in numbers; they are on the stack.
 MOST_OWN = 16_384
 
 
-class Walker(Assigning):
-    """Walks functions of a text."""
+class Walker(Assignments):
+    """Visits the functions of a text, and emits their instructions."""
 
-    _lanes_own = False
-    #: Lanes that are one vector in a kernel; 0 where they are walked one by one.
-    _side_by_side = 0
+    _private_scratch = False
+    #: Number of lanes that are one vector in a kernel; 0 if each lane has its own instructions.
+    _lane_vector = 0
 
     def kernel(
         self,
@@ -47,19 +47,24 @@ class Walker(Assigning):
         lane_scratch: bool = False,
         alone: frozenset[str] = frozenset(),
     ) -> None:
-        """Walk a kernel for all lanes, as one vector if that is wanted.
+        """Emit a kernel for all lanes; ``vector`` makes all lanes one vector.
 
-        Loops may be vectors of which each lane has scratch of its own, if that is. Functions that
-        are ``alone`` are walked for one lane after another. Raises GenerationError if the text has
-        something that no kernel has, with the line; Refused if lanes cannot be one vector.
+        With ``lane_scratch``, loops may become vectors whose lanes have private scratch rows.
+        Functions named in ``alone`` are emitted for one lane after another. Raises GenerationError,
+        with the line, if the text has an unsupported construct. Raises UnsupportedConstruct if the
+        lanes cannot be one vector.
         """
-        lanes, self._lanes_own, self._alone = workspace.shape[1], lane_scratch, alone
-        self._side_by_side = lanes if vector else 0
-        # a step fails for good in the kernel with pivots, if there is one
+        lanes, self._private_scratch, self._scalar_functions = (
+            workspace.shape[1],
+            lane_scratch,
+            alone,
+        )
+        self._lane_vector = lanes if vector else 0
+        # if there is a kernel with pivots, only that kernel fails finally, and needs all rows
         if name not in LOOKED_AT or (name == "newton" and PIVOTED in self._text.functions):
-            self._values.wanted = lambda place: self._wanted(place // lanes)
-        self._straight = name in self._text.constants.get("STRAIGHT", ())
-        if self._straight:
+            self._values.is_live = lambda place: self._is_live(place // lanes)
+        self._unrolls_all = name in self._text.constants.get("STRAIGHT", ())
+        if self._unrolls_all:
             self._few = self._weight(self._text.functions[name].body)
         env: Env = {"h": h, "t": t, "LANES": lanes}
         self._frames.append(Frame(self._text.functions[name]))
@@ -68,7 +73,7 @@ class Walker(Assigning):
             case ast.For(target=ast.Name(id="lane"), body=[*_, ast.If(body=rest, orelse=[])]):
                 self._rest = rest if vector else None
         for k, statement in enumerate(body):
-            self._ahead.append(self._ahead_of(body, k))
+            self._ahead.append(self._scratch_use_at(body, k))
             match statement:
                 case ast.Assign(targets=[ast.Name(id="W")]):
                     env["W"] = workspace
@@ -77,24 +82,24 @@ class Walker(Assigning):
             self._ahead.pop()
         self._frames.pop()
 
-    def _ahead_of(self, body: Sequence[ast.stmt], k: int) -> Ahead:
-        """Return what scratch is named in a statement of a block, and in those behind it."""
-        if body[0] not in self._behind:
+    def _scratch_use_at(self, body: Sequence[ast.stmt], k: int) -> ScratchUse:
+        """Return the scratch blocks that statement k of a block uses, and those used after it."""
+        if body[0] not in self._scratch_from:
             behind = [frozenset[str]()]
             for statement in reversed(body):
-                behind.append(behind[-1] | self._mentioned(statement))
-            self._behind[body[0]] = behind[::-1]
-        return Ahead(self._behind[body[0]][k + 1], self._mentioned(body[k]))
+                behind.append(behind[-1] | self._scratch_names(statement))
+            self._scratch_from[body[0]] = behind[::-1]
+        return ScratchUse(self._scratch_from[body[0]][k + 1], self._scratch_names(body[k]))
 
-    def _wanted(self, row: int) -> bool:
-        """Return whether a row is no scratch, or statements that follow name its block."""
+    def _is_live(self, row: int) -> bool:
+        """Return True if a later statement may read a row, or the row is not scratch."""
         block = next((name for name, rows in self._text.scratch.items() if row in rows), None)
         return block is None or any(
             block in ahead.after or block in ahead.here for ahead in self._ahead
         )
 
-    def _mentioned(self, node: ast.AST) -> frozenset[str]:
-        """Return the scratch that is named in a statement, and in the functions that it calls."""
+    def _scratch_names(self, node: ast.AST) -> frozenset[str]:
+        """Return the scratch blocks that a statement and the functions that it calls name."""
         scratch = self._names.get(node)
         if scratch is None:
             names = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
@@ -102,60 +107,63 @@ class Walker(Assigning):
                 self._text.functions[name] for name in names if name in self._text.functions
             ]
             named = frozenset(names & self._text.scratch.keys())
-            self._names[node] = named  # a function may have a value of its own name
-            scratch = self._names[node] = named.union(*map(self._mentioned, functions))
+            self._names[node] = named  # ends the recursion if a function names itself
+            scratch = self._names[node] = named.union(*map(self._scratch_names, functions))
         return scratch
 
     def function(self, name: str, arguments: list[Any]) -> Any:
-        """Walk a function, and return its result.
+        """Emit a function, and return its result.
 
-        Raises GenerationError if the text has something that is not known, with the line.
+        Raises GenerationError, with the line, if the text has an unsupported construct.
         """
-        return self._inside(self._text.functions[name], arguments)
+        return self._inline(self._text.functions[name], arguments)
 
     # -- statements
 
     def _block(self, body: Sequence[ast.stmt], env: Env) -> bool:
-        """Walk statements; returns whether the function was left."""
-        for k, statements in self._in_order(body):
-            self._ahead.append(self._ahead_of(body, k))
+        """Emit the statements of a block; return True if they leave it."""
+        for k, statements in self._ordered_statements(body):
+            self._ahead.append(self._scratch_use_at(body, k))
             left = self._statement(statements[0], env, statements[1:])
             self._ahead.pop()
             if left:
                 return True
         return False
 
-    def _last(self, body: Sequence[ast.stmt], env: Env) -> bool:
-        """Walk the last statements of the present one: nothing of it is left behind them."""
+    def _walk_final(self, body: Sequence[ast.stmt], env: Env) -> bool:
+        """Emit statements that end the present one, so that it uses no scratch after them."""
         here = self._ahead[-1]
-        self._ahead[-1] = Ahead(here.after, frozenset())
+        self._ahead[-1] = ScratchUse(here.after, frozenset())
         left = self._block(body, env)
         self._ahead[-1] = here
         return left
 
     def _statement(self, node: ast.stmt, env: Env, beside: Sequence[ast.stmt] = ()) -> bool:
-        """Walk a statement, and others that stand beside it; returns whether they left."""
+        """Emit a statement and similar calls ``beside`` it; return True if it leaves the block."""
         try:
-            return self._together([node, *beside], env) if beside else self._do(node, env)
-        except Refused as refused:
+            return (
+                self._vectorise_calls([node, *beside], env) if beside else self._execute(node, env)
+            )
+        except UnsupportedConstruct as refused:
             refused.function = refused.function or self._frames[-1].name
-            if self._width or self._alone:
+            if self._width or self._scalar_functions:
                 raise
             raise GenerationError(
                 f"line {node.lineno}: the kernel has {refused}: {ast.unparse(node)[:80]}"
             ) from None
 
-    def _do(self, node: ast.stmt, env: Env) -> bool:
+    def _execute(self, node: ast.stmt, env: Env) -> bool:
+        """Emit one statement; return True if it leaves the block."""
         match node:
             case ast.Expr(value=ast.Constant()) | ast.Pass():
                 return False
             case ast.Expr(value=ast.Call(func=ast.Name(id=name), args=arguments)) if (
-                name in self._text.functions and name not in self._apart
+                name in self._text.functions and name not in self._outlined
             ):
                 given = [self._value(x, env) for x in arguments]
-                here, passed = self._ahead[-1], map(self._mentioned, arguments)
-                self._ahead[-1] = Ahead(here.after.union(*passed), here.here)
-                self._inside(self._text.functions[name], given, last=True)
+                here, passed = self._ahead[-1], map(self._scratch_names, arguments)
+                self._ahead[-1] = ScratchUse(here.after.union(*passed), here.here)
+                self._inline(self._text.functions[name], given, last=True)
             case ast.Expr(value=value):
                 self._value(value, env)
             case ast.Assign(
@@ -166,8 +174,10 @@ class Walker(Assigning):
                 self._assign(target, self._value(value, env), env)
             case ast.AugAssign(target=target, op=op, value=value):
                 place = self._places(target, env)
-                before = self._at(target, place, env)
-                self._put(target, place, self._changed(before, op, value, env), env)
+                before = self._read_target(target, place, env)
+                self._store_target(
+                    target, place, self._augmented_value(before, op, value, env), env
+                )
             case ast.If(test=test, body=body, orelse=other):
                 return self._if(self._value(test, env), body, other, env)
             case ast.For():
@@ -177,23 +187,23 @@ class Walker(Assigning):
             case ast.Break() | ast.Continue():
                 loop = self._frames[-1].loops[-1]
                 if loop.mask is not self._mask:
-                    raise Refused("a loop that some of the lanes leave")
+                    raise UnsupportedConstruct("a loop that some of the lanes leave")
                 broken = isinstance(node, ast.Break)
                 self._values.builder.branch(loop.after if broken else loop.following)
                 return True
             case ast.Return(value=value):
                 return self._leave(None if value is None else self._value(value, env))
             case _:
-                raise Refused(f"a statement of type {type(node).__name__}")
+                raise UnsupportedConstruct(f"a statement of type {type(node).__name__}")
         return False
 
     # -- loops
 
     def _for(self, node: ast.For, env: Env) -> None:
         match node:
-            case ast.For(target=ast.Name(id="lane")) if self._side_by_side and not self._width:
-                self._width = self._side_by_side
-                self._last(node.body, env | {"lane": LaneNumber(0)})
+            case ast.For(target=ast.Name(id="lane")) if self._lane_vector and not self._width:
+                self._width = self._lane_vector
+                self._walk_final(node.body, env | {"lane": LaneNumber(0)})
                 self._width = 0
                 return
             case ast.For(
@@ -201,34 +211,35 @@ class Walker(Assigning):
             ):
                 ends = [self._value(end, env) for end in arguments]
             case ast.For(target=ast.Name(id=name), iter=ast.Name(id=table)):
-                for entry in self._named(table, env):
+                for entry in self._look_up(table, env):
                     env[name] = entry
                     self._block(node.body, env)
                 return
             case _:
-                raise Refused("a loop over something else")
+                raise UnsupportedConstruct("a loop over something else")
         first, end, step = ([0, *ends, 1] if len(ends) == 1 else [*ends, 1])[:3]
-        if known(first) and known(end):
+        if is_known(first) and is_known(end):
             turns = range(first, end, step)
             if not turns:
                 return
             if step == 1 and (
-                self._as_vector(node, name, turns, env) or self._with_own(node, name, turns, env)
+                self._vectorise_loop(node, name, turns, env)
+                or self._vectorise_privately(node, name, turns, env)
             ):
                 return
             few = len(turns) == 1 or len(turns) * self._weight(node.body) <= self._few
             if few and not leaves(node):
                 for number in turns:
                     env[name] = number
-                    walk = self._last if number == turns[-1] else self._block
+                    walk = self._walk_final if number == turns[-1] else self._block
                     if walk(node.body, env):
-                        raise Refused("a loop that is left")
+                        raise UnsupportedConstruct("a loop that is left")
                 return
-        self._keep(node, name, (first, end, step), env)
+        self._emit_loop(node, name, (first, end, step), env)
 
-    def _keep(self, node: ast.For, name: str, ends: Any, env: Env) -> None:
-        """Walk a loop that stays one."""
-        self._let_change(assigned(node.body) - {name}, env)
+    def _emit_loop(self, node: ast.For, name: str, ends: Any, env: Env) -> None:
+        """Emit a loop that is neither unrolled nor vectorised."""
+        self._make_variables(assigned(node.body) - {name}, env)
         local_env = dict(env)
 
         def body(number: Any, loop: Loop) -> bool:
@@ -238,7 +249,7 @@ class Walker(Assigning):
         env.pop(name, None)
 
     def _while(self, test: ast.expr, statements: Any, env: Env) -> None:
-        self._let_change(assigned(statements), env)
+        self._make_variables(assigned(statements), env)
         local_env = dict(env)
 
         def body(loop: Loop) -> bool:
@@ -247,7 +258,7 @@ class Walker(Assigning):
         self._values.repeat(lambda: self._value(test, dict(local_env)), body)
 
     def _turn(self, statements: Any, env: Env, loop: Loop) -> bool:
-        """Walk one turn of a loop; returns whether it ends elsewhere."""
+        """Emit one turn of a loop; return True if it ends with a break or continue."""
         frame = self._frames[-1]
         frame.depth += 1
         frame.loops.append(replace(loop, mask=self._mask))
@@ -256,15 +267,21 @@ class Walker(Assigning):
         frame.depth -= 1
         return left
 
-    def _as_vector(self, node: ast.For, name: str, turns: range, env: Env) -> bool:
-        """Walk a loop with vectors, if its turns go along neighbouring rows and are independent.
+    def _vectorise_loop(self, node: ast.For, name: str, turns: range, env: Env) -> bool:
+        """Emit a loop as vector instructions; return False if this is impossible.
 
-        Rows of a kernel that is unrolled are values, which would have to be put together.
+        Its turns must be independent and use adjacent rows. In an unrolled kernel, rows are single
+        values, and vectors of them would need extra instructions.
         """
-        if self._straight or self._width or len(turns) not in WIDTHS or not self._single(env):
+        if (
+            self._unrolls_all
+            or self._width
+            or len(turns) not in WIDTHS
+            or not self._has_one_lane(env)
+        ):
             return False
         constants = {key: value for key, value in env.items() if isinstance(value, int)}
-        if not vectors(node, name, turns, self._text, constants):
+        if not can_vectorise(node, name, turns, self._text, constants):
             return False
         local_env = env | {name: LaneNumber(turns.start)}
         self._width = len(turns)
@@ -272,32 +289,35 @@ class Walker(Assigning):
             self._block(node.body, local_env)
         finally:
             self._width = 0
-        for variable in assigned(node.body):  # they have no one value behind it
+        for variable in assigned(node.body):  # after the loop, they differ from lane to lane
             env.pop(variable, None)
         return True
 
-    def _with_own(self, node: ast.For, name: str, turns: range, env: Env) -> bool:
-        """Walk a loop with vectors, of which each lane has scratch of its own."""
+    def _vectorise_privately(self, node: ast.For, name: str, turns: range, env: Env) -> bool:
+        """Emit a loop as vector instructions whose lanes have private scratch rows.
+
+        Return False if this is impossible.
+        """
         width, text = len(turns), self._text
-        if self._width or not self._lanes_own or not self._single(env):
+        if self._width or not self._private_scratch or not self._has_one_lane(env):
             return False
         if width not in WIDTHS or turns != range(text.constants.get("STRIDE", 0)):
             return False
-        blocks = own_blocks(node, name, text)
+        blocks = private_blocks(node, name, text)
         if not blocks or sum(len(text.blocks[x]) for x in blocks) * width > MOST_OWN:
             return False
         values = self._values
-        self._own = lane_rows = {
-            x: values.own_rows(len(text.blocks[x]), width) for x in sorted(blocks)
+        self._private_rows = lane_rows = {
+            x: values.private_rows(len(text.blocks[x]), width) for x in sorted(blocks)
         }
         self._width = width
         self._block(node.body, env | {name: LaneNumber(turns.start)})
-        self._width, self._own = 0, {}
-        for variable in assigned(node.body):  # they have no one value behind it
+        self._width, self._private_rows = 0, {}
+        for variable in assigned(node.body):  # after the loop, they differ from lane to lane
             env.pop(variable, None)
         around = [*(ahead.here for ahead in self._ahead[:-1]), *(x.after for x in self._ahead)]
         left = {x for x in blocks if x not in text.scratch or any(x in names for names in around)}
-        for block in sorted(left):  # as the last turn leaves it
+        for block in sorted(left):  # later statements read the rows of the last turn
             for k, row in enumerate(text.blocks[block]):
                 last = values.element(
                     values.load(env["W"], [values.add(lane_rows[block], k), 0], 0), width - 1
@@ -306,24 +326,24 @@ class Walker(Assigning):
         return True
 
     @staticmethod
-    def _single(env: Env) -> bool:
-        """Return whether rows of the workspace stand beside each other."""
+    def _has_one_lane(env: Env) -> bool:
+        """Return True if the workspace has one lane, so that its rows are contiguous."""
         workspace = env.get("W")
         return isinstance(workspace, Array) and workspace.strides == (1, 1)
 
     def _weight(self, body: Any) -> int:
         return sum(weight(statement, self._text) for statement in body)
 
-    def _inside(
+    def _inline(
         self, function: ast.FunctionDef, arguments: list[Any], *, last: bool = False
     ) -> Any:
-        """Walk a function where it is called; it may be the last of a statement."""
-        if self._width and function.name in self._alone:
-            return self._by_lanes(function, arguments)
+        """Emit a function at its call; ``last`` says that the call ends a statement."""
+        if self._width and function.name in self._scalar_functions:
+            return self._walk_each_lane(function, arguments)
         env = dict(zip([parameter.arg for parameter in function.args.args], arguments, strict=True))
         frame, values = Frame(function, self._mask), self._values
         self._frames.append(frame)
-        left = (self._last if last else self._block)(function.body, env)
+        left = (self._walk_final if last else self._block)(function.body, env)
         self._frames.pop()
         if frame.exit is not None:
             builder = values.builder
@@ -331,14 +351,16 @@ class Walker(Assigning):
                 builder.branch(frame.exit)
             builder.position_at_end(frame.exit)
         if frame.freed and _has_array(frame.result):
-            raise GenerationError(f"{function.name} gives back an array; it frees those it makes.")
+            raise GenerationError(
+                f"{function.name} returns an array, but frees the arrays that it allocates."
+            )
         values.release(frame.freed)
         if isinstance(frame.result, list):
             return [values.read(x) if isinstance(x, Slot) else x for x in frame.result]
         return values.read(frame.result) if isinstance(frame.result, Slot) else frame.result
 
-    def _by_lanes(self, function: ast.FunctionDef, arguments: list[Any]) -> None:
-        """Walk a function for one lane after another, where others are done at once."""
+    def _walk_each_lane(self, function: ast.FunctionDef, arguments: list[Any]) -> None:
+        """Emit a function in a loop over lanes, although its caller has vectors."""
         values, width, mask = self._values, self._width, self._mask
         self._width, self._mask = 0, None
 
@@ -348,8 +370,8 @@ class Walker(Assigning):
                     values.add(x.first, number) if isinstance(x, LaneNumber) else x
                     for x in arguments
                 )
-                if self._inside(function, [*lane_arguments]) is not None:
-                    raise Refused("a result of one lane after another")
+                if self._inline(function, [*lane_arguments]) is not None:
+                    raise UnsupportedConstruct("a function with a result in a loop over lanes")
                 return False
 
             if mask is None:
@@ -361,7 +383,7 @@ class Walker(Assigning):
 
 
 def _has_array(value: Any) -> bool:
-    """Return whether a result is an array, or has one in it."""
+    """Return True if a result is or contains an array."""
     if isinstance(value, list):
         return any(map(_has_array, value))
     return isinstance(value, Array)

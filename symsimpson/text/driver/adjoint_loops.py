@@ -1,6 +1,6 @@
 """The compiled loops of the adjoint: derivatives of a cost, from the end of a run to its start.
 
-This text is appended to that of the driver, whose names it uses, and compiled with it.
+This file is compiled together with the text of the driver and uses its names.
 """
 
 from numba import njit, types
@@ -35,12 +35,14 @@ SIGNATURES |= {
 def carry_back(addresses, setting, rows, first, given, totals, chosen, slopes):
     """Carry derivatives of a cost by the state back over as many steps as ``slopes`` has rows.
 
-    ``addresses`` are those of the kernels prepare and adjoint; ``rows`` the first rows of the
-    derivatives by the state, which are carried, and by parameters, which each step gives anew.
-    ``first`` is the number of the first step. Of what is ``given``, records[i + 1] is step i,
-    jumps[i] the derivative of the cost by the state behind it, if any, and inputs those of the
-    whole run. The first row of ``totals`` takes sums of the derivatives by parameters, the second
-    what rounding has taken from them; ``slopes`` those that are ``chosen``, step by step.
+    ``addresses`` are the addresses of the kernels prepare and adjoint. ``rows`` has the first row
+    of the derivatives by the state, and the first row of the derivatives by parameters. The kernel
+    replaces the latter in each step. ``first`` is the number of the first step.
+
+    ``given`` is (records, jumps, inputs): records[i + 1] is step i, and jumps[i] the derivative of
+    the cost by the state after it, if any. The inputs belong to the whole run. The first row of
+    ``totals`` takes the sums of derivatives by parameters, the second row their rounding errors.
+    ``slopes`` takes the ``chosen`` derivatives of each step.
     """
     (prepare, adjoint), (h, t0, W, at) = addresses, setting
     (row, slope_row), (records, jumps, inputs) = rows, given
@@ -71,8 +73,9 @@ def carry_back(addresses, setting, rows, first, given, totals, chosen, slopes):
 def pull_velocities(addresses, setting, states, rows, out, slopes):
     """Turn derivatives by q and p at states, given in ``out``, into those by q and v.
 
-    ``addresses`` are those of prepare, of the start, and of the adjoint there; ``rows`` where
-    derivatives by the state, and by parameters, begin. ``slopes`` takes the latter at given v.
+    ``addresses`` are the addresses of prepare, start and start_adjoint. ``rows`` has the first row
+    of the derivatives by the state, and the first row of the derivatives by parameters. ``slopes``
+    takes the latter at constant v.
     """
     (prepare, start, adjoint), (h, t, W, at) = addresses, setting
     (q, p), (row, slope_row), n = states, rows, at[DIMENSION]

@@ -1,8 +1,8 @@
-"""Compiled loops over steps that are taken again, from stored states.
+"""Compiled loops that repeat steps from stored states.
 
-They give states between the steps of a run, or what a recorder adds up over steps.
+They compute states between the steps of a run, or the sums of a recorder over steps.
 
-Compiled behind the text of the driver, whose names it uses.
+This file is compiled together with the text of the driver and uses its names.
 """
 
 import numpy as np
@@ -51,7 +51,7 @@ SAME_WAY, ROUNDED = 1e-3, 1e-9
 
 
 @njit(**DRIVER_OPTIONS)
-def begin_again(kernels, setting, q, p):
+def begin_at_state(kernels, setting, q, p):
     """Begin at a stored state."""
     h, t, W, at = setting
     n = at[DIMENSION]
@@ -67,14 +67,14 @@ def begin_again(kernels, setting, q, p):
 
 @njit(**DRIVER_OPTIONS)
 def take(kernels, setting, count, state, driving, room, doubtful):
-    """Take steps from a state, and leave there the one after them; tells whether all went well.
+    """Take steps from a state, and replace it by the state after them; return True on success.
 
-    They are driven by inputs, the first one by those of a given number. Room is for their progress,
-    and where nothing is stored. Steps in doubt go well where they may be ``doubtful``; they are not
-    recovered here: that is rare, and would make this slow to compile.
+    ``driving`` has the inputs and the number of the first step among them. ``room`` has arrays for
+    the progress and for states that are not stored. Steps in doubt fail unless ``doubtful`` is set.
+    They are rare, and code to recover them would be slow to compile.
     """
     (_, _, W, at), (q, p), (inputs, first) = setting, state, driving
-    begin_again(kernels, setting, q, p)
+    begin_at_state(kernels, setting, q, p)
     progress, nothing, counted = room
     stores = nothing, nothing, nothing, counted
     progress[0], progress[1], progress[3] = 0, 0, first
@@ -94,14 +94,15 @@ def take(kernels, setting, count, state, driving, room, doubtful):
 
 @njit(**DRIVER_OPTIONS)
 def between(kernels, setting, states, sought, results, every, inputs, rests):
-    """Return the states ``whole[i]`` steps and then one of size ``rest[i]`` after the i-th start.
+    """Compute states between stored ones: ``whole[i]`` steps and a part of a step after a start.
 
-    ``setting`` has the times of stored states, ``states`` are their q and p, and what is
-    ``sought`` tells by ``start`` which of them; where that and the whole steps go up, no step is
-    taken twice. ``every`` whole steps lie between stored states; they have ``inputs``, and those of
-    size ``rest[i]`` have ``rests``. The ``results`` are q, p and whether steps went well. The
-    first two have one row more than there are states to give: the state after the whole steps
-    stands there.
+    ``setting`` has the times of stored states, and ``states`` their q and p. ``sought`` is (start,
+    whole, rest): the index of the stored state, the number of whole steps, and the size of the
+    part. No step is taken twice if start and whole increase. ``every`` whole steps lie between
+    stored states. Whole steps use ``inputs``, and the i-th part uses row i of ``rests``.
+
+    ``results`` takes q, p and whether all steps succeeded. The arrays of q and p have one more row,
+    for the state after the whole steps.
     """
     (h, t, W, at), (q, p) = setting, states
     (start, whole, rest), (q_out, p_out, fine) = sought, results
@@ -129,12 +130,12 @@ def between(kernels, setting, states, sought, results, every, inputs, rests):
 
 
 @njit(**RARE)
-def part_of_step(kernels, energy, setting, ahead, asked, state, driving, near):
-    """Go from a state to a time between that of it and ``ahead``, a step; leave the new one there.
+def take_part_of_step(kernels, energy, setting, ahead, asked, state, driving, near):
+    """Move a state to the time ``asked``, which lies within a step that ends at time ``ahead``.
 
-    Returns the part of tau that leads there, and whether all went well. It is found by Newton's
-    method, ``near`` as rounding is, with the rate that the energy's kernel tells; between a time
-    before and one behind it.
+    Return the part of tau to that time, and whether all steps succeeded. Newton's method finds the
+    part within a bracket, to the relative tolerance ``near``. The kernel of the energy gives the
+    rate dt/dtau.
     """
     (h, now, W, at), (q, p), (inputs, room) = setting, state, driving
     n, time = at[DIMENSION], at[TIME]
@@ -166,13 +167,13 @@ def part_of_step(kernels, energy, setting, ahead, asked, state, driving, near):
 
 @njit(**DRIVER_OPTIONS)
 def states_at(kernels, energy, setting, states, sought, results, every, given):
-    """Return the states at given times of a run that keeps a time of its own, behind some starts.
+    """Compute the states of a retimed run at given times, each from the stored state before it.
 
-    ``setting`` has the times of stored states, ``states`` are their q and p; ``every`` steps lie
-    from one to the next. What is ``sought`` tells by ``start`` which of them, the times that are
-    asked for, and how near they must be met. The ``results`` are q and p, which have one row
-    more, for what is tried, how far each state is into its step, and whether all went well.
-    ``given`` are inputs, and parameters: a row for each state, or one for all.
+    ``setting`` has the times of stored states, and ``states`` their q and p. ``every`` steps lie
+    between stored states. ``sought`` has the indices of stored states, the times, and the relative
+    tolerance for these. ``results`` takes q and p, with one more row for trials, the part of tau of
+    each state in its step, and whether all steps succeeded. ``given`` has inputs, and parameters: a
+    row for each state, or one for all.
     """
     (h, t, W, at), (q, p) = setting, states
     (start, asked, near), (q_out, p_out, part, fine) = sought, results
@@ -200,7 +201,7 @@ def states_at(kernels, energy, setting, states, sought, results, every, given):
                         q_out[i, a], p_out[i, a] = q_out[last, a], p_out[last, a]
         if now != asked[i] and well:
             here, state = (h, now, W, at), (q_out[i], p_out[i])
-            part[i], well = part_of_step(
+            part[i], well = take_part_of_step(
                 kernels, energy, here, ahead, asked[i], state, (inputs, room), near
             )
         fine[i] = well
@@ -219,12 +220,12 @@ def reached(W, at, before, after):
 
 @njit(**DRIVER_OPTIONS)
 def replay(kernels, setting, states, every, anew, out, inputs):
-    """Take the steps between stored states again, and store a recorder's sums at each state.
+    """Repeat the steps between stored states, and store a recorder's sums at each state.
 
-    There are ``every`` steps from one to the next. ``out[i]`` takes the sums over the steps from
-    state 0, or from state i - 1 where each begins ``anew``. In the workspace they are followed by
-    what rounding took from them. ``inputs`` are those of all steps. Returns how many states were
-    reached, the first one included: a replay that ends away from a stored state stops there.
+    ``every`` steps lie between stored states. ``out[i]`` takes the sums over the steps from state
+    0, or from state i - 1 with ``anew``. In the workspace the rounding errors follow the sums.
+    ``inputs`` has the inputs of all steps. Return the number of states that were reached, the first
+    one included. The replay stops if it does not end at the next stored state.
     """
     (h, t, W, at), (q, p) = setting, states
     n, row, count = at[DIMENSION], at[RECORDED], out.shape[1]

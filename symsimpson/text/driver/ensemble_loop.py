@@ -1,7 +1,7 @@
 """The compiled loop over blocks of trajectories, the members of an ensemble as lanes.
 
-Compiled behind the text of the driver, whose names it uses. A thread works on blocks of its own
-with a workspace of its own; what a lane computes does not depend on its neighbours.
+This file is compiled together with the text of the driver and uses its names. Each thread has its
+own blocks and its own workspace. The results of a lane do not depend on its neighbours.
 """
 
 import numpy as np
@@ -12,13 +12,13 @@ from symsimpson.text.driver.recovery import recover
 from symsimpson.text.driver.steps import *
 from symsimpson.text.interface import *
 
-#: Where in the cursor what stands.
+#: The entries of the cursor.
 BLOCK, STEP, BEGUN = 0, 1, 2
-#: After so many steps in which it does not change at all, the time of a member stands still.
+#: The number of steps without any change of the time after which a member is stopped.
 STANDSTILL = 1024
-#: What is below so much of its size at the end is left to the rules of single runs: it costs time.
+#: Expressions below this part of their size at the end count as events, which run alone.
 NEARLY_ZERO = 2.0**-30
-#: What variations tell, among the kinds of reductions, and how often an event acted.
+#: Kinds of reductions: indicators of chaos, and the number of events that acted.
 LYAPUNOV, MEGNO, SALI, ACTED = 4, 5, 6, 7
 
 MEMBERS, STORED = types.float64[:, ::1], types.float64[:, :, ::1]
@@ -38,7 +38,7 @@ SIGNATURES |= {
 
 @njit(**RARE)
 def load_block(kernels, more, setting, block, starts):
-    """Put the members of a block into the lanes; the last one fills a ragged end."""
+    """Load the members of a block into lanes; the last member fills spare lanes."""
     (h, t0, W, at), (q0, other0, parameters) = setting, starts
     members = q0.shape[0]
     n = at[DIMENSION]
@@ -75,8 +75,8 @@ def load_block(kernels, more, setting, block, starts):
 
 
 @njit(**DRIVER_OPTIONS)
-def look_at_time(W, at, still):
-    """Undo the steps of members that have arrived with them, or whose time does not go on."""
+def undo_arrived_steps(W, at, still):
+    """Undo the last step of members that have arrived, or whose time stands still."""
     n, time = at[DIMENSION], at[TIME]
     for lane in range(LANES):
         if W[at[STATUS], lane] == 0.0:
@@ -93,7 +93,7 @@ def look_at_time(W, at, still):
 
 @njit(**RARE)
 def begin_variations(momentum_slopes, h, t, W, at, columns):
-    """Begin variations of the state; at given velocities, parameters change p, too."""
+    """Begin variations of the state; at constant velocities parameters also change p."""
     size, count = columns.shape
     for lane in range(LANES):
         for j in range(count):
@@ -104,8 +104,8 @@ def begin_variations(momentum_slopes, h, t, W, at, columns):
 
 
 @njit(**RARE)
-def begin_watching(kernels, h, t, W, at, first, rows):
-    """Look where members begin, before anything is known of the signs that are waited for."""
+def begin_event_search(kernels, h, t, W, at, first, rows):
+    """Begin the search for events: call their recorders at the initial states."""
     for lane in range(LANES):
         for row in range(rows):  # sizes are none yet; of the others nothing is known
             W[first + row, lane] = 0.0 if row % WATCHED == SIZE_WATCHED else np.nan
@@ -115,8 +115,8 @@ def begin_watching(kernels, h, t, W, at, first, rows):
 
 
 @njit(**RARE)
-def look_at_end(W, at, first, rows):
-    """Have members run by themselves at whose end an expression is zero or nearly: it may act."""
+def mark_events_at_end(W, at, first, rows):
+    """Mark members with an event that may act at their end: they run alone again."""
     for k in range(rows // WATCHED):
         row = first + WATCHED * k
         for lane in range(LANES):
@@ -126,10 +126,11 @@ def look_at_end(W, at, first, rows):
 
 
 @njit(**RARE)
-def tell(W, at, h, row, kinds, seen, block):
-    """Store the observed values of a block, which begin at a row, and its variations.
+def store_observed(W, at, h, row, kinds, seen, block):
+    """Store the observed values and growth rates of a block in ``seen``.
 
-    The last entry is the smallest pivot of M, if steps may not have resolved it.
+    ``row`` is the first row of observed values. The last entry of a member is the smallest pivot of
+    M if its steps may not have resolved this passage.
     """
     last = seen.shape[1]
     for lane in range(LANES):
@@ -162,7 +163,7 @@ def tell(W, at, h, row, kinds, seen, block):
 
 @njit(**RARE)
 def finish_block(W, at, block, step, every, buffers, outs, lost):
-    """Store what the lanes of a block have come to."""
+    """Store the results of the lanes of a block."""
     (buffer_q, buffer_p, recorded, counted), (q_out, p_out, codes_out, recorded_out) = buffers, outs
     for lane in range(LANES):
         member = block * LANES + lane
@@ -186,28 +187,27 @@ def finish_block(W, at, block, step, every, buffers, outs, lost):
 
 @njit(**DRIVER_OPTIONS)
 def advance_blocks(kernels, more, setting, cursor, asked, starts, buffers, outs):
-    """Advance blocks, as far as it is asked for; the next call goes on from there.
+    """Advance blocks of members within a budget of steps; the next call continues there.
 
-    ``more`` holds addresses: legendre (0 if momenta are given), what parameters change of momenta
-    (0 if nothing), and what sets the energy and the rate of a member that keeps a time of its own
-    (0 if none does); then where it stands what was observed, the first row and their number, and
-    likewise what is known of signs that are waited for.
+    ``more`` begins with the addresses of the kernels legendre, momentum_slopes and retime. An
+    address is 0 if the run does not need the kernel. Then follow the first row and the number of
+    rows of observed values, and the first row and the number of rows of watched expressions.
 
     Parameters
     ----------
     asked
-        The last block, and a budget of steps for all; steps of a member, and how many from one
-        stored state to the next.
+        The last block, and a budget of steps for all blocks. Then the steps of a member, and the
+        steps between its stored states.
     starts
-        Positions, and momenta or velocities, of all members; parameters; inputs; columns that
-        variations begin as, if there are any, for ``begin_growth`` those of each member.
+        Positions, and momenta or velocities, of all members. Then parameters, inputs, and the
+        initial columns of variations. ``begin_growth`` takes columns for each member.
     buffers
-        Stored states of the block under way, what recorders left beside them, iterations; and two
-        numbers for each lane: the steps of one that has ended, else -1, and those in which its time
-        stood still.
+        Stored states of the current block, the rows of recorders, and iterations. Then two numbers
+        for each lane. The first is the number of steps of a lane that has ended, else -1. The
+        second counts steps in which its time stood still.
     outs
-        Take states; status, steps and iterations of each member; what recorders left beside states;
-        then the kinds of reductions, and two numbers for each.
+        Arrays for the results: states, then status, steps and iterations of each member, then the
+        rows of recorders. The last two have the kinds of reductions, and two numbers for each.
     """
     (h, t0, W, at), (last, budget, steps, every) = setting, asked
     q0, other0, parameters, inputs, columns = starts
@@ -226,7 +226,7 @@ def advance_blocks(kernels, more, setting, cursor, asked, starts, buffers, outs)
             elif columns.shape[1] > 0:
                 begin_variations(more[1], h, t0, W, at, columns)
             if at[OF_EVENTS] > 0:
-                begin_watching(kernels, h, t0, W, at, more[5], more[6])
+                begin_event_search(kernels, h, t0, W, at, more[5], more[6])
             for lane in range(LANES):
                 lost[lane] = 0 if W[at[STATUS], lane] != 0.0 else -1
                 lost[LANES + lane] = 0
@@ -248,11 +248,11 @@ def advance_blocks(kernels, more, setting, cursor, asked, starts, buffers, outs)
                 take_steps(kernels, setting, progress, until, every, stores, given)
                 if progress[1] != 0:
                     recover(kernels, h, t0 + h * progress[0], W, at, progress[1])
-                    # the step is taken and not yet counted: take_steps does that first
+                    # take_steps first counts the recovered step
                     until = progress[0] + 1
                     take_steps(kernels, setting, progress, until, every, stores, given)
             if timed:
-                look_at_time(W, at, lost[LANES:])
+                undo_arrived_steps(W, at, lost[LANES:])
             alive = False
             for lane in range(LANES):
                 if W[at[STATUS], lane] == 0.0:
@@ -262,8 +262,8 @@ def advance_blocks(kernels, more, setting, cursor, asked, starts, buffers, outs)
             budget -= progress[0] - step
         cursor[STEP] = progress[0]
         if progress[0] >= steps or not alive:
-            look_at_end(W, at, more[5], more[6])
-            tell(W, at, h, more[3], kinds, seen, block)
+            mark_events_at_end(W, at, more[5], more[6])
+            store_observed(W, at, h, more[3], kinds, seen, block)
             outcome = q_out, p_out, codes_out, recorded_out
             finish_block(W, at, block, progress[0], every, stores, outcome, lost)
             cursor[BLOCK], cursor[BEGUN] = block + 1, 0

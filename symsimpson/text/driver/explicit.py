@@ -1,6 +1,6 @@
-"""The compiled loop over steps that need no iteration, and over states to evaluate.
+"""The compiled loop over explicit steps, and loops that evaluate kernels at states.
 
-Compiled behind the text of the driver, whose names it uses.
+This file is compiled together with the text of the driver and uses its names.
 """
 
 import numpy as np
@@ -37,10 +37,9 @@ def finite(W, first, last, lane):
 
 @njit(**DRIVER_OPTIONS)
 def take_explicit_steps(kernels, setting, progress, stop, every, stores, inputs):
-    """Take explicit steps, by one kernel call for all up to the next state to store.
+    """Take explicit steps; one kernel call takes all steps up to the next stored state.
 
-    Arguments are as for ``take_steps``. A lane whose state would not be finite stops before that
-    step.
+    Arguments are as for ``take_steps``. A lane stops before a step that would not be finite.
     """
     h, t0, W, at = setting
     n, lanes = at[DIMENSION], LANES
@@ -100,9 +99,9 @@ def take_explicit_steps(kernels, setting, progress, stop, every, stores, inputs)
 def evaluate(addresses, h, W, at, states, block, out, given):
     """Evaluate a kernel that maps (t, q, p) or (t, q, v) to the rows of a block, at many states.
 
-    ``addresses`` are those of prepare, of a kernel that comes before it, or 0, and its own.
-    ``given`` are inputs, with steps in the places of states, and a row of parameters for each of
-    some members, which have equally many states one after another.
+    ``addresses`` has the addresses of prepare, of a kernel to call first (or 0), and of the kernel.
+    ``given`` has the inputs of each state, and a row of parameters for each member. All members
+    have the same number of consecutive states.
     """
     (prepare, before, kernel), (t, q, p), (inputs, values) = addresses, states, given
     n, together = at[DIMENSION], q.shape[0] // max(values.shape[0], 1)
@@ -124,14 +123,15 @@ def evaluate(addresses, h, W, at, states, block, out, given):
 
 
 @njit(**DRIVER_OPTIONS)
-def steady(energy, setting, states, judged, rate):
+def has_steady_energy(energy, setting, states, judged, rate):
     """Return whether the energy of sampled states stays near its first value.
 
     ``states`` are q and p. ``judged`` is (last, few, limit): samples are the states number
-    i * last // few, for i from 0 to few. The largest change of the energy must be at most ``limit``
-    times the kinetic energy at more than half of the samples, and at one or more of the first
-    eighth. If ``rate`` is not 0, it is the row of dt/dtau, which multiplies both; where it has
-    nearly vanished, the energy itself must be near its first value.
+    i * last // few, for i from 0 to few. The largest change of the energy is compared with
+    ``limit`` times the kinetic energy. It must not exceed this bound at more than half of the
+    samples, and at one or more of the first eighth. If ``rate`` is not 0, it is the row of dt/dtau,
+    which multiplies both energies. If dt/dtau has nearly vanished, the energy itself must be near
+    its first value.
     """
     (h, _, W, at), (q, p), (last, few, limit) = setting, states, judged
     n, row = at[DIMENSION], at[ENERGY]

@@ -1,9 +1,9 @@
-"""Events within steps: where they are, and the loop over steps with impacts, one at a time.
+"""Events within steps: their location, and the loop over steps with single impacts.
 
-Compiled behind the text of the driver, whose names it uses. All events are located here. Python
-(:class:`symsimpson.run.event_run.EventRun`) acts on those that are no plain impacts; what is plain
-is done here by the same rules. Where it is not (several impacts at one time, a part of a step that
-fails), the loop is left after the step as it was taken, and nothing else has changed.
+This file is compiled together with the text of the driver and uses its names. This code locates all
+events. Python (:class:`symsimpson.run.event_run.EventRun`) handles all events that are not plain
+impacts, by the same rules. Impacts are not plain if several act at one time, or if a part of a step
+fails. Then the loop returns after the whole step, without a change of the state.
 """
 
 import numpy as np
@@ -27,19 +27,19 @@ LOWEST = 1e-9
 NEARBY, JUMP = 1e-6, 1e-6
 #: The least number that is not rounded to zero.
 TINY = 2.0**-1022
-#: More impacts within one step may be those that accumulate.
+#: The most plain impacts within one step; more of them may accumulate.
 MOST_PLAIN = 3
-#: Of each event, where its rate stands among what is asked for, the first of its slopes (-1 where
-#: it has neither), its condition (or -1), the size of its terms, and the sign that is waited for.
+#: Columns of an event: among all expressions its rate and the first of its slopes (-1 if it has
+#: none), its condition (or -1), and the size of its terms; then the sign to wait for.
 RATE_AT, SLOPES_AT, WHEN_AT, SIZE_AT, SIGN = range(5)
-#: Of each impact that acted: its number, the time, the step, the impulse; then q and p before it
-#: and behind it.
+#: Columns of a record: the number of the event, the time, the step, the impulse; then q and p
+#: before and after the impact.
 EVENT, TIME_OF, STEP_OF, IMPULSE, STATES_OF = range(5)
 
 #: Kernels that take parts of steps, their workspace, and the layout for the driver.
 PARTING = types.Tuple((SET, WORKSPACE, DRIVER_LAYOUT_ROWS))
-#: What evaluates all that is asked for: prepare, the energy and the kernel; its workspace, in
-#: which prepare was called, the layout for the driver, and how much is asked for.
+#: The evaluation of all expressions: addresses of prepare, the energy and the kernel; a prepared
+#: workspace, the layout for the driver, and the number of expressions.
 LOOKING = types.Tuple((types.UniTuple(types.int64, 3), WORKSPACE, DRIVER_LAYOUT_ROWS, types.int64))
 #: Progress of parts of steps, where nothing is stored, how many were lost, and inputs.
 ROOM = types.Tuple((types.int64[::1], STATES, COUNTS, INPUTS))
@@ -74,7 +74,7 @@ SIGNATURES |= {
 
 @njit(**RARE)
 def zero_of_cubic(first, last, a, b, side):
-    """Return about where from 0 to 1 the cubic changes its side that has these ends and slopes."""
+    """Return the approximate zero in 0..1 of the cubic with these end values and slopes."""
     rest = last - first
     c, d = 3.0 * rest - 2.0 * a - b, a + b - 2.0 * rest
     low, high = 0.0, 1.0
@@ -89,7 +89,7 @@ def zero_of_cubic(first, last, a, b, side):
 
 @njit(**RARE)
 def look(looking, t, q, p, row):
-    """Evaluate all that is asked for at a state; tells whether all of it has a value."""
+    """Evaluate all expressions at a state; return whether all values are finite."""
     (_, energy, kernel), W, at, _ = looking
     for a in range(at[DIMENSION]):
         W[at[POSITION] + a, 0], W[at[MOMENTUM] + a, 0] = q[a], p[a]
@@ -103,8 +103,8 @@ def look(looking, t, q, p, row):
 
 
 @njit(**RARE)
-def through_part(parting, start, t, size, state, room):
-    """Go from a state at a time through a part of a step, to the other state; tells if it went."""
+def try_part_of_step(parting, start, t, size, state, room):
+    """Take a part of a step from one state to the other; return whether it succeeded."""
     (kernels, W, at), (from_q, from_p), (q, p) = parting, start, state
     for a in range(at[DIMENSION]):
         q[a], p[a] = from_q[a], from_p[a]
@@ -114,14 +114,14 @@ def through_part(parting, start, t, size, state, room):
 
 
 @njit(**RARE)
-def side_of(value, small, before):
-    """Return on which side of zero a value is; near it, where it was."""
+def sign_of(value, small, before):
+    """Return the sign of a value; a value near zero keeps its sign before."""
     return 1.0 if value > small else (-1.0 if value < -small else before)
 
 
 @njit(**RARE)
-def size_of(events, k, row, q, before):
-    """Return the size of an expression: that of its terms, or what is left of the one before."""
+def expression_size(events, k, row, q, before):
+    """Return the size of an expression: of its terms, or the decayed size before."""
     size, terms, gap = row[events[k, SIZE_AT]], 0.0, events[k, SLOPES_AT] >= 0
     for a in range(q.size if gap else 0):
         terms += abs(row[events[k, SLOPES_AT] + a] * q[a])
@@ -130,9 +130,9 @@ def size_of(events, k, row, q, before):
 
 @njit(**RARE)
 def value_at(means, start, t, x, place, work):
-    """Return a value after a part of a step; NaN, and it is counted, if that cannot be taken."""
+    """Return a value after a part of a step; if the part fails, count that and return NaN."""
     (parting, looking, room), (row, state) = means, work
-    if not through_part(parting, start, t, x, state, room):
+    if not try_part_of_step(parting, start, t, x, state, room):
         room[2][0, 0] += 1
         return np.nan
     look(looking, t + x, state[0], state[1], row)
@@ -141,7 +141,7 @@ def value_at(means, start, t, x, place, work):
 
 @njit(**RARE)
 def ridders(means, start, t, span, ends, place, size, work):
-    """Find where in a span a value changes its sign, within a size; NaN where it is no number.
+    """Find the zero of a value in a span, to this size; NaN if a value is not finite.
 
     C. Ridders, IEEE Transactions on Circuits and Systems 26 (1979) 979.
     """
@@ -161,7 +161,7 @@ def ridders(means, start, t, span, ends, place, size, work):
             return np.nan
         if (x - middle) * (high - low) < 0.0:
             x, there, middle, value = middle, value, x, there
-        # the smallest bracket of what is known: low, middle, x and high stand in this order
+        # the smallest bracket among low, middle, x and high, which are in this order
         if (first > 0.0) != (value > 0.0) or value == 0.0:
             high, last = middle, value
         elif (value > 0.0) != (there > 0.0) or there == 0.0:
@@ -175,10 +175,10 @@ def ridders(means, start, t, span, ends, place, size, work):
 
 @njit(**RARE)
 def zero_by_rate(means, start, t, span, ends, places, side, work):
-    """Find where from 0 to a span a gap is zero, NaN where it is no number.
+    """Find the zero of a gap between 0 and a span; NaN if a value is not finite.
 
-    ``ends`` are the gap and its rate at both ends, ``places`` where they stand. Newton's method
-    begins at the zero of a cubic, and bisects where it leaves the bracket.
+    ``ends`` has the gap and its rate at both ends, and ``places`` their columns. Newton's method
+    begins at the zero of a cubic, and bisects if it leaves the bracket.
     """
     ((first, down), (last, up)), (k, rate_at) = ends, places
     low, high, before, met, tries = 0.0, span, 0.0, False, 0
@@ -213,7 +213,7 @@ def zero_by_rate(means, start, t, span, ends, places, side, work):
 
 @njit(**RARE)
 def zero_without_rate(means, start, t, span, ends, k, side, work):
-    """Find where from 0 to a span an expression without a rate is zero, NaN where it jumps."""
+    """Find the zero of an expression without a rate between 0 and a span; NaN if it jumps."""
     (first, last), low, size = ends, 0.0, EXACT * abs(span)
     if abs(first) < NEARBY * abs(last):  # rounding: it begins a little later
         there = value_at(means, start, t, NEARBY * span, k, work)
@@ -225,8 +225,8 @@ def zero_without_rate(means, start, t, span, ends, k, side, work):
 
 
 @njit(**RARE)
-def dip(means, start, t, span, ends, places, small, work):
-    """Find where a gap passes through zero and comes back within a span, NaN if it does not."""
+def find_dip(means, start, t, span, ends, places, small, work):
+    """Find the minimum of a gap that is negative only within a span; NaN if there is none."""
     (first, last), (k, rate), x = ends, places, np.nan
     if min(first[k], last[k]) > small and span * first[rate] < 0.0 and span * last[rate] > 0.0:
         rates, size = (first[rate], last[rate]), LOWEST * abs(span)
@@ -235,8 +235,8 @@ def dip(means, start, t, span, ends, places, small, work):
 
 
 @njit(**RARE)
-def closing(looking, events, k, row, sign):
-    """Return how fast a gap closes at the state that was looked at last, 0 where it is rounding."""
+def closing_speed(looking, events, k, row, sign):
+    """Return the closing speed of a gap at the last evaluated state; 0 if it is rounding."""
     (_, W, at, _), rate = looking, row[events[k, RATE_AT]]
     terms, rest = 0.0, rate
     for a in range(at[DIMENSION]):
@@ -246,7 +246,7 @@ def closing(looking, events, k, row, sign):
 
 
 @njit(**RARE)
-def weight_of(looking, events, k, t, row, q):
+def impact_weight(looking, events, k, t, row, q):
     """Return n.M^-1 n of the slope n of a gap."""
     (_, energy, _), W, at, _ = looking
     weight = 0.0
@@ -263,25 +263,24 @@ def weight_of(looking, events, k, t, row, q):
 
 @njit(**RARE)
 def locate(means, start, t, span, ends, sides, events, work):
-    """Find the first event within a span of a step; return its number, -1 where there is none.
+    """Find the first event within a span of a step; return its number, or -1 for no event.
 
-    ``ends`` is all that is asked for at both ends, and q at the last one. ``sides`` has signs and
-    sizes of all expressions, and room for zeros: of those that change their side, and of gaps that
-    pass through zero and come back. An entry that is not NaN at first is the end of the span for
-    its event. The state at the first zero is left in ``work``, with all that is asked for. Returns
-    -2 if a part cannot be taken.
+    ``ends`` has all expressions at both ends, and q at the last one. ``sides`` has their signs and
+    sizes, and an array for zeros. This finds sign changes, and gaps that are negative only within
+    the span. An entry of that array other than NaN is the end of the span for its event. ``work``
+    takes the state at the first zero, with all expressions. Return -2 if a part of a step fails.
     """
     (first, last, q), (side, size, zeros) = ends, sides
     lost, earliest, tried = means[2][2], -1, 0
     lost[0, 0] = 0
     for k in range(events.shape[0]):
-        after = side_of(last[k], ZERO * size_of(events, k, last, q, size[k]), side[k])
+        after = sign_of(last[k], ZERO * expression_size(events, k, last, q, size[k]), side[k])
         sign, rate = events[k, SIGN], events[k, RATE_AT]
         if side[k] * after < 0.0 and (sign == 0 or after == sign):
             zeros[k] = span
         elif events[k, SLOPES_AT] >= 0:
             rows, small = (first, last), ZERO * size[k]
-            zeros[k] = dip(means, start, t, span, rows, (k, rate), small, work)
+            zeros[k] = find_dip(means, start, t, span, rows, (k, rate), small, work)
     for k in range(events.shape[0]):
         if zeros[k] == zeros[k]:
             tried, until, rate = tried + 1, zeros[k], events[k, RATE_AT]
@@ -289,7 +288,7 @@ def locate(means, start, t, span, ends, sides, events, work):
             if until != span:
                 then = value_at(means, start, t, until, k, work)
                 up = work[0][rate]
-            # rounding may have left the start behind zero
+            # rounding may have moved the start past zero
             now = first[k] if first[k] * side[k] > 0.0 else side[k] * TINY
             if events[k, SLOPES_AT] < 0:
                 zeros[k] = zero_without_rate(means, start, t, until, (now, then), k, side[k], work)
@@ -298,17 +297,17 @@ def locate(means, start, t, span, ends, sides, events, work):
                 zeros[k] = zero_by_rate(means, start, t, until, both, (k, rate), side[k], work)
             if zeros[k] == zeros[k] and (earliest < 0 or abs(zeros[k]) < abs(zeros[earliest])):
                 earliest = k
-    if earliest >= 0 and (tried > 1 or zeros[earliest] == 0.0):  # others were looked at behind it
+    if earliest >= 0 and (tried > 1 or zeros[earliest] == 0.0):  # the last evaluation was elsewhere
         value_at(means, start, t, zeros[earliest], earliest, work)
     return earliest if lost[0, 0] == 0 else -2
 
 
 @njit(**RARE)
-def bounce(means, setting, step, impacts, sides):
-    """Take a step with its impacts, from where the workspace says that it began.
+def take_impacts(means, setting, step, impacts, sides):
+    """Repeat a step with its impacts, from its initial state in the workspace.
 
-    Returns whether they are plain, or there is none; then the state behind it stands in what was
-    made for it, and sides and sizes are those behind it.
+    Return whether all impacts are plain, or there is none. Then ``behind`` has the state after the
+    step, and the arrays in ``sides`` have signs and sizes there.
     """
     (h, t0, W, at), (events, restitution, _, records, counts) = setting, impacts
     (side, size, zeros, state, there, behind, first, last, row), n = sides, at[DIMENSION]
@@ -321,8 +320,8 @@ def bounce(means, setting, step, impacts, sides):
     well = look(looking, t0, q, p, first)
     while well and not over:
         t, rest = t0 + done, h - done
-        if acted > 0:  # else it is the step as it was taken
-            well = acted <= MOST_PLAIN and through_part(parting, state, t, rest, behind, room)
+        if acted > 0:  # else the whole step is known
+            well = acted <= MOST_PLAIN and try_part_of_step(parting, state, t, rest, behind, room)
         well = well and look(looking, t0 + h, behind[0], behind[1], last)
         k = -2
         if well:
@@ -334,8 +333,8 @@ def bounce(means, setting, step, impacts, sides):
         if well and k == -1:
             over = True
             for k in range(events.shape[0]):
-                before, size[k] = side[k], size_of(events, k, last, behind[0], size[k])
-                side[k] = side_of(last[k], ZERO * size[k], before)
+                before, size[k] = side[k], expression_size(events, k, last, behind[0], size[k])
+                side[k] = sign_of(last[k], ZERO * size[k], before)
                 well = well and (acted > 0 or side[k] == before)
         elif well:
             x = zeros[k]
@@ -348,8 +347,8 @@ def bounce(means, setting, step, impacts, sides):
                 well = well and (other == k or apart)
             sign, speed, weight = 1.0 if h > 0.0 else -1.0, 0.0, 0.0
             if well:
-                speed = closing(looking, events, k, row, sign)
-                weight = weight_of(looking, events, k, t, row, there[0])
+                speed = closing_speed(looking, events, k, row, sign)
+                weight = impact_weight(looking, events, k, t, row, there[0])
                 well = speed > 0.0 and weight > 0.0
             if well:
                 impulse = (1.0 + restitution[k]) * sign * speed / weight
@@ -361,17 +360,17 @@ def bounce(means, setting, step, impacts, sides):
                     kept[STATES_OF + 2 * n + a], kept[STATES_OF + 3 * n + a] = q[a], p[a]
                 done, acted = done + x, acted + 1
                 well = look(looking, t, q, p, first)
-                well = well and closing(looking, events, k, first, sign) == 0.0
+                well = well and closing_speed(looking, events, k, first, sign) == 0.0
     counts[0] += acted if well else 0
     return well
 
 
 @njit(**DRIVER_OPTIONS)
 def take_bouncing(sets, setting, progress, asked, stores, inputs, impacts):
-    """Take steps as ``take_steps`` does, and those with plain impacts in them.
+    """Take steps like ``take_steps``, including steps with plain impacts.
 
-    Leaves where an impact is not plain, behind the step as it was taken, or where there is no room
-    for a record. ``asked`` are where to stop and how many steps lie between stored states.
+    Return after a step with an impact that is not plain, or if there is no room for a record.
+    ``asked`` has the last step, and the number of steps between stored states.
     """
     (kernels, parting, looking), (h, t0, W, at), (stop, every) = sets, setting, asked
     (events, _, watched, records, counts), n = impacts, at[DIMENSION]
@@ -401,9 +400,9 @@ def take_bouncing(sets, setting, progress, asked, stores, inputs, impacts):
                 size[k] = W[watched + WATCHED * k + SIZE_WATCHED, 0]
             rows = side, size, zeros, state, there, behind, first, last, row
             here = h, t0 + h * step, W, at
-            more = bounce((parting, looking, room), here, step, impacts, rows)
+            more = take_impacts((parting, looking, room), here, step, impacts, rows)
         t = t0 + h * (step + 1)
-        if more and counts[0] == before:  # the step stays as it was taken
+        if more and counts[0] == before:  # the step does not change
             W[at[STATUS], 0], W[at[ACTIVE], 0] = 0.0, 1.0
             for k in range(RECORDERS + at[OF_EVENTS], len(kernels) - at[OF_STATES]):
                 call(kernels[k], h, t0 + h * step, W)

@@ -1,6 +1,6 @@
-"""Recovery of steps that the loop leaves: those that failed, or whose solution is in doubt.
+"""Recovery of steps that failed, or whose solution is in doubt.
 
-Compiled behind the text of the driver, whose names it uses.
+This file is compiled together with the text of the driver and uses its names.
 """
 
 import numpy as np
@@ -14,18 +14,18 @@ SIGNATURES |= {
         SET, types.float64, types.float64, WORKSPACE, DRIVER_LAYOUT_ROWS, types.int64
     )
 }
-#: A step is looked at by taking so many more, and the same way in so many finer ones each; their
-#: ends may be so far apart, squared, in units of the largest increments.
+#: A step is verified by MORE further steps, and by FINER steps for each of them. The squared
+#: distance of their ends may be APART in units of the largest increments.
 MORE, FINER, APART = 3, 16, 0.25
 #: Two solutions of a step are one if their relative distance is below this, squared.
 SAME_SOLUTION = 1e-12
-#: From a suspicious step the solution is continued from small steps in so many pieces.
+#: The number of pieces in which a solution is continued from small steps.
 PIECES = 16
-#: A step is linear where a second correction is below this part of the first, squared, and the
-#: first one no less than the other part of the increments.
+#: A step is linear if the second correction is below the part LINEAR of the first, squared, and the
+#: first correction not below the part LARGE of the increments.
 LINEAR, LARGE = 1e-20, 1e-4
-#: Steps resolve a passage where M is small, if its pivot changes by no more than this factor
-#: within so many more steps.
+#: Steps resolve a passage with a small M if its pivot changes by no more than the factor CHANGE
+#: within AHEAD more steps.
 CHANGE, AHEAD = 2.25, 2
 
 
@@ -45,7 +45,7 @@ def put_all_back(W, copy):
 
 @njit(**RARE)
 def activate_only(W, active, lane):
-    """Let kernels work on one lane."""
+    """Activate one lane for kernels."""
     for other in range(LANES):
         W[active, other] = 1.0 if other == lane else 0.0
 
@@ -62,9 +62,9 @@ def distance(W, at, lane, a, b):
 
 @njit(**RARE)
 def continuation(kernels, h, t, W, at, lane):
-    """Solve one lane's step by following the solution from small steps to h; give a status.
+    """Solve one lane's step by continuation from small steps to h; return a status.
 
-    The state of the lane must be that at the start of the step. Only its increments change.
+    The lane must have the state at the start of the step. Only its increments change.
     """
     first, last = at[INCREMENT], at[STATE_END]
     rows, lanes = W.shape[0], LANES
@@ -110,8 +110,8 @@ def continuation(kernels, h, t, W, at, lane):
 
 
 @njit(**RARE)
-def go_on(kernels, h, t, W, at, lane, steps):
-    """Take steps with one lane; tells whether all of them could be taken."""
+def take_more_steps(kernels, h, t, W, at, lane, steps):
+    """Take steps with one lane; return whether all of them succeeded."""
     for step in range(steps):
         activate_only(W, at[ACTIVE], lane)
         if solve(kernels[ITERATE], h, t + h * step, W, at) != 0:
@@ -125,11 +125,11 @@ def go_on(kernels, h, t, W, at, lane, steps):
 
 @njit(**RARE)
 def resolved(kernels, h, t, W, at, lane):
-    """Return whether a step, and what follows from it, is about what finer steps come to."""
+    """Return whether a step, and the steps after it, agree with finer steps."""
     first, n, rows, lanes = at[POSITION], at[DIMENSION], W.shape[0], LANES
     after, coarse = np.empty((rows, lanes)), np.empty((n, lanes))
     keep_all(W, after)
-    good = go_on(kernels, h, t + h, W, at, lane, MORE)
+    good = take_more_steps(kernels, h, t + h, W, at, lane, MORE)
     keep(W, first, first + n, lane, coarse)
     put_all_back(W, after)
     if good:
@@ -138,7 +138,7 @@ def resolved(kernels, h, t, W, at, lane):
         activate_only(W, at[ACTIVE], lane)
         call(kernels[PREPARE], part, t, W)
         call(kernels[START], part, t, W)
-        good = go_on(kernels, part, t, W, at, lane, (MORE + 1) * FINER)
+        good = take_more_steps(kernels, part, t, W, at, lane, (MORE + 1) * FINER)
     apart = 0.0
     for a in range(n):
         gap = W[first + a, lane] - coarse[a, lane]
@@ -148,10 +148,10 @@ def resolved(kernels, h, t, W, at, lane):
 
 
 @njit(**RARE)
-def linear(kernels, h, t, W, at, lane):
+def is_linear(kernels, h, t, W, at, lane):
     """Return whether the equations of a lane's step are linear, so that they have one solution.
 
-    The state must be that at the start of the step: two iterations from there show it.
+    The lane must have the state at the start of the step. The test takes two iterations.
     """
     before = np.empty((W.shape[0], LANES))
     keep_all(W, before)
@@ -168,7 +168,7 @@ def linear(kernels, h, t, W, at, lane):
 
 
 @njit(**RARE)
-def singular(kernels, h, t, W, at, lane, first, last):
+def is_singular(kernels, h, t, W, at, lane, first, last):
     """Return whether M of a lane is not definite after steps at constant velocity."""
     before = np.empty((W.shape[0], LANES))
     lost = 0
@@ -187,19 +187,21 @@ def singular(kernels, h, t, W, at, lane, first, last):
 
 
 @njit(**RARE)
-def name_failure(kernels, h, t, W, at, lane):
-    """Say so where a step of a lane failed because M loses its definiteness ahead."""
+def set_failure_status(kernels, h, t, W, at, lane):
+    """Set the status of a failed lane if M loses its definiteness ahead."""
     status = W[at[STATUS], lane]
-    failed = abs(status - NOT_FINITE) <= 1.0  # and what stands beside it: not converged, too large
-    if failed and singular(kernels, h, t, W, at, lane, 1, 2):
+    failed = (
+        abs(status - NOT_FINITE) <= 1.0
+    )  # and the statuses next to it: not converged, too large
+    if failed and is_singular(kernels, h, t, W, at, lane, 1, 2):
         W[at[STATUS], lane] = SINGULAR_LEGENDRE
 
 
 @njit(**RARE)
 def look_at_pivot(kernels, h, t, W, at, lane):
-    """Return whether M is singular or indefinite after a step; else store how small it is.
+    """Return whether M is singular or indefinite after a step; else store its smallest pivot.
 
-    The time is stored, too, where more steps show that they may not resolve the passage.
+    The time is stored, too, if trial steps do not resolve the passage.
     """
     W[at[IN_DOUBT], lane] -= SMALL_MASS
     pivot = W[at[MASS_PIVOT], lane]
@@ -208,7 +210,7 @@ def look_at_pivot(kernels, h, t, W, at, lane):
         W[at[PIVOT_LIMIT], lane] = SMALLER * pivot
         after = np.empty((W.shape[0], LANES))
         keep_all(W, after)
-        if go_on(kernels, h, t, W, at, lane, AHEAD):
+        if take_more_steps(kernels, h, t, W, at, lane, AHEAD):
             change = W[at[MASS_PIVOT], lane] / pivot
         put_all_back(W, after)
     if not (change > 1.0 / CHANGE and change < CHANGE):
@@ -218,7 +220,7 @@ def look_at_pivot(kernels, h, t, W, at, lane):
 
 @njit(**RARE)
 def verify(kernels, h, t, W, at, lane):
-    """Close a lane's step anew if its solution is not the one that smaller steps lead to."""
+    """Replace the solution of a lane's step if smaller steps lead to another one."""
     if W[at[IN_DOUBT], lane] >= SMALL_MASS:
         if look_at_pivot(kernels, h, t + h, W, at, lane):
             step_back(W, at, lane)
@@ -234,7 +236,7 @@ def verify(kernels, h, t, W, at, lane):
     keep_all(W, after)
     finite = W[at[VELOCITY_JUMP_SQUARED], lane] < np.inf
     if finite and W[at[IN_DOUBT], lane] == TO_BE_VERIFIED:
-        least = rounding(W, at, h, lane)
+        least = rounding_bound(W, at, h, lane)
         if W[at[INCREMENT_SQUARED], lane] <= least:  # at rest, and so will be what follows
             W[at[LARGEST_SQUARED], lane] = max(W[at[LARGEST_SQUARED], lane], least)
             return
@@ -250,7 +252,7 @@ def verify(kernels, h, t, W, at, lane):
     if unresolved:
         W[at[STATUS], lane] = COORDINATE_SINGULARITY
         return
-    if linear(kernels, h, t, W, at, lane):
+    if is_linear(kernels, h, t, W, at, lane):
         put_all_back(W, after)
         size = W[at[INCREMENT_SQUARED], lane]
         W[at[LARGEST_SQUARED], lane] = max(W[at[LARGEST_SQUARED], lane], size)
@@ -280,8 +282,8 @@ def verify(kernels, h, t, W, at, lane):
 
 
 @njit(**RARE)
-def leave_to_others(kernels, h, t, W, at, event):
-    """Mark lanes whose nodes are not solved, or in doubt: Newton's method may take their step."""
+def mark_for_newton(kernels, h, t, W, at, event):
+    """Mark lanes whose stages failed or are in doubt, so that Newton's method can try."""
     if event == FAILED:
         left = 0
         for lane in range(LANES):
@@ -296,7 +298,7 @@ def leave_to_others(kernels, h, t, W, at, event):
         if W[at[STATUS], lane] == 0.0 and W[at[IN_DOUBT], lane] != 0.0:
             lost = True
             if W[at[IN_DOUBT], lane] >= SMALL_MASS and W[at[MASS_PIVOT], lane] >= 0.0:
-                lost = singular(kernels, h, t + h, W, at, lane, 0, 0)
+                lost = is_singular(kernels, h, t + h, W, at, lane, 0, 0)
                 look_at_pivot(kernels, h, t + h, W, at, lane)
             if lost or W[at[IN_DOUBT], lane] != ACCEPTED:
                 step_back(W, at, lane)
@@ -305,14 +307,14 @@ def leave_to_others(kernels, h, t, W, at, event):
 
 @njit(**RARE)
 def recover(kernels, h, t, W, at, event):
-    """Finish a step at which ``take_steps`` stopped: lanes that failed, or are in doubt."""
+    """Finish a step at which ``take_steps`` stopped, for lanes that failed or are in doubt."""
     if event == TAKEN_BACK:
-        name_failure(kernels, h, t, W, at, 0)
+        set_failure_status(kernels, h, t, W, at, 0)
         return
     first, last = at[INCREMENT], at[STATE_END]
     lanes = LANES
     if kernels[MODE] == STAGES:
-        leave_to_others(kernels, h, t, W, at, event)
+        mark_for_newton(kernels, h, t, W, at, event)
         return
     alive = np.empty(LANES)
     for lane in range(lanes):
@@ -321,7 +323,7 @@ def recover(kernels, h, t, W, at, event):
         for lane in range(lanes):
             failure = -W[at[ACTIVE], lane]
             if failure > 0.0:
-                for row in range(first, last):  # the predicted increments, which stand behind
+                for row in range(first, last):  # the predicted increments, which follow
                     W[row, lane] = W[row + last - first, lane]
                 lost = continuation(kernels, h, t, W, at, lane)
                 if lost != 0:
@@ -333,12 +335,12 @@ def recover(kernels, h, t, W, at, event):
         if W[at[STATUS], lane] == 0.0 and W[at[IN_DOUBT], lane] != 0.0:
             verify(kernels, h, t, W, at, lane)
         if alive[lane] == 0.0:
-            name_failure(kernels, h, t, W, at, lane)
+            set_failure_status(kernels, h, t, W, at, lane)
 
 
 @njit(**RARE)
 def take_one(kernels, h, t, W, at):
-    """Take one step of a single trajectory, as ``take_steps`` does, and recover it if need be."""
+    """Take one step of a single trajectory like ``take_steps``; recover it if necessary."""
     watched = kernels[MODE] == NEWTON_AFTER_STAGES
     if watched:
         call(kernels[MEASURE], h, t, W)

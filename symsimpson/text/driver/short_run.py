@@ -1,13 +1,13 @@
-"""A whole short run in one call, of a number of steps or to a time.
+"""A short run in one call, over a number of steps or to an end time.
 
-Compiled behind the text of the driver, whose names it uses.
+This file is compiled together with the text of the driver and uses its names.
 """
 
 import numpy as np
 from numba import njit, types
 
 from symsimpson.text.driver.between import states_at
-from symsimpson.text.driver.explicit import finite, steady, take_explicit_steps
+from symsimpson.text.driver.explicit import finite, has_steady_energy, take_explicit_steps
 from symsimpson.text.driver.recovery import recover
 from symsimpson.text.driver.steps import *
 from symsimpson.text.interface import *
@@ -41,10 +41,10 @@ SIGNATURES |= {
     ),
 }
 
-#: Whether steps are solved by iteration; this text is compiled for those that are not, too.
+#: True if steps are solved by iteration; this text is also compiled for explicit steps.
 ITERATED = True
 take_all = take_steps if ITERATED else take_explicit_steps
-#: Fewer stored states are not looked at.
+#: The fewest stored states whose energy is checked.
 FEWEST_LOOKED_AT = 16
 
 
@@ -60,13 +60,13 @@ def take_briefly(kernels, setting, progress, stop, every, stores, inputs):
 
 @njit(**DRIVER_OPTIONS)
 def run_briefly(kernels, addresses, setting, start, asked, results, inputs):
-    """Begin anew, take all steps, and return how many iterations they took, or -1.
+    """Take all steps of a new run; return the number of iterations, or -1 for a failure.
 
-    It is -1 where anything is not as it should be: a step failed, the end is not finite, or the
-    energy at a few of the stored states is not ``steady``. ``addresses`` are those of legendre (0
-    if momenta are given) and of the energy. ``asked`` are the number of steps, how many lie between
-    stored states, how many of these are looked at, and a limit; ``results`` takes states,
-    iterations, and at the end the last q and p, then the least and the largest of stored positions.
+    A run fails if a step fails, if the end is not finite, or if sampled states have no steady
+    energy. ``addresses`` has the addresses of legendre (0 if momenta are given) and of the energy.
+    ``asked`` has the number of steps, the steps between stored states, the number of samples, and
+    the limit of the energy change. ``results`` takes states, iterations, and four rows at the end:
+    the last q and p, then the least and largest stored positions.
     """
     (legendre, energy), (_, _, W, at) = addresses, setting
     (steps, every, few, limit), (states, iterations, end) = asked, results
@@ -91,21 +91,22 @@ def run_briefly(kernels, addresses, setting, start, asked, results, inputs):
             least, largest = min(least, states[0, i, a, 0]), max(largest, states[0, i, a, 0])
         end[2, a], end[3, a] = least, largest
     stored = states[0], states[1]
-    if few > 0 and not steady(energy, setting, stored, (last, few, limit), 0):
+    if few > 0 and not has_steady_energy(energy, setting, stored, (last, few, limit), 0):
         return -1
     return count
 
 
 @njit(**DRIVER_OPTIONS)
 def run_to_end(kernels, addresses, setting, start, asked, results, inputs):
-    """Begin anew, take steps until the end lies behind one, and then a part of a step to there.
+    """Take the steps of a new retimed run up to a step that passes the end time, and its part.
 
-    Returns the number of whole steps; -1 where anything is not as it should be, -2 where the most
-    steps that are ``asked`` for did not lead there. ``addresses`` are those of legendre (0 if
-    momenta are given), of the energy, and of what sets the energy and the rate of the run, which go
-    to its parameters; ``setting`` has the step, the start, the end, and how near that must be met.
-    The ``results`` are states, their times, iterations, at the end the state before the last
-    part, and then that behind it; and of the last part how long it is, and all iterations.
+    Return the number of whole steps, -1 for a failure, or -2 if the largest number of steps did not
+    reach the end. ``addresses`` has the addresses of legendre (0 if momenta are given), energy and
+    retime. The kernel retime sets the energy and the rate among the parameters. ``setting`` begins
+    with the step, the initial time, the end time, and its relative tolerance.
+
+    ``results`` takes states, their times and iterations. Then it takes the states before and after
+    the last part of a step. Its last array takes the size of that part, and all iterations.
     """
     (legendre, energy, retime), (times, W, at) = addresses, setting
     (most, every, few, limit), (states, times_out, iterations, end, tail) = asked, results
@@ -150,6 +151,6 @@ def run_to_end(kernels, addresses, setting, start, asked, results, inputs):
     if few > 0 and last + 1 >= FEWEST_LOOKED_AT:
         seen, rate = min(last, few), time + RATE_BEHIND
         judged, stored = (last, seen, limit), (states[0], states[1])
-        if not steady(energy, (h, t0, W, at), stored, judged, rate):
+        if not has_steady_energy(energy, (h, t0, W, at), stored, judged, rate):
             return -1
     return steps

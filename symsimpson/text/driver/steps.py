@@ -1,9 +1,9 @@
 """The compiled loop over steps that are solved by iteration, from its beginning.
 
 One piece of code drives every generated module. It calls kernels by address, with the step, the
-time and the workspace; everything that a run must remember stands in the workspace, so that a run
-can stop after any step and go on with the same bits. This file and those beside it are
-compiled as one text, behind the agreement with modules, and import nothing else.
+time and the workspace. The workspace has the whole state of a run. A run can therefore stop after
+any step, and continue with bitwise identical results. All files of this folder are compiled as one
+text, after the constants of ``symsimpson.text.interface``, and import nothing else.
 """
 
 import numpy as np
@@ -15,23 +15,23 @@ from symsimpson.text.interface import *
 #: time of a small step). This text is compiled with other numbers too.
 LANES = 1
 MOST_ITERATIONS = 40
-#: What is no status: a step that is not solved yet.
+#: No status: the step is not solved yet.
 UNSOLVED = -1
-#: After so many iterations it is asked whether corrections are made of rounding.
+#: The number of iterations after which corrections may be rounding errors.
 FEW_ITERATIONS = 16
-#: They are below this part of positions, of moves in a step and of what forces add to them,
-#: squared: 2^-52 with room.
+#: Rounding errors are below this part of positions, of moves in a step and of what forces add to
+#: them, squared: 2^-52 with room.
 ROUND_OFF = 2.0**-92
-#: By what the ratio of a correction to the square of the one before is raised in each step (it is
-#: kept squared), until it is 1 or seen again: trust fades, so that it is measured anew.
+#: The growth per step of the squared ratio of a correction to the square of the one before. It
+#: grows up to 1 until it is measured again.
 FADING = 1.05**2
-#: What is called by compiled code alone has no way in from Python, which takes long to compile.
+#: Functions that only compiled code calls have no wrapper for Python, which compiles slowly.
 INNER = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 DRIVER_OPTIONS = {"nogil": True, "error_model": "numpy", **INNER}
-#: For what is called once a run, or where a step fails: it may be slow, and compiles fast. It is no
-#: part of the loop: arrays that it hands on would be counted in every step.
+#: For functions that are called once a run, or if a step fails: they may be slow, and compile fast.
+#: They are not inlined: the loop would count references of their arrays in every step.
 RARE = {**DRIVER_OPTIONS}
-#: For what is called in each step: a call costs reference counts of its arrays.
+#: For functions that are called in each step: a call would count references of its arrays.
 INLINE = {"inline": "always", **DRIVER_OPTIONS}
 
 
@@ -41,7 +41,7 @@ def call(address, h, t, workspace):
 
 
 @njit(**RARE)
-def give_up(active):
+def mark_unconverged(active):
     """Mark the lanes that have not converged."""
     for lane in range(LANES):
         if active[lane] > 0.0:
@@ -50,11 +50,11 @@ def give_up(active):
 
 
 @njit(**RARE)
-def rounding(W, at, h, lane):
-    """Bound the squared size of corrections that are made of rounding, in the metric of M(q0).
+def rounding_bound(W, at, h, lane):
+    """Bound the squared size of corrections that rounding causes, in the metric of M(q0).
 
-    Positions are rounded, and momenta and the terms of forces that take them on. Where these
-    cancel, as at an equilibrium, increments may be as small as that.
+    Positions, momenta and the terms of forces are rounded. If these cancel, as at an equilibrium,
+    increments may be as small as their rounding errors.
     """
     size = W[at[LARGEST_SQUARED], lane] + h * h * h * h * W[W.shape[0] - 1, lane]
     for a in range(at[DIMENSION]):
@@ -67,9 +67,10 @@ def rounding(W, at, h, lane):
 
 @njit(**RARE)
 def solve_to_rounding(iterate, h, t, W, at):
-    """Iterate on; lanes are done, too, whose corrections are made of rounding and do not shrink.
+    """Continue the iteration; a lane is also done if its corrections are rounding errors.
 
-    Corrections are kept in the row IN_DOUBT, which is free until the step is closed.
+    These corrections are small and do not shrink. The row IN_DOUBT stores the corrections: it is
+    free until the step is closed.
     """
     active, before = W[at[ACTIVE]], W[at[IN_DOUBT]]
     for lane in range(LANES):
@@ -79,18 +80,18 @@ def solve_to_rounding(iterate, h, t, W, at):
         for lane in range(LANES):
             if active[lane] > 0.0:
                 correction = W[at[RELATIVE], lane] * W[at[INCREMENT_SQUARED], lane]
-                if correction >= before[lane] and correction <= rounding(W, at, h, lane):
+                if correction >= before[lane] and correction <= rounding_bound(W, at, h, lane):
                     active[lane] = 0.0
                 before[lane] = correction
             busy += active[lane] > 0.0
         if busy == 0:
-            return worst_of(active)
+            return worst_status(active)
         call(iterate, h, t, W)
-    return give_up(active)
+    return mark_unconverged(active)
 
 
 @njit(**RARE)
-def worst_of(active):
+def worst_status(active):
     """Return 0 if all lanes are solved, else the status of one that is not."""
     worst = 0
     for lane in range(LANES):
@@ -101,10 +102,10 @@ def worst_of(active):
 
 @njit(**INLINE)
 def solve_for(iterate, h, t, W, active, relative, contraction):
-    """Iterate until every active lane is done; give 0, UNSOLVED, or the status of one that failed.
+    """Iterate until every active lane is done; return 0, UNSOLVED, or the status of a failure.
 
-    The kernel checks that: lanes that are done have ``active`` = 0, failed ones -status. The last
-    correction may be left out: it is a part of the one before, which tells how large it would be.
+    The kernel checks convergence: it sets ``active`` to 0 in a lane that is done, and to -status in
+    a lane that failed. It predicts the last correction from the one before and may skip it.
     """
     for lane in range(LANES):
         relative[lane] = np.inf
@@ -131,12 +132,12 @@ def solve(iterate, h, t, W, at):
     return solve_to_rounding(iterate, h, t, W, at) if status == UNSOLVED else status
 
 
-#: Such a step may change the energy by about half the largest kinetic energy before: this, divided
-#: by the degree, of the largest squared increments, over h^2.
+#: A step by Newton's method after stages may change the energy by about half the largest kinetic
+#: energy before: this part of the largest squared increments, divided by h^2 and the degree.
 ENERGY_CHANGE = 0.75
-#: And its increments may be so many times the largest ones before, squared.
+#: Its squared increments may be this multiple of the largest ones before.
 GROWTH = 25.0
-#: What rounding makes of an energy, with room.
+#: The relative rounding error of an energy, with room.
 ENERGY_ROUNDING = 2.0**-40
 # why steps stop before the end
 FAILED, SUSPICIOUS, TAKEN_BACK = 1, 2, 3
@@ -145,13 +146,13 @@ FAILED, SUSPICIOUS, TAKEN_BACK = 1, 2, 3
 RENEWING = False
 SET, DRIVER_LAYOUT_ROWS, WORKSPACE = types.int64[::1], types.int64[::1], types.float64[:, ::1]
 STATES, COUNTS = types.float64[:, :, ::1], types.int64[:, ::1]
-#: Inputs by member, step, node and number; one stands for all, or the last for those behind it.
+#: Inputs by member, step, node and number; the last entry of a direction also serves later ones.
 INPUTS = types.Array(types.float64, 4, "A", readonly=True)
-#: A run, as functions take it: the step, the time of its start, the workspace, and the layout for
-#: the driver; where states are stored, q, p, what is kept beside them, and iterations.
+#: A run as an argument: the step, the initial time, the workspace, and the layout for the driver.
+#: STORES are the arrays for stored q and p, rows of recorders, and iterations.
 SETTING = types.Tuple((types.float64, types.float64, WORKSPACE, DRIVER_LAYOUT_ROWS))
 STORES = types.Tuple((STATES, STATES, STATES, COUNTS))
-#: What is called from Python, each compiled by itself when it is first needed.
+#: Functions for Python, compiled when they are first needed.
 SIGNATURES = {
     "apply": types.void(types.int64, types.float64, types.float64, WORKSPACE),
     "take_steps": types.void(
@@ -175,7 +176,7 @@ def keep(W, first, last, lane, copy):
 
 @njit(**INLINE)
 def give(W, at, inputs, step):
-    """Let the inputs of a step stand in the workspace, of each its values at all nodes."""
+    """Copy the inputs of a step to the workspace: for each input its values at all nodes."""
     members, steps, nodes, count = inputs.shape
     for k in range(count):
         for i in range(at[INPUT_STRIDE]):
@@ -203,7 +204,7 @@ def step_back(W, at, lane):
 
 @njit(**INLINE)
 def store_lane(W, at, place, lane, stores):
-    """Store the state of a lane, what recorders have left, and iterations since the one before."""
+    """Store the state of a lane, its rows of recorders, and iterations since the last store."""
     q_out, p_out, recorded_out, iterations_out = stores
     for a in range(at[DIMENSION]):
         q_out[place, a, lane] = W[at[POSITION] + a, lane]
@@ -219,7 +220,7 @@ def store_lane(W, at, place, lane, stores):
 
 @njit(**INLINE)
 def store(W, at, place, stores):
-    """Store the states of lanes that go on."""
+    """Store the states of lanes that have not stopped."""
     for lane in range(LANES):
         if W[at[STATUS], lane] == 0.0:
             store_lane(W, at, place, lane, stores)
@@ -227,9 +228,10 @@ def store(W, at, place, stores):
 
 @njit(**INLINE)
 def record(kernels, first, h, t, reached, W, at):
-    """Call recorders, from a ``first`` one on: with the time of the step, or that of the state.
+    """Call the recorders from number ``first`` on.
 
-    Those that look for events come first: where there is one, no other is called.
+    Recorders of events and of states get the time of the state. The others get the time of the
+    step. Recorders of events come first. After an event the other recorders are inactive.
     """
     last, looked = len(kernels), RECORDERS + at[OF_EVENTS]
     for k in range(first, last):
@@ -242,7 +244,7 @@ def record(kernels, first, h, t, reached, W, at):
 def orthonormalise(W, first, size, count, factor, lane):
     """Make columns orthonormal, V = Q R, by Gram and Schmidt.
 
-    R stands from ``factor`` on, and after R the weights of the scalar product.
+    ``factor`` is the first row of R. The weights of the scalar product follow R.
     """
     weight = factor + count * count
     for j in range(count):
@@ -265,11 +267,11 @@ def orthonormalise(W, first, size, count, factor, lane):
 
 @njit(**RARE)
 def renew(W, at):
-    """Make variations orthonormal, and keep how they have grown and stand to one another.
+    """Make variations orthonormal, and update the indicators of chaos.
 
-    From GROWN on: how often this was done, the mean MEGNO, SALI, the sums of ln R_jj, GALI of two,
-    three, ... variations; then the sums of k ln R_11 and of MEGNO, the product of all R, its
-    columns made as long as 1, R, and the weights of dq and dp.
+    The rows from GROWN on are: the number of calls, the mean MEGNO, SALI, the sums of ln R_jj, and
+    GALI of two, three, ... variations. Then follow the sums of k ln R_11 and of MEGNO, the product
+    of all R with normalised columns, R, and the weights of dq and dp.
     """
     size, count, first = 2 * at[DIMENSION], at[RENEWED], at[GROWN]
     sums, aligned = first + 3, first + 3 + count
@@ -306,7 +308,7 @@ def renew(W, at):
 
 @njit(**DRIVER_OPTIONS)
 def watch(kernels, h, t, W, at):
-    """Take a step back that is out of proportion to those before: another solution of it."""
+    """Undo a step whose energy change or increments are too large: it has another solution."""
     before = W[at[ENERGY], 0]
     call(kernels[MEASURE], h, t, W)
     degree = (at[STATE_END] - at[INCREMENT]) // at[DIMENSION]
@@ -324,13 +326,13 @@ def watch(kernels, h, t, W, at):
 
 @njit(**DRIVER_OPTIONS)
 def take_steps(kernels, setting, progress, stop, every, stores, inputs):
-    """Take steps until ``stop``, an event, or no lane is left.
+    """Take steps until ``stop``, an event, or the end of all lanes.
 
-    ``progress`` is (step, event, before, given): the steps that were taken before all of these, and
-    how many of the ``inputs`` are theirs. Recorders are called behind each step. States are stored
-    after each ``every`` steps, none for ``every = 0``. A lane with a status other than 0 is not
-    touched. At an event the step is not finished: ``recover`` does that, and ``take_steps`` goes
-    on.
+    ``progress`` is (step, event, before, given): ``before`` counts the steps before step 0, and
+    ``given`` is the index of its ``inputs``. Recorders are called after each step. States are
+    stored after each ``every`` steps, and never for ``every = 0``. Lanes with a status other than 0
+    do not change. An event stops a step before its end: ``recover`` finishes the step, and the next
+    call of ``take_steps`` continues.
     """
     h, t0, W, at = setting
     # as rows of their own their lanes are vectors
@@ -419,7 +421,7 @@ def begin(kernels, legendre, h, t, W, at):
 
 @njit(**DRIVER_OPTIONS)
 def begin_anew(kernels, legendre, setting, start):
-    """Begin in a workspace in which another run may have been, with parameters, q and p, or v."""
+    """Begin a run in a used workspace, with parameters, q and p (or v)."""
     (h, t, W, at), (parameters, q, other) = setting, start
     second = at[MOMENTUM] if legendre == 0 else at[VELOCITY]
     for row in range(W.shape[0]):
@@ -434,10 +436,10 @@ def begin_anew(kernels, legendre, setting, start):
 
 @njit(**RARE)
 def change_to(kernels, anew, h, t, W, at):
-    """Go on with other kernels of the same layout, from the state and the predicted increments.
+    """Continue with other kernels of the same layout, from the state and predicted increments.
 
-    Kernels that begin ``anew`` predict the increments themselves. Pivots of M are compared with
-    those at the start of the run in both cases.
+    With ``anew`` the kernels predict the increments themselves. The references of the pivots of M
+    do not change.
     """
     first, last, before = at[INCREMENT], at[STATE_END], np.empty((W.shape[0], LANES))
     for lane in range(LANES):
@@ -462,7 +464,7 @@ def change_to(kernels, anew, h, t, W, at):
 
 @njit(**RARE)
 def begin_growth(W, at, first, columns):
-    """Begin variations of members from a ``first`` one on, and what tells how they grow.
+    """Begin variations of members from number ``first`` on, and their indicators of chaos.
 
     Each member has 2 n rows of ``columns``: orthonormal variations, then the weights of dq and dp.
     """

@@ -1,12 +1,12 @@
-"""When a lane's step is solved, and when its solution is in doubt; without branches."""
+"""Tests of convergence and of doubt for the step of a lane, without branches."""
 
 
 @compiled
 def check_convergence(W, lane):
     """Set ACTIVE to 0 where a lane is solved, and to -3 where it is not finite.
 
-    CONTRACTION, the ratio of a correction to the square of the one before, predicts the next one;
-    where that would be lost in rounding, for each coordinate, the lane is done. Sizes are squared.
+    CONTRACTION is the ratio of a correction to the square of the one before. It predicts the next
+    correction. The lane is done if rounding would hide that in each coordinate. Sizes are squared.
     """
     active = W[ACTIVE, lane]
     correction, increment = W[CORRECTION_SQUARED, lane], W[INCREMENT_SQUARED, lane]
@@ -34,7 +34,7 @@ def check_convergence(W, lane):
 
 @compiled
 def rounding_of_q(W, lane):
-    """Increments that rounding of positions makes, squared, with room."""
+    """Bound the squared increments that rounding of positions causes."""
     size = 0.0
     for a in range(DIMENSION):
         size += W[MASS_DIAGONAL + a, lane] * W[POSITION + a, lane] ** 2
@@ -43,16 +43,16 @@ def rounding_of_q(W, lane):
 
 @compiled
 def expect_rounding(W, lane):
-    """Expect increments as large as rounding makes them, where all so far were smaller: at rest."""
+    """Raise the largest increments so far to the size of rounding, for a system at rest."""
     known, least = W[LARGEST_SQUARED, lane], rounding_of_q(W, lane)
     W[LARGEST_SQUARED, lane] = least if (known > 0) & (known < least) else known
 
 
 @compiled
 def check_rounding(W, lane):
-    """Be done where phi = 0 holds as well as rounded positions can, whatever the increments are.
+    """Accept the step if phi = 0 holds as well as rounded positions allow.
 
-    Near rest these may be as small as rounding.
+    The increments do not matter: near rest they may be as small as rounding.
     """
     correction, increment = W[CORRECTION_SQUARED, lane], W[INCREMENT_SQUARED, lane]
     stalled = correction >= 0.25 * (W[RELATIVE, lane] * increment)
@@ -63,7 +63,7 @@ def check_rounding(W, lane):
 
 @compiled
 def check_drift(W, lane):
-    """RELATIVE becomes 0 where a drift ends on the constraints, as well as rounding lets it."""
+    """Set RELATIVE to 0 if a drift ends on the constraints up to round-off."""
     before, size = W[RELATIVE, lane], W[INCREMENT_SQUARED, lane]
     now = W[CORRECTION_SQUARED, lane] / (size if size != 0 else 1.0)
     done = (now == 0) | ((now <= ROUNDED) & (now >= 0.25 * before))

@@ -1,20 +1,20 @@
 """Derivatives of a cost, carried from the end of a step back to its start.
 
-The cost is J(q1, p1), or what follows of it; its derivatives (a, b) by q1 and p1 stand in ADJOINT.
-With the matrix of a step's derivatives, S^T w = a at X_d + E_X^T b; derivatives by q0 are
-a + E_q^T b - R_q^T w, by p0 they are b - w_0. At node i
+The cost is J(q1, p1). ADJOINT has its derivatives (a, b) by q1 and p1. The matrix of a step's
+derivatives gives S^T w = a at X_d + E_X^T b. The derivatives by q0 are a + E_q^T b - R_q^T w, and
+the derivatives by p0 are b - w_0. At node i
 
     sigma = h b_i (b - sum_k A_ik w_k),    tau = -b_i sum_k B_ik w_k
 
 are the derivatives of J by F and P, and those by a parameter sum_i (F_a.sigma + P_a.tau). A
 running cost g adds h b_i g(t_i, q_i, v_i) at each node.
 
-With constraints, K = [[M, Phi^T], [Phi, 0]] at the end and K (x, z) = (M b, 0): before the
-projection the derivatives are x by the momentum, and by q1
+With constraints, K = [[M, Phi^T], [Phi, 0]] at the end, and K (x, z) = (M b, 0). The derivative
+by the momentum before the projection is x. The derivative by q1 is then
 
     a + P_q^T (b - x) - Hess(nu.phi) x - Hess(z.phi) v.
 
-At control points the multipliers u of the rows phi = 0 stand beside w of the others.
+At control points the rows phi = 0 have multipliers u, next to w of the other rows.
 """
 
 
@@ -60,8 +60,8 @@ def adjoint(W, h, t, lane):
 def start_adjoint(W, h, t, lane):
     """Derivatives by q0 and v0 from those by q0 and p0.
 
-    Those of b.p, p = L_v(q, v), by q are added, those by v replace b, and those by parameters
-    replace derivatives that go through the first node.
+    The momentum is p = L_v(q, v). The derivatives of b.p by q are added, and its derivatives by v
+    replace b. Its derivatives by parameters replace derivatives through the first node.
     """
     go_to_start(W, t, lane)
     jet(W, lane)
@@ -83,7 +83,7 @@ def start_adjoint(W, h, t, lane):
 
 @kernel
 def record(W, h, t, lane):
-    """Keep the step that was taken: where it began, and its increments."""
+    """Store the initial state and the increments of the last step."""
     if W[ACTIVE, lane] != 0:
         copy(W, PREVIOUS, TANGENT, 4 * DIMENSION, lane)
         copy(W, SOLVED, TANGENT + 4 * DIMENSION, UNKNOWNS, lane)
@@ -91,7 +91,7 @@ def record(W, h, t, lane):
 
 @kernel
 def step_cost(W, h, t, lane):
-    """Add the running cost of the step that was taken."""
+    """Add the running cost of the last step."""
     if W[ACTIVE, lane] != 0:
         exchange_steps(W, lane)
         if FOLLOWING:
@@ -104,7 +104,7 @@ def step_cost(W, h, t, lane):
 
 @kernel
 def running_cost(W, h, t, lane):
-    """The running cost at q and v, which stands in the place of p."""
+    """The running cost at q and v; the rows of p contain v."""
     copy(W, MOMENTUM, VELOCITY, DIMENSION, lane)
     go_to_start(W, t, lane)
     if TIMED_COST:
@@ -130,7 +130,7 @@ def cost_at_node(W, h, t, node, lane):
 
 @compiled
 def add_cost(W, h, node, lane):
-    """Add the derivatives of the running cost at a node to those of J."""
+    """Add the derivatives of the running cost at a node to the derivatives of J."""
     weight = h * WEIGHTS[node]
     for s in range(DIMENSION):
         by_position = weight * W[NODE_COST + 1 + s, lane]
@@ -147,7 +147,7 @@ def add_cost(W, h, node, lane):
 
 @compiled
 def pull_end(W, lane):
-    """Add what p1 contributes: E_X^T b to the right side, E_q^T b to the derivative by q0."""
+    """Add the terms of p1: E_X^T b to the right side, E_q^T b to the derivative by q0."""
     b = ADJOINT + DIMENSION
     for s in range(DIMENSION):
         start = W[ADJOINT_START + s, lane]
@@ -160,7 +160,7 @@ def pull_end(W, lane):
 
 @compiled
 def pull_parameters(W, h, node, lane):
-    """Add derivatives by parameters through a node; sigma and tau stand where q and v stood."""
+    """Add derivatives by parameters through a node; sigma and tau replace q and v there."""
     for s in range(DIMENSION):
         sigma = W[ADJOINT + DIMENSION + COORDINATE[s], lane]
         tau = real(0)
@@ -184,7 +184,7 @@ def pull_parameters(W, h, node, lane):
 
 @compiled
 def pull_start(W, lane):
-    """Add to the derivative by q0 what the rows of the step contribute, -R_q^T w."""
+    """Add the terms of the rows of the step, -R_q^T w, to the derivative by q0."""
     for row in range(DEGREE):
         first = START_SLOPES + row * (NODE_L_QV - NODE_L_QQ) + NODE_OFFSET
         right = ADJOINT_RIGHT + row * EQUATION_ROW_STEP
@@ -247,7 +247,7 @@ def undo_projection(W, h, t, lane):
 
 @compiled
 def pull_hessian(W, x, lane):
-    """Add -Hess(lambda.phi) x to the derivative by q1, and what parameters change of the pull."""
+    """Add -Hess(lambda.phi) x to the derivative by q1, and its part by parameters."""
     for s in range(DIMENSION):
         pull = times(W, CONSTRAINT_QQ, HELD_PLACE[s], 1, x, lane)
         W[ADJOINT + COORDINATE[s], lane] -= pull
@@ -283,7 +283,7 @@ def pull_curvature(W, lane):
 
 @compiled
 def pull_point(W, h, point, lane):
-    """Add to the right side what the pull of constraints at a control point contributes."""
+    """Add the constraint forces at a control point to the right side."""
     first, b = POINT_QQ + point * HELD_SIZE, ADJOINT + DIMENSION
     column = COLUMN_OF_POINT[point]
     for s in range(DIMENSION):

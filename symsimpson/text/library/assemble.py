@@ -1,9 +1,9 @@
-"""Residual and Jacobian from what the nodes contribute."""
+"""Residual and Jacobian as sums over the nodes."""
 
 
 @compiled
 def grow_node(W, node, lane):
-    """Multiply what a node contributes by what its weight has grown to."""
+    """Multiply the values of a node by the growth factor of its weight."""
     growth = W[GROWTH + node, lane]
     size = NODE_L_QV - NODE_L_QQ
     multiply(W, NODE_L_Q, DIMENSION, growth, lane)
@@ -15,7 +15,7 @@ def grow_node(W, node, lane):
 
 @compiled
 def weigh_node(W, h, node, lane):
-    """Keep h b_i F and h b_i P of a node: rounded here, and nowhere else in the rows of a step."""
+    """Store h b_i F and h b_i P of a node: rows of a step are rounded here and nowhere else."""
     weight = h * WEIGHTS[node]
     for a in range(DIMENSION):
         W[STEP_F + node * DIMENSION + a, lane] = weight * W[NODE_L_Q + a, lane]
@@ -24,10 +24,10 @@ def weigh_node(W, h, node, lane):
 
 @compiled
 def assemble_residual(W, h, lane):
-    """Add up what the nodes contribute to D_k L_d.
+    """Add up D_k L_d over the nodes.
 
     A step is symplectic if its equations are the derivatives of one function L_d, whatever that
-    function is. So rounded numbers must be the same in the path and here. With the bends
+    function is. Therefore rounded numbers must be the same in the path and here. With the bends
     Y_k = X_k - c_k X_d of the path, 0 < k < d,
 
         q_i = q0 + c_i X_d + sum_k A_ik Y_k,    v_i = (X_d + sum_k B_ik Y_k)/h,
@@ -70,7 +70,7 @@ def assemble_residual(W, h, lane):
 
 @compiled
 def keep_node(W, node, lane):
-    """Keep the derivatives of F and P by q and v at a node."""
+    """Store the derivatives of F and P by q and v at a node."""
     size = NODE_L_QV - NODE_L_QQ
     for entry in range(size):
         W[STEP_QQ + node * size + entry, lane] = W[NODE_L_QQ + entry, lane]
@@ -82,7 +82,7 @@ def keep_node(W, node, lane):
 
 @compiled
 def assemble_entries(W, h, count, row_step, stride, lane):
-    """Add up what the nodes contribute to D_k D_m L_d of some coordinates, the first ones."""
+    """Add up D_k D_m L_d over the nodes, for the first ``count`` coordinates."""
     rate = 1 / h
     size = NODE_L_QV - NODE_L_QQ
     if CLEARED > 0:
@@ -119,7 +119,7 @@ def assemble_entries(W, h, count, row_step, stride, lane):
 def inertia(W, h, lane):
     """Begin the rows of a constant M, times h: S M Y of the bends, and h p0 - M X_d.
 
-    The matrix has combined factors, the rows are combined later: each D_k is evaluated by itself.
+    The factors of the matrix are combined already. The rows D_k are combined later.
     """
     end = INCREMENT + (DEGREE - 1) * DIMENSION
     for s in range(DIMENSION):
@@ -151,9 +151,9 @@ def inertia(W, h, lane):
 
 @compiled
 def correct_end(W, h, lane):
-    """Find what X_d changes by from its row, linearised, behind the other corrections.
+    """Find the correction of X_d from its linearised row, after the other corrections.
 
-    So the force at the solution is not needed before the end of the path is known.
+    Then the end of the path is known without the force at the solution.
     """
     square = h * h
     size = NODE_L_QV - NODE_L_QQ

@@ -1,12 +1,12 @@
-"""The time of the user, of systems whose steps are fixed in a time of their own.
+"""The user's time t of retimed systems, whose steps are constant in tau.
 
-TIME holds t and what rounding has taken from it, then both as they were before the step.
+TIME has t and its rounding error, then both values before the step.
 """
 
 
 @kernel
 def clock(W, h, t, lane):
-    """Add the time that the step took, dt = g dtau if time goes on; the run may have arrived."""
+    """Add the time of the step, dt = g dtau; stop a run that has arrived, or has dt <= 0."""
     if W[ACTIVE, lane] != 0:
         W[TIME + 2, lane] = W[TIME, lane]
         W[TIME + 3, lane] = W[TIME + 1, lane]

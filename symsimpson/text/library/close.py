@@ -12,7 +12,7 @@ def accumulate(W, h, node, lane):
 
 @compiled
 def exact_sum(a, b):
-    """Add two numbers; the second result is what rounding takes from the first (Knuth)."""
+    """Add two numbers; the second result is the rounding error of the first (Knuth)."""
     total = a + b
     taken = total - a
     return total, (a - (total - taken)) + (b - taken)
@@ -20,7 +20,7 @@ def exact_sum(a, b):
 
 @compiled
 def add_exactly(W, row, low, increment, lane):
-    """Add to a number; what rounding loses goes to its low part."""
+    """Add to a number; its low part takes the rounding error."""
     total, lost = exact_sum(W[row, lane], increment)
     W[row, lane] = total
     W[low, lane] = lost
@@ -28,7 +28,7 @@ def add_exactly(W, row, low, increment, lane):
 
 @compiled
 def keep_step(W, lane):
-    """Keep the state before a step, its increments, and what was predicted of them."""
+    """Store the state before a step, its increments, and their prediction."""
     for row in range(4 * DIMENSION):
         W[PREVIOUS + row, lane] = W[POSITION + row, lane]
     for row in range(UNKNOWNS):
@@ -38,7 +38,7 @@ def keep_step(W, lane):
 
 @compiled
 def measure_prediction(W, lane):
-    """Find how far the increments are from what was predicted, by the diagonal of M(q0)."""
+    """Measure the error of predicted increments by the diagonal of M(q0)."""
     prediction_error_squared = real(0)
     for s in range(SOLVE_COORDINATES):
         a = COORDINATE[s]
@@ -50,7 +50,7 @@ def measure_prediction(W, lane):
 
 @compiled
 def close_step(W, lane):
-    """Add the increments to q and p, with what rounding lost carried along."""
+    """Add the increments to q and p by compensated sums."""
     for a in range(DIMENSION):
         increment = W[INCREMENT + (DEGREE - 1) * DIMENSION + a, lane] + W[POSITION_LOW + a, lane]
         add_exactly(W, POSITION + a, POSITION_LOW + a, increment, lane)

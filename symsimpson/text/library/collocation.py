@@ -1,18 +1,18 @@
-"""Tables of a scheme whose nodes have no closed form, in whole numbers of 10**-DIGITS."""
+"""Tables of schemes whose nodes have no closed form, as integers in units of 10**-DIGITS."""
 
 
 def number(units):
-    """A number of units of 10**-DIGITS: the nearest there is."""
+    """Convert units of 10**-DIGITS to the nearest number."""
     return units / 10**DIGITS
 
 
 def on_grid(units):
-    """The same on a grid on which 1 - x is exact."""
+    """Convert units of 10**-DIGITS to the nearest x for which 1 - x is exact."""
     return (units * 2**52 + 10**DIGITS // 2) // 10**DIGITS / 2**52
 
 
 def legendre_p(degree, x):
-    """The Legendre polynomial P at x, of the degree and of the one below."""
+    """The Legendre polynomials at x of this degree and of the one below."""
     before, now = 0, ONE
     for k in range(1, degree + 1):
         before, now = now, ((2 * k - 1) * x * now // ONE - (k - 1) * before) // k
@@ -20,9 +20,9 @@ def legendre_p(degree, x):
 
 
 def zeros(function, count):
-    """Zeros between -1 and 1 of the last of a row of functions; each separates the next one's.
+    """Zeros between -1 and 1 of the last function of a sequence with interlacing zeros.
 
-    All are positive at 1.
+    All functions are positive at 1.
     """
     roots = []
     for degree in range(1, count + 1):
@@ -72,7 +72,7 @@ def basis(points, x):
 
 
 def slopes(points, x):
-    """Their derivatives at x."""
+    """The derivatives of the Lagrange polynomials at x."""
     values = []
     for point in points:
         total = 0
@@ -88,9 +88,9 @@ def slopes(points, x):
 
 
 def path_tables(kind, nodes, degree, more):
-    """Control points, weights, basis and slopes at the nodes, and what predicts the next path.
+    """Control points, weights, basis and slopes at the nodes, and the extrapolation of the path.
 
-    So many ``more`` Gauss points of the path follow the nodes.
+    ``more`` Gauss points of the path follow the nodes.
     """
 
     def row(values):
@@ -116,7 +116,7 @@ def path_tables(kind, nodes, degree, more):
 
 
 def shares_up_to(c, b, end):
-    """The integrals up to an end of the Lagrange polynomials of the nodes, each by its weight."""
+    """The integrals of the Lagrange polynomials up to an end, each divided by its weight."""
     inner = [basis(c, end * x // ONE) for x in c]
     shares = []
     for j in range(len(b)):
@@ -126,12 +126,12 @@ def shares_up_to(c, b, end):
 
 
 def stage_table(kind, nodes):
-    """How velocities and forces at the nodes add up to positions and momenta there, and later.
+    """Coefficients that sum node velocities and forces to positions, momenta and extrapolations.
 
-    With a_ij the integrals to c_i of the Lagrange polynomials of the nodes: a_ij/b_j for
-    velocities; 1 - a_ji/b_i for forces, so that the step is symplectic whatever the rounding; and
-    b_i/b_j times the polynomials at 1 + c_i, then the same for their parts up to degree s - 3,
-    which are smoother. A column belongs to node i; those past the last are zero.
+    The a_ij are the integrals to c_i of the Lagrange polynomials of the nodes. The table has
+    a_ij/b_j for velocities, and 1 - a_ji/b_i for forces: with these the step is symplectic under
+    any rounding. Then follow b_i/b_j times the polynomials at 1 + c_i, and the same for their
+    smoother parts up to degree s - 3. A column belongs to node i; columns after the last are zero.
     """
     c, b = quadrature(kind, nodes)
     table = array([[real(0)] * STRIDE for _ in range(4 * nodes)])
@@ -153,13 +153,13 @@ def stage_table(kind, nodes):
 
 
 def reach_table(kind, nodes):
-    """How moves of the nodes add up to increments of the control points: integrals by b_j."""
+    """Coefficients that sum node displacements to increments: integrals divided by b_j."""
     c, b = quadrature(kind, nodes)
     ends = quadrature("lobatto", nodes + 1)[0][1:]
     return array([[number(share) for share in shares_up_to(c, b, end)] for end in ends])
 
 
 def end_table(kind, nodes):
-    """How moves of the nodes add up to the velocity at the end, times h."""
+    """Coefficients that sum node displacements to the velocity at the end, times h."""
     c, b = quadrature(kind, nodes)
     return array([number(x * ONE // b[j]) for j, x in enumerate(basis(c, ONE))])

@@ -1,10 +1,11 @@
-"""Constraints: their rows of a step, and velocities that they allow.
+"""Constraints: their rows of a step, and velocities that satisfy them.
 
-Coordinates and constraints share one order of places, in which those that meet stand close:
-HELD_PLACE tells that of a coordinate, then of a constraint, CONSTRAINT_AT what stands at a place.
+Coordinates and constraints share one order of places, in which interacting ones are close.
+HELD_PLACE has the place of each coordinate, then of each constraint. CONSTRAINT_AT has the
+constraint at a place, or -1.
 
-Velocity constraints A v = b are asked for at Gauss points of the path. Their rows follow those of
-phi in each block; their multipliers act at the control points, as those of phi do.
+Velocity constraints A v = b hold at Gauss points of the path. In each block their rows follow the
+rows of phi. Their multipliers act at the control points, like the multipliers of phi.
 """
 
 
@@ -26,7 +27,7 @@ def at_point(W, h, t, point, lane):
 
 @compiled
 def constraint_forces(W, lane):
-    """Find Phi^T lambda, by which constraints pull the other way."""
+    """Find Phi^T lambda, the negative of the constraint forces."""
     for s in range(DIMENSION):
         i = HELD_PLACE[s]
         row = CONSTRAINT_QQ + i * HELD_STRIDE + HELD_OFFSET
@@ -39,7 +40,7 @@ def constraint_forces(W, lane):
 
 @compiled
 def assemble_constraints(W, h, t, kept, lane):
-    """Add what constraints contribute to the rows of a step; their derivatives may be kept."""
+    """Add the constraints to the rows of a step; store their derivatives if ``kept`` is 1."""
     for point in range(DEGREE + 1 if HOLONOMIC > 0 else DEGREE):
         at_point(W, h, t, point, lane)
         constrain(W, lane)
@@ -57,10 +58,10 @@ def assemble_constraints(W, h, t, kept, lane):
 
 @compiled
 def assemble_constraint(W, h, point, lane):
-    """Add what a control point contributes: -Phi^T mu to its row, and phi = 0 as one of its own.
+    """Add the constraints at a control point: -Phi^T mu in its row, and the row phi = 0.
 
-    The unknown is h mu, and phi is divided by h: then the matrix is as well conditioned for small
-    h as for large ones.
+    The unknown is h mu, and phi is divided by h. Then the condition of the matrix does not depend
+    on h.
     """
     rate = 1 / h
     if point < DEGREE:
@@ -93,7 +94,7 @@ def assemble_constraint(W, h, point, lane):
 
 @compiled
 def join_equations(W, lane):
-    """Add what the nodes contribute to the matrix of all unknowns; bring rows into its order."""
+    """Add the matrix of the nodes to the matrix of all unknowns; reorder the residual."""
     for row in range(DEGREE):
         for s in range(DIMENSION):
             there = row * HELD_ROW_STEP + HELD_PLACE[s] * HELD_PLACE_STEP
@@ -111,7 +112,7 @@ def join_equations(W, lane):
 
 @compiled
 def reorder_rows(W, first, back, lane):
-    """Bring rows, of increments and then of multipliers, into the order of elimination, or back."""
+    """Permute rows of increments and multipliers to the order of elimination, or back."""
     copy(W, first, HELD_RIGHT, DEGREE * HELD_PLACES, lane)
     for row in range(DEGREE):
         for s in range(DIMENSION):
@@ -129,9 +130,9 @@ def reorder_rows(W, first, back, lane):
 
 @compiled
 def stiffen(W, h, lane):
-    """Add w Phi^T phi to the rows of increments: their pivots are regular where M is not.
+    """Add w Phi^T phi to the rows of increments, so that their pivots are regular if M is not.
 
-    What is added is as large as M at the start of the step, which w is taken from.
+    The weight w makes this term as large as M at the start of the step.
     """
     for row in range(DEGREE):
         k, m = ROW_ORDER[row], COLUMN_ORDER[row]
@@ -153,8 +154,8 @@ def stiffen(W, h, lane):
 def border_mass(W, lane):
     """Write M, bordered by Phi, and a weight w of each constraint.
 
-    Then M + w Phi^T Phi is definite if M is for what constraints allow: each w is the trace of M,
-    as far as it is near, in units of its row of Phi.
+    M + w Phi^T Phi is definite if M is definite for velocities with Phi v = 0. Each w is the trace
+    of M over the coordinates near the constraint, divided by the square of its row of Phi.
     """
     first = HELD + HELD_OFFSET
     slopes = CONSTRAINT_QQ + HELD_OFFSET
@@ -182,7 +183,7 @@ def border_mass(W, lane):
 
 @compiled
 def weigh_constraints(W, lane):
-    """Add w Phi^T Phi to M, which velocities with Phi v = 0 do not see."""
+    """Add w Phi^T Phi to M, which changes nothing for velocities with Phi v = 0."""
     first = HELD + HELD_OFFSET
     slopes = CONSTRAINT_QQ + HELD_OFFSET
     for c in range(CONSTRAINTS):
@@ -200,11 +201,11 @@ def weigh_constraints(W, lane):
 
 @compiled
 def factor_held(W, lane):
-    """Factorise what border_mass made; MASS_PIVOT < 0 if M is not positive definite there.
+    """Factorise the bordered matrix; MASS_PIVOT < 0 if M is not positive definite.
 
-    Each constraint stands behind its coordinates, so that their pivots are positive if M is
-    definite, and its own is negative. INDEPENDENCE becomes the smallest of these relative to what
-    it is the rest of: zero where a constraint follows from others.
+    Each constraint follows its coordinates. If M is definite, pivots of coordinates are positive,
+    and pivots of constraints negative. INDEPENDENCE is the smallest ratio of such a pivot to its
+    value without the other constraints. It is zero if a constraint follows from others.
     """
     first = HELD + HELD_OFFSET
     for s in range(DIMENSION):
@@ -233,7 +234,7 @@ def factor_held(W, lane):
 
 @compiled
 def solve_held(W, lane):
-    """Solve M v + Phi^T nu = b, Phi v = CURVATURE: v takes the place of b, MULTIPLIER is nu."""
+    """Solve M v + Phi^T nu = b, Phi v = CURVATURE: v replaces b, and MULTIPLIER is nu."""
     for s in range(DIMENSION):
         i = HELD_PLACE[s]
         right = W[NODE_VELOCITY + s, lane]
@@ -256,7 +257,7 @@ def solve_held(W, lane):
 
 @compiled
 def take_momentum(W, lane):
-    """Take from p what constraints take."""
+    """Subtract the impulse of the constraints from p."""
     constraint_forces(W, lane)
     for a in range(DIMENSION):
         W[RESIDUAL + a, lane] -= W[CONSTRAINT_FORCE + a, lane]
@@ -275,7 +276,7 @@ def push_of_jet(W, lane):
 
 @compiled
 def assemble_rates(W, h, node, lane):
-    """Let rows of the step say A v = b at a point, where what is alike says phi = 0."""
+    """Write the rows A v = b of the step at a point, in the place of rows phi = 0."""
     point = node - NODES
     for c in range(HOLONOMIC, CONSTRAINTS):
         rate = c - HOLONOMIC
@@ -298,7 +299,7 @@ def assemble_rates(W, h, node, lane):
 
 @compiled
 def keep_rates(W, h, node, lane):
-    """Keep the derivatives of A v - b, by q and by parameters, h times, like those of phi."""
+    """Store h times the derivatives of A v - b by q and by parameters."""
     point = node - NODES + 1
     first = POINT_QQ + point * HELD_SIZE + HELD_OFFSET
     for c in range(HOLONOMIC, CONSTRAINTS):
@@ -320,7 +321,7 @@ def keep_rates(W, h, node, lane):
 
 @compiled
 def vary_carried(W, variation, lane):
-    """Add b_q dq to what A dv is, and what a parameter changes of b."""
+    """Add b_q dq and b_a da to A dv."""
     dq = TANGENT + variation * 2 * DIMENSION
     room = work_row_of(W, variation, lane)
     parameter = variation - int(W[TANGENTS, lane]) + VARIED

@@ -1,13 +1,13 @@
 """Second derivatives of the rows of a step, contracted with weights.
 
-With weights lambda_k of D_k L_d, k = 0..d, and gamma of a running cost g, that is of
+With weights lambda_k of D_k L_d, k = 0..d, and gamma of a running cost g, the function is
 
     sum_i h alpha_i.F_i + beta_i.P_i + h gamma_i g_i,
     alpha_i = b_i sum_k A_ik lambda_k,    beta_i = b_i sum_k B_ik lambda_k,    gamma_i = b_i gamma,
 
-and with weights nu_k of phi(X_k), of sum_k nu_k.phi(X_k) - lambda_k.Phi(X_k)^T mu_k besides. The
-matrix HESSIAN is by the control points X_0..X_d, by mu_0..mu_(d-1), and by the values that what is
-varied has at each node.
+plus, with weights nu_k of phi(X_k), sum_k nu_k.phi(X_k) - lambda_k.Phi(X_k)^T mu_k. The variables
+of the matrix HESSIAN are the control points X_0..X_d, mu_0..mu_(d-1), and the varied parameters and
+inputs at each node.
 """
 
 
@@ -57,14 +57,14 @@ def weigh_node_rows(W, node, lane):
 
 @compiled
 def reach(node, variable, k):
-    """Return the derivative of a variable at a node, q, h v or what is varied, by the point X_k."""
+    """Return the derivative of a variable at a node by X_k: of q, h v, or a parameter."""
     slope = BASIS[node, k] if variable < DIMENSION else BASIS_SLOPE[node, k]
     return slope if variable < 2 * DIMENSION else real(1)
 
 
 @compiled
 def row_of(node, variable, k):
-    """Return the row of the Hessian of the point X_k, or of what is varied at a node."""
+    """Return the row of the Hessian of the point X_k, or of a parameter at a node."""
     varied = VARIED_FROM + (variable - 2 * DIMENSION) * NODES + node
     return k * DIMENSION + variable % DIMENSION if variable < 2 * DIMENSION else varied
 
@@ -92,7 +92,7 @@ def add_curvature(W, node, lane):
 
 @compiled
 def place_of(point, variable):
-    """Return where a variable at a control point stands: q, a multiplier, or what is varied."""
+    """Return the row of a variable at a control point: q, a multiplier, or a parameter."""
     if variable < DIMENSION:
         return point * DIMENSION + variable
     if variable < DIMENSION + CONSTRAINTS:
@@ -102,7 +102,7 @@ def place_of(point, variable):
 
 @compiled
 def add_point_curvature(W, point, lane):
-    """Add the second derivatives at a control point; by a parameter, as if at the first node."""
+    """Add the second derivatives at a control point; parameters count for the first node."""
     for entry in range(len(POINT_ROW)):
         i = POINT_ROW[entry]
         j = POINT_COLUMN[entry]

@@ -1,21 +1,22 @@
-"""Cyclic coordinates: velocities follow from momenta, which stay; the others are solved for.
+"""Cyclic coordinates: their velocities follow from constant momenta, without unknowns.
 
-D_k L_d = 0 for all control points of cyclic coordinates y says that L_vy - p is orthogonal to
-polynomials of degree d - 1: L_vy = p + sum_r C_ri / b_i lambda_r at node i, where the rows of C
-annihilate these polynomials. With M_yy = L D L^T and beta = L_vy at v_y = 0 the velocities are
-v_y = L^-T D^-1 L^-1 (L_vy - beta). They are such a polynomial if sum_i C_ri v_y = 0, which gives
-the multipliers lambda. These are written as L_o^-1 lambda, o being the node REFERENCE; then
-T = L^-1 L_o stands with them at each node. L is 1, plus what does not depend on q, plus what does:
-differences of L lose no digits where M_yy is nearly singular if the last part stands by itself.
+D_k L_d = 0 for all control points of cyclic coordinates y means that L_vy - p is orthogonal to
+polynomials of degree d - 1. Hence L_vy = p + sum_r C_ri / b_i lambda_r at node i, where the rows of
+C annihilate these polynomials. With M_yy = L D L^T and beta = L_vy at v_y = 0 the velocities are
+v_y = L^-T D^-1 L^-1 (L_vy - beta). They are a polynomial of degree d - 1 if sum_i C_ri v_y = 0,
+which gives the multipliers lambda. The text stores them as L_o^-1 lambda for the node o =
+REFERENCE, with factors T = L^-1 L_o at each node. L is the sum of 1, a constant part, and a part
+that depends on q. The last part is stored separately: then differences of L lose no digits where
+M_yy is nearly singular.
 
 The cyclic coordinates are the last ones. The start of the path has the number NODES and its end
-NODES + 1, if no nodes stand there.
+NODES + 1, unless nodes are there.
 """
 
 
 @compiled
 def cyclic_forward(W, vector, node, lane):
-    """Solve L x = b at a node, where x takes the place of b."""
+    """Solve L x = b at a node; x replaces b."""
     for r in range(CYCLIC):
         row = (node * CYCLIC + r) * CYCLIC
         for k in range(r):
@@ -25,7 +26,7 @@ def cyclic_forward(W, vector, node, lane):
 
 @compiled
 def cyclic_point(W, h, t, node, closing, lane):
-    """Go to a node; one at q1 is where a step that is closed ends."""
+    """Go to a node; if the step is closed, a node at q1 is its exact end."""
     at_node(W, h, t, node, lane)
     if TRACED and closing > 0 and AT_POINT[node] == DEGREE:
         path_end(W, lane)
@@ -45,7 +46,7 @@ def cyclic_node(W, node, lane):
 
 @compiled
 def cyclic_bases(W, node, lane):
-    """Find T = 1 + L^-1 (L_o - L) at a node, without what is above its diagonal."""
+    """Find T = 1 + L^-1 (L_o - L) at a node, on and below its diagonal."""
     for k in range(CYCLIC):
         W[CYCLIC_T + (node * CYCLIC + k) * CYCLIC + k, lane] = real(1)
         for r in range(k + 1, CYCLIC):
@@ -92,7 +93,7 @@ def cyclic_multipliers(W, lane):
 
 @compiled
 def solve_multipliers(W, lane):
-    """Solve for multipliers with these factors, or with the inverse."""
+    """Solve for multipliers with the factors of their matrix, or with its inverse."""
     if EXTRA * CYCLIC == 2:
         x, y, mixed = W[CYCLIC_LAMBDA, lane], W[CYCLIC_LAMBDA + 1, lane], W[CYCLIC_MATRIX + 1, lane]
         W[CYCLIC_LAMBDA, lane] = W[CYCLIC_MATRIX, lane] * x + mixed * y
@@ -104,7 +105,7 @@ def solve_multipliers(W, lane):
 
 @compiled
 def cyclic_velocities(W, h, t, closing, lane):
-    """Find v_y at all nodes; L^-1 (L_vy - p) at the last of them is kept."""
+    """Find v_y at all nodes; CYCLIC_GAP is L^-1 (L_vy - p) at the last node."""
     for node in range(NODES):
         cyclic_point(W, h, t, node, closing, lane)
         cyclic_node(W, node, lane)
@@ -136,9 +137,9 @@ def cyclic_velocities(W, h, t, closing, lane):
 
 @compiled
 def reduce_jet(W, node, lane):
-    """Make F_q, F_v and P_v those of the Routhian L - p v_y, in which v_y follows from p.
+    """Turn F_q, F_v and P_v into derivatives of the Routhian L - p v_y, where v_y follows from p.
 
-    With E = L^-1 P_yq and F = L^-1 M_yx they are less by E^T D^-1 E, E^T D^-1 F and F^T D^-1 F.
+    With E = L^-1 P_yq and F = L^-1 M_yx this subtracts E^T D^-1 E, E^T D^-1 F and F^T D^-1 F.
     """
     for b in range(OTHERS):
         e, f = CYCLIC_E + b * CYCLIC, CYCLIC_F + b * CYCLIC
@@ -170,9 +171,10 @@ def reduce_jet(W, node, lane):
 
 @compiled
 def cyclic_matrix(W, h, lane):
-    """Add to the Jacobian how multipliers follow: h Q_k^T S^-1 Q_m, Q = sum_i C_i T^T D^-1 H.
+    """Add the terms of the multipliers to the Jacobian: h Q_k^T S^-1 Q_m.
 
-    H = A E + B F / h is how L_vy changes at a node, at constant v_y, with a control point.
+    Q = sum_i C_i T^T D^-1 H, and H = A E + B F / h is the derivative of L_vy at a node by a control
+    point, at constant v_y.
     """
     rate = 1 / h
     size = EXTRA * CYCLIC
@@ -234,9 +236,9 @@ def cyclic_equations(W, h, t, lane):
 
 @compiled
 def find_cyclic_impulse(W, h, t, lane):
-    """Find p1 - p0, in the place of the residual, and increments of the cyclic coordinates.
+    """Find p1 - p0, which replaces the residual, and the increments of the cyclic coordinates.
 
-    These end at h sum_i b_i v_y.
+    The last increment is h sum_i b_i v_y.
     """
     cyclic_velocities(W, h, t, 1, lane)
     clear(W, RESIDUAL, DIMENSION, lane)
@@ -266,7 +268,7 @@ def find_cyclic_impulse(W, h, t, lane):
 
 @compiled
 def cyclic_ends(W, h, t, lane):
-    """Find D at both ends of the path, where no nodes stand, and L^-1 (L_vy - p) at its end."""
+    """Find D at the ends of a path without nodes there, and L^-1 (L_vy - p) at q1."""
     rate = 1 / h
     end = NODES + 1
     go_to_start(W, t, lane)
@@ -296,9 +298,9 @@ def cyclic_ends(W, h, t, lane):
 
 @compiled
 def cyclic_checks(W, h, lane):
-    """Measure by M_yy^-1 what L_vy differs by from p at the end, and how M_yy changes in the step.
+    """Measure the difference L_vy - p at the end by M_yy^-1, and the change of M_yy in the step.
 
-    The second is a sum over D of sum_i D_i sum_i 1/D_i, less what it is for a constant.
+    The change is the sum over D of sum_i D_i sum_i 1/D_i, minus its value for a constant D.
     """
     jump = real(0)
     change = real(0)

@@ -3,7 +3,7 @@
 
 @compiled
 def sincos(x):
-    """Sine and cosine without branches, to 2 ulp for |x| < 5e8; beyond that they are NaN."""
+    """Sine and cosine without branches, accurate to 2 ulp for |x| < 5e8; NaN beyond."""
     # x = quarter_turns * pi/2 + r with pi/2 in pieces of 24, 24, 24 and 53 bits: the products
     # with the first pieces are exact. Adding and subtracting 1.5 * 2**52 rounds to an integer.
     quarter_turns = (x * 0.6366197723675814 + 6755399441055744.0) - 6755399441055744.0

@@ -1,16 +1,15 @@
 """Kicks and drifts of an explicit step; with constraints, drifts end where phi = 0.
 
-In a time of its own, dt = g(V) dtau, kicks are those of V with g(V), and drifts those of T with
-g(E0 - T): both parts of K = f(E0 - V) - f(T), f' = g, solved exactly. With linear forces f - K q a
-step is a product of shears, with matrices made once a run. Only entries on and below the diagonal
-of these are computed; those above are the same numbers. Rounded coefficients then give another
-symplectic step, not a step that drifts.
+A retimed system has dt = g(V) dtau. Its kicks use V and g(V), and its drifts T and g(E0 - T).
+Both solve their part of K = f(E0 - V) - f(T), f' = g, exactly. With linear forces f - K q a step is
+a product of shears. Their matrices are computed once a run, on and below the diagonal, and are
+symmetric. Rounded coefficients therefore give another symplectic step, without energy drift.
 """
 
 
 @compiled
 def begin_composed(W, lane):
-    """Begin with what rounding has left: shears by functions of exact values are symplectic."""
+    """Begin with the low parts of q and p; shears by functions of exact values are symplectic."""
     copy(W, POSITION_LOW, INCREMENT, DIMENSION, lane)
     copy(W, MOMENTUM_LOW, RESIDUAL, DIMENSION, lane)
     if RETIMED:
@@ -83,7 +82,7 @@ def close_composed(W, lane):
 
 @compiled
 def through_stiffness(W, a, lane):
-    """Return row a of -h K times a vector that stands in the rows of the velocity."""
+    """Return row a of -h K times the vector in the rows of the velocity."""
     total = real(0)
     for c in range(DIMENSION):
         total += W[NODE_L_QQ + a * DIMENSION + c, lane] * W[VELOCITY + c, lane]
@@ -161,7 +160,7 @@ def shear(W, h, t, lane):
 
 @compiled
 def free_velocity(W, lane):
-    """Solve for the velocity that constraints allow, and for what they take from p."""
+    """Solve for the velocity with Phi v = 0, and for the multipliers of p."""
     for s in range(DIMENSION):
         a = COORDINATE[s]
         W[NODE_VELOCITY + s, lane] = W[MOMENTUM + a, lane] + W[RESIDUAL + a, lane]
@@ -171,7 +170,7 @@ def free_velocity(W, lane):
 
 @compiled
 def momentum_left(W, lane):
-    """Return p - Phi^T mu - M v of a drift to the solve, which rounding has left there."""
+    """Set the right side to p - Phi^T mu - M v of a drift, which is its rounding error."""
     copy(W, INCREMENT + DIMENSION, MULTIPLIER, CONSTRAINTS, lane)
     constraint_forces(W, lane)
     for s in range(DIMENSION):
@@ -185,7 +184,7 @@ def momentum_left(W, lane):
 
 @compiled
 def add_drift(W, share, lane):
-    """Add a velocity to that of the drift, and what it moves; measure that relative to q."""
+    """Add a velocity to the drift and its displacement; measure this relative to q."""
     correction = real(0)
     size = real(0)
     for s in range(DIMENSION):
@@ -207,8 +206,8 @@ def add_drift(W, share, lane):
 def drift_held(W, h, node, lane):
     """Move by M^-1 (p - Phi^T mu), with Phi at the start and mu for which phi = 0 at the end.
 
-    Corrections take Phi at the start for both, so that one factorisation serves all: each leaves a
-    part of the error that is small with h. What does not converge becomes NaN.
+    Corrections use Phi at the start, so that one factorisation serves all of them. Each reduces the
+    error by a factor that is small with h. A drift that does not converge becomes NaN.
     """
     share = h * DRIFTS[node - 1]
     clear(W, DRIFT_VELOCITY, DIMENSION, lane)

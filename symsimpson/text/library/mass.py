@@ -22,7 +22,7 @@ def factor_mass(W, lane):
 
 @compiled
 def scale_pivots(W, lane):
-    """Keep 1 / pivot of M where a run begins."""
+    """Store 1 / pivot of M at the start of a run."""
     first = HELD if HELD else NODE_L_VV
     for i in range(DIMENSION):
         W[PIVOT_SCALE + i, lane] = 1 / W[first + PIVOT_AT[i], lane]
@@ -30,7 +30,7 @@ def scale_pivots(W, lane):
 
 @compiled
 def least_pivot(W, lane):
-    """Find the smallest pivot of M, each in units of that at the start."""
+    """Return the smallest ratio of a pivot of M to its value at the start."""
     first = HELD if HELD else NODE_L_VV
     least = W[first + PIVOT_AT[0], lane] * W[PIVOT_SCALE, lane]
     for i in range(1, DIMENSION):
@@ -54,7 +54,7 @@ def solve_with_mass(W, lane):
 
 @compiled
 def solve_mass(W, lane):
-    """Find the velocity of a state, whose momentum stands in the rows of a node's velocity."""
+    """Find the velocity of a state; the rows of a node's velocity have its momentum."""
     solve_with_mass(W, lane)
     for i in range(DIMENSION):
         W[VELOCITY + COORDINATE[i], lane] = W[NODE_VELOCITY + i, lane]

@@ -1,9 +1,9 @@
-"""The polynomial path of a step, and where its nodes are."""
+"""The polynomial path of a step: its start, its end and its prediction."""
 
 
 @compiled
 def path_end(W, lane):
-    """Position at the end of the path, as the sum that closes the step gives it."""
+    """Position at the end of the path, rounded like the sum that closes the step."""
     for s in range(DIMENSION):
         a = COORDINATE[s]
         increment = W[INCREMENT + (DEGREE - 1) * DIMENSION + a, lane] + W[POSITION_LOW + a, lane]
@@ -21,7 +21,7 @@ def path_start(W, lane):
 
 @compiled
 def straight_path(W, h, lane):
-    """Begin with a path of the constant velocity v, and multipliers of 0: these enter linearly."""
+    """Begin with a path of constant velocity v; multipliers of 0 suffice as they are linear."""
     for k in range(DEGREE):
         for a in range(DIMENSION):
             W[INCREMENT + k * DIMENSION + a, lane] = POINTS[k + 1] * h * W[VELOCITY + a, lane]
@@ -32,7 +32,7 @@ def straight_path(W, h, lane):
 
 @compiled
 def predict(W, h, lane):
-    """Extrapolate the last path, bent to leave the new point with its velocity v."""
+    """Extrapolate the last path, and correct it to start with the velocity v."""
     velocity_jump_squared = real(0)
     for s in range(DIMENSION):
         a = COORDINATE[s]

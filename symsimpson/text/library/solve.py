@@ -21,7 +21,7 @@ def factor_symmetric(W, first, count, band, stride, lane):
 
 @compiled
 def solve_symmetric(W, first, right, count, band, stride, lane):
-    """Solve L D L^T x = b, where x takes the place of b."""
+    """Solve L D L^T x = b; x replaces b."""
     for i in range(count):
         x = W[right + i, lane]
         for j in range(max(0, i - band), i):
@@ -37,7 +37,7 @@ def solve_symmetric(W, first, right, count, band, stride, lane):
 
 @compiled
 def solve_pivoted(W, lane):
-    """Solve J x = R in place with row pivoting; a larger entry takes the pivot's place at once."""
+    """Solve J x = R in place with row pivoting; each larger entry is swapped in at once."""
     for k in range(SOLVE_UNKNOWNS):
         last = min(SOLVE_UNKNOWNS, k + SOLVE_LOWER + 1)
         end = min(SOLVE_UNKNOWNS, k + SOLVE_UPPER + 1)
@@ -70,7 +70,7 @@ def solve_pivoted(W, lane):
 
 @compiled
 def solve_in_pairs(W, lane):
-    """Solve J x = R in place, two rows by two: divisions wait for each other, and this is one."""
+    """Solve J x = R in place, by blocks of two rows: each needs one division only."""
     paired = SOLVE_UNKNOWNS - SOLVE_UNKNOWNS % 2
     for k in range(0, paired, 2):
         upper = JACOBIAN + k * SOLVE_STRIDE
@@ -105,7 +105,7 @@ def solve_in_pairs(W, lane):
 
 @compiled
 def update_increments(W, lane):
-    """Apply the Newton correction and measure it and the increments by the diagonal of M(q0)."""
+    """Apply the Newton correction; measure it and the increments by the diagonal of M(q0)."""
     correction_squared = real(0)
     increment_squared = real(0)
     for s in range(SOLVE_COORDINATES):
@@ -139,7 +139,7 @@ def update_increments(W, lane):
 
 @compiled
 def solve_following(W, h, t, lane):
-    """Solve for coordinates whose increments follow from those of the others, which are held."""
+    """Solve for coordinates that follow from the others, whose increments stay constant."""
     step_equations(W, h, t, lane)
     for row in range(BLOCKS):
         for s in range(SOLVE_COORDINATES):
@@ -155,7 +155,7 @@ def solve_following(W, h, t, lane):
 
 @compiled
 def factor_equations(W, lane):
-    """Factorise the matrix of all unknowns, P S = L U, in its place; EXCHANGE has the P."""
+    """Factorise the matrix of all unknowns, P S = L U, in its place; EXCHANGE has P."""
     if HELD:
         join_equations(W, lane)
     first = JACOBIAN + TANGENT_OFFSET
@@ -184,7 +184,7 @@ def factor_equations(W, lane):
 
 @compiled
 def factor_in_order(W, first, count, stride, lane):
-    """Factorise A = L U in the place of A, dense and without exchanges; inverse pivots in U."""
+    """Factorise A = L U in place, dense and without exchanges; U has inverse pivots."""
     for k in range(count):
         row_k = first + k * stride
         inverse = 1 / W[row_k + k, lane]
@@ -199,7 +199,7 @@ def factor_in_order(W, first, count, stride, lane):
 
 @compiled
 def solve_in_order(W, first, right, count, stride, lane):
-    """Solve A x = b with these factors; x takes the place of b."""
+    """Solve A x = b with these factors; x replaces b."""
     for i in range(count):
         x = W[right + i, lane]
         for k in range(i):
@@ -215,7 +215,7 @@ def solve_in_order(W, first, right, count, stride, lane):
 
 @compiled
 def solve_factored(W, right, lane):
-    """Solve S x = b with these factors; x takes the place of b."""
+    """Solve S x = b with these factors; x replaces b."""
     if HELD:
         reorder_rows(W, right, 0, lane)
     first = JACOBIAN + TANGENT_OFFSET
@@ -239,7 +239,7 @@ def solve_factored(W, right, lane):
 
 @compiled
 def solve_transposed(W, right, lane):
-    """Solve S^T x = b with these factors; x takes the place of b."""
+    """Solve S^T x = b with these factors; x replaces b."""
     if HELD:
         reorder_rows(W, right, 0, lane)
     first = JACOBIAN + TANGENT_OFFSET

@@ -1,21 +1,21 @@
-"""The iteration over velocities and forces at the nodes, which are the lanes of vector code.
+"""The iteration over velocities and forces at the nodes; nodes are SIMD lanes.
 
 With as many nodes as degrees the path is given by the velocities v_j at its nodes,
 
     q_i = q0 + sum_j (a_ij/b_j) (h b_j v_j),    p_i = p0 + sum_j (1 - a_ji/b_i) (h b_j f_j),
 
 f_j = L_q(q_j, v_j) and M(q_j) v_j = p_j - a(q_j): a symplectic partitioned Runge-Kutta method. An
-iteration takes positions from velocities, forces from positions, momenta from forces and velocities
-from momenta, with one small solve a node; what contracts is h^2 K rather than h. All nodes are
-treated alike, so they are lanes, and one trajectory fills a vector register.
+iteration computes positions from velocities, forces from positions, momenta from forces, and
+velocities from momenta, with one small solve for each node. It contracts by h^2 K rather than h.
+All nodes have the same operations. One trajectory fills a vector register with its nodes.
 """
 
 
 @compiled
 def stage_constants(W, h, lane):
-    """The tables of the nodes; the parts h b_i of the step, which add up to h, their inverses.
+    """Set the tables of the nodes, the parts h b_i of the step, which add up to h, and 1/(h b_i).
 
-    Read from rows, tables are vectors; as constants they tempt compilers to unroll the nodes.
+    In rows, tables are vectors. Constants would make compilers unroll the nodes.
     """
     for row in range(4 * NODES):
         for node in range(STRIDE):
@@ -34,7 +34,7 @@ def stage_constants(W, h, lane):
 
 @compiled
 def over_nodes(W, first, lane):
-    """The sum of a row of nodes, in four parts that do not wait for each other."""
+    """Sum a value over the nodes, in four independent parts."""
     a, b, c, d = real(0), real(0), real(0), real(0)
     for node in range(first, first + STRIDE, 4):
         a += W[node, lane]
@@ -46,13 +46,12 @@ def over_nodes(W, first, lane):
 
 @compiled
 def check_stage_convergence(W, lane):
-    """Go on or not: ACTIVE becomes 0 where the nodes are solved, -3 where they are not finite.
+    """Set ACTIVE to 0 if the nodes are solved, and to -3 if they are not finite.
 
-    Corrections shrink by a factor each time; the next one is predicted by the largest factor seen
-    of late, and where it would be lost in rounding, the step is done. All sizes are squared.
-    A correction that is no smaller than the one before is rounding only where both are small: those
-    of slow iterations may grow for once, long before the step is solved.
-    Convergence is not checked before the iteration in which the step is expected to be nearly done.
+    The largest recent ratio of two corrections predicts the next one. The step is done if that is
+    below rounding. All sizes are squared. A correction that is not smaller than the one before is
+    rounding only if both are small. Corrections of slow iterations may grow once, long before the
+    step is solved. The check begins at the iteration in which the step is expected to be done.
     """
     W[ITERATIONS, lane] += 1.0
     W[STAGE_COUNT, lane] += 1.0
@@ -75,7 +74,7 @@ def check_stage_convergence(W, lane):
 
 @compiled
 def turned(sine, cosine, change):
-    """Sine and cosine of an angle that changed by so little, to rounding for up to 2^-7."""
+    """Turn a sine and a cosine by a change of the angle; accurate to rounding up to 2^-7."""
     z = change * change
     along = change * (1 - z * (0.16666666666666666 - z * 0.008333333333333333))
     back = z * (0.5 - z * (0.041666666666666664 - z * 0.001388888888888889))
@@ -84,7 +83,7 @@ def turned(sine, cosine, change):
 
 @compiled
 def check_turns(W, lane):
-    """Go on with sines and cosines that are computed, where they were turned too far."""
+    """Switch to computed sines and cosines if they were turned too far."""
     late = W[ACTIVE, lane] == 0 or W[STAGE_COUNT, lane] > MANY
     if late and W[STAGE_COUNT, lane] > W[STAGE_TURNED, lane]:
         farthest = over_nodes(W, STAGE_TURN, lane)
@@ -96,12 +95,11 @@ def check_turns(W, lane):
 
 @compiled
 def check_stage_acceptance(W, lane):
-    """Leave it to Newton's method where velocities of cyclic coordinates are no polynomial.
+    """Mark a step for Newton's method if velocities of cyclic coordinates are no polynomial.
 
-    LARGEST_SQUARED is what it compares its increments with: about n^2/4 times those of n nodes,
-    squared. In the next step convergence is checked first when one more iteration is likely to be
-    enough, and earlier behind a step that was done when it was first checked: it may have been so
-    for long.
+    Newton's method compares its increments with LARGEST_SQUARED: about n^2/4 times the squared
+    increments of n nodes. The next step first checks convergence when one more iteration should be
+    enough. It checks earlier if this step was done at its first check.
     """
     increment = W[INCREMENT_SQUARED, lane]
     resolved = W[CYCLIC_JUMP_SQUARED, lane] <= UNRESOLVED * increment
@@ -114,7 +112,7 @@ def check_stage_acceptance(W, lane):
 
 @compiled
 def stage_sum(W, factors, values, node, lane):
-    """Sum what all nodes have by factors of a node, in halves that do not wait for each other."""
+    """Sum values of all nodes times the factors of one node, in two independent halves."""
     first, second = real(0), real(0)
     for j in range(NODES // 2):
         first += W[factors + j * STRIDE + node, lane] * W[values + j, lane]
@@ -125,10 +123,10 @@ def stage_sum(W, factors, values, node, lane):
 
 @compiled
 def enter_stage(W, h, t, node, lane):
-    """Let position and velocity at a node stand where its energies are found from them.
+    """Set the rows of position, velocity, time and inputs to a node.
 
-    The velocity gives the node's share of q1 - q0 to the last digit: with a rounded 1/(h b) alone,
-    forces would belong to another velocity than momenta.
+    The velocity gives the node's share of q1 - q0 to the last digit. With a rounded 1/(h b) alone,
+    forces and momenta would belong to different velocities.
     """
     share, rate = W[STAGE_STEP + node, lane], W[STAGE_RATE + node, lane]
     for s in range(DIMENSION):
@@ -167,7 +165,7 @@ def stage_forces(W, h, t, lane):
 
 @compiled
 def stage_velocity(W, h, t, node, lane):
-    """Find the velocity at a node from its momentum, and how far the one before was off."""
+    """Find the velocity at a node from its momentum, and the change of that velocity."""
     if GYROSCOPIC or not CONSTANT_MASS:
         enter_stage(W, h, t, node, lane)
     if not CONSTANT_MASS:
@@ -205,7 +203,7 @@ def stage_velocities(W, h, t, lane):
 
 @compiled
 def close_stages(W, lane):
-    """Add what the nodes contribute to q and p, with what rounding lost carried along."""
+    """Add the sums over the nodes to q and p by compensated sums."""
     copy(W, POSITION, PREVIOUS, 4 * DIMENSION, lane)
     for a in range(DIMENSION):
         increment = over_nodes(W, STAGE_V + a * STRIDE, lane) + W[POSITION_LOW + a, lane]
@@ -234,7 +232,7 @@ def extrapolate_stages(W, smooth, lane):
 
 @compiled
 def start_velocity(W, t, lane):
-    """Find the velocity at (q, p), and keep the pivots of M there."""
+    """Find the velocity at (q, p), and store the pivots of M there."""
     find_velocity(W, t, lane)
     if PIVOTS:
         scale_pivots(W, lane)

@@ -6,8 +6,9 @@ at the solution:
     [ S    R_q ]    S   by X, in JACOBIAN         R_q   by q0, in START_SLOPES
     [ E_X  E_q ]    E_X, E_q of p1 - p0, in END_SLOPES: first by q0, then by X
 
-By q0 all points of the path move, X being held. By p0 a row of its own is 1. Derivatives by
-parameters stay at the nodes, STEP_F_A and STEP_P_A, and those of constraints at the control points.
+With q0 all points of the path move, at constant X. The derivative of the row of p0 by p0 is 1.
+Derivatives by parameters are stored at the nodes, in STEP_F_A and STEP_P_A. Derivatives of
+constraints are stored at the control points.
 """
 
 
@@ -27,7 +28,7 @@ def differentiate_step(W, h, t, costed, lane):
 
 @compiled
 def differentiate_node(W, h, t, node, lane):
-    """Evaluate and keep the derivatives of F and P at a node."""
+    """Evaluate and store the derivatives of F and P at a node."""
     if TRACED and CYCLIC > 0:
         cyclic_point(W, h, t, node, 0, lane)
         copy(W, CYCLIC_V + node * CYCLIC, NODE_VELOCITY + OTHERS, CYCLIC, lane)
@@ -58,7 +59,7 @@ def differentiate_state(W, h, place, lane):
 
 @compiled
 def assemble_slopes(W, h, lane):
-    """Add up what the nodes contribute to R_q, and to derivatives of p1 - p0 = h sum_i b_i F_i."""
+    """Add up R_q and the derivatives of p1 - p0 = h sum_i b_i F_i over the nodes."""
     size = NODE_L_QV - NODE_L_QQ
     for a in range(DIMENSION):
         for b in range(max(0, a - BAND), min(DIMENSION, a + BAND + 1)):
@@ -95,7 +96,7 @@ def assemble_slopes(W, h, lane):
 
 @compiled
 def go_to_place(W, h, place, moving, lane):
-    """Keep the size of the step, a place in it, and whether v there is divided by h: 1 or 0."""
+    """Store h, a place in the step, and 1 if v there is divided by h, else 0."""
     W[NODE_STEP, lane] = h
     W[NODE_STEP + 1, lane] = place
     W[NODE_STEP + 2, lane] = moving
@@ -103,7 +104,7 @@ def go_to_place(W, h, place, moving, lane):
 
 @compiled
 def keep_point(W, h, point, lane):
-    """Keep derivatives of phi and of Phi^T lambda, by q and by parameters, at a control point."""
+    """Store derivatives of phi and Phi^T lambda by q and by parameters at a control point."""
     copy(W, CONSTRAINT_QQ, POINT_QQ + point * HELD_SIZE, HELD_SIZE, lane)
     if VARIED_BY:
         if SIZED and ROLLING:
@@ -117,7 +118,7 @@ def keep_point(W, h, point, lane):
 
 @compiled
 def exchange_steps(W, lane):
-    """Put the step that was taken in the place of the next one, or back."""
+    """Exchange the rows of the last step with the rows of the next one."""
     exchange(W, POSITION, PREVIOUS, 4 * DIMENSION, lane)
     exchange(W, INCREMENT, SOLVED, UNKNOWNS, lane)
 

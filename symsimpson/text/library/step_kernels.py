@@ -1,4 +1,4 @@
-"""Kernels: what each of them does on one lane. What a module does not need is left out of it."""
+"""Kernels: the operations on one lane. A module has only the parts that it needs."""
 
 
 @compiled
@@ -36,7 +36,7 @@ def at_node(W, h, t, node, lane):
 
 @compiled
 def time_at_node(W, h, t, node, lane):
-    """Keep the time and the inputs at a node."""
+    """Set the time and the inputs at a node."""
     if not AUTONOMOUS:
         W[NODE_TIME, lane] = t + PLACES[node] * h
     if DRIVEN and node < NODES:
@@ -59,7 +59,7 @@ def factor(W, lane):
 
 @compiled
 def factor_at_start(W, t, lane):
-    """Go to the start of the path and factorise M there; a constant M is kept, too."""
+    """Go to the start of the path and factorise M there; store a constant M."""
     go_to_start(W, t, lane)
     mass(W, lane)
     if SEPARABLE:
@@ -69,7 +69,7 @@ def factor_at_start(W, t, lane):
 
 @compiled
 def solve_velocity(W, lane):
-    """Solve for the velocity, with these factors."""
+    """Solve for the velocity with the factors of M."""
     for s in range(DIMENSION):
         W[NODE_VELOCITY + s, lane] = W[MOMENTUM + COORDINATE[s], lane] - W[NODE_L_V + s, lane]
     if HELD:
@@ -80,7 +80,7 @@ def solve_velocity(W, lane):
 
 @compiled
 def solve_allowed(W, lane):
-    """Solve for the velocity that constraints allow, and for what they take from p."""
+    """Solve for the velocity that satisfies the constraints, and for the multipliers."""
     if ROLLING:
         hold_velocities(W, lane)
     else:
@@ -113,7 +113,7 @@ def step_equations(W, h, t, lane):
 
 @compiled
 def constant_mass_equations(W, h, t, lane):
-    """Residual and Jacobian of a system whose M is constant; X_d may be none of the unknowns."""
+    """Residual and Jacobian for a constant M; X_d need not be an unknown."""
     clear(W, JACOBIAN, SOLVE_ENTRIES, lane)
     inertia(W, h, lane)
     size, square = NODE_L_QV - NODE_L_QQ, h * h
@@ -147,7 +147,7 @@ def constant_mass_equations(W, h, t, lane):
 
 @compiled
 def find_straight_path(W, h, t, lane):
-    """Find X_d of a path without other control points, h M^-1 times what p0 becomes."""
+    """Find X_d of a straight path: h M^-1 times p0 plus the impulse of the forces."""
     clear(W, RESIDUAL, DIMENSION, lane)
     for node in FORCE_NODES:
         at_node(W, h, t, node, lane)
@@ -166,7 +166,7 @@ def find_straight_path(W, h, t, lane):
 
 @compiled
 def correct(W, h, t, lane):
-    """Solve for a correction, without its sign: it takes the place of the residual."""
+    """Solve for the negative of a correction, which replaces the residual."""
     if SEPARABLE:
         constant_mass_equations(W, h, t, lane)
     elif CYCLIC:
@@ -198,8 +198,8 @@ def correct(W, h, t, lane):
 def solve_linear_step(W, h, t, lane):
     """Solve equations that are linear in the increments: one Newton step from a path at rest.
 
-    A second one finds their last digits. It takes away what rounding does to the factors, which
-    would be the same in all steps and add up.
+    A second Newton step finds their last digits. It removes the rounding errors of the factors,
+    which are equal in all steps and would add up.
     """
     clear(W, INCREMENT, UNKNOWNS, lane)
     for _ in range(2):
@@ -213,7 +213,7 @@ def solve_linear_step(W, h, t, lane):
 
 @compiled
 def find_impulse(W, h, t, lane):
-    """Find p1 - p0 = h sum_i b_i F_i, which takes the place of the residual."""
+    """Find p1 - p0 = h sum_i b_i F_i, which replaces the residual."""
     begin_impulse(W, h, t, lane)
     for node in range(NODES):
         at_node(W, h, t, node, lane)
@@ -227,7 +227,7 @@ def find_impulse(W, h, t, lane):
 
 @compiled
 def begin_impulse(W, h, t, lane):
-    """Begin p1 - p0 with the pull -Phi^T mu of constraints at control points, if there are any."""
+    """Begin p1 - p0 with the constraint forces -Phi^T mu at the control points."""
     clear(W, RESIDUAL, DIMENSION, lane)
     if HELD:
         for point in range(DEGREE):
@@ -245,7 +245,7 @@ def begin_impulse(W, h, t, lane):
 
 @compiled
 def find_allowed_impulse(W, h, t, lane):
-    """Find what constraints allow of p1 - p0, and the velocity at q1."""
+    """Find p1 - p0 with the momentum projected on the constraints, and the velocity at q1."""
     find_impulse(W, h, t, lane)
     path_end(W, lane)
     if not AUTONOMOUS:
@@ -264,7 +264,7 @@ def find_allowed_impulse(W, h, t, lane):
 
 @compiled
 def find_pivots(W, lane):
-    """Find pivots of M + 10 w Phi^T Phi, positive if M is definite for what constraints allow."""
+    """Find pivots of M + 10 w Phi^T Phi: positive if M is definite where Phi v = 0."""
     border_mass(W, lane)
     multiply(W, CONSTRAINT_WEIGHT, CONSTRAINTS, 10, lane)
     weigh_constraints(W, lane)
@@ -273,9 +273,9 @@ def find_pivots(W, lane):
 
 @compiled
 def find_allowed_velocity(W, t, lane):
-    """Find phi, the least change of q, in M, that takes it to zero, and the velocity at a state.
+    """Find phi, the smallest change of q (in M) that makes it zero, and the velocity at a state.
 
-    The slopes of constraints and their factors serve multipliers, too.
+    The multipliers use the same slopes and factors.
     """
     factor_at_start(W, t, lane)
     constrain(W, lane)
@@ -289,7 +289,7 @@ def find_allowed_velocity(W, t, lane):
 
 @compiled
 def find_multipliers(W, lane):
-    """Find multipliers for this velocity; accelerations take the place of velocities."""
+    """Find multipliers for this velocity; accelerations replace velocities."""
     pushes(W, lane)
     copy(W, RESIDUAL, NODE_VELOCITY, DIMENSION, lane)
     solve_held(W, lane)
@@ -355,7 +355,7 @@ def newton_pivoted(W, h, t, lane):
 
 @compiled
 def apply_correction(W, lane):
-    """Apply the correction that stands in the place of the residual, and judge it."""
+    """Apply the correction in the rows of the residual, and check convergence."""
     update_increments(W, lane)
     if HELD:
         check_rounding(W, lane)
@@ -440,9 +440,9 @@ def multipliers(W, h, t, lane):
 
 @kernel
 def work(W, h, t, lane):
-    """Add the work of forces in the step that was taken, and the integral of dL/dt.
+    """Add the work of forces in the last step, and the integral of dL/dt.
 
-    Velocity constraints work, too: by their multipliers, times b in CURVATURE.
+    Velocity constraints A v = b do the work of their multipliers times b, in CURVATURE.
     """
     if W[ACTIVE, lane] != 0:
         exchange_steps(W, lane)

@@ -1,23 +1,24 @@
 """Variations of q0, p0 and parameters, carried to the end of a step.
 
-A variation is a column of the derivative: dq and dp stand in TANGENT, those of all variations one
-behind the other; behind them each has room for the right side of its equations, which becomes dX,
-and for dp1 - dp0. The last VARIED of them belong to the parameters and inputs that are varied. At
-the solution S dX = -(R_q dq0 + R_p dp0 + R_a da), and then dq1 = dq0 + dX_d,
-dp1 = dp0 + E_q dq0 + E_X dX + E_a da.
+A variation is a column of the derivative. TANGENT has dq and dp of all variations. Then follow, for
+each variation, the right side of its equations, which becomes dX, and dp1 - dp0. The last VARIED
+variations belong to varied parameters and inputs. The equations of a variation are
 
-With constraints, rows of multipliers, which are h mu, follow those of increments. The end of the
-step is projected: M v + Phi^T nu = p - a, Phi v = 0, and p = M v + a. So, with P = L_v,
+    S dX = -(R_q dq0 + R_p dp0 + R_a da),
+    dq1 = dq0 + dX_d,    dp1 = dp0 + E_q dq0 + E_X dX + E_a da.
+
+With constraints, rows of multipliers h mu follow the rows of increments. The step ends with a
+projection: M v + Phi^T nu = p - a, Phi v = 0, and p = M v + a. With P = L_v this gives
 
     M dv + Phi^T dnu = dp - Hess(nu.phi) dq - P_q dq,    Phi dv = -(v.phi_qq) dq,
 
-and what is left of the momentum changes by M dv + P_q dq.
+and the projected momentum changes by M dv + P_q dq.
 """
 
 
 @kernel
 def tangent(W, h, t, lane):
-    """Carry variations of the state to the end of the step that was taken."""
+    """Carry variations of the state to the end of the last step."""
     if W[ACTIVE, lane] != 0:
         exchange_steps(W, lane)
         if BY_COLUMNS:
@@ -32,8 +33,11 @@ def tangent(W, h, t, lane):
             if BY_COLUMNS:
                 dq = variation * 2 * DIMENSION
                 move_variation(W, h, t, dq, lane)
-                if VARIED_BY:
-                    vary_end(W, dq, variation - count + VARIED, lane)
+                parameter = variation - count + VARIED
+                if VARIED_BY and parameter >= 0:
+                    for row in range(2 * DIMENSION):
+                        changed = W[DERIVATIVE + parameter * 2 * DIMENSION + row, lane]
+                        W[TANGENT + dq + row, lane] += changed
             else:
                 dq = TANGENT + variation * 2 * DIMENSION
                 room = work_row_of(W, variation, lane)
@@ -53,12 +57,20 @@ def tangent(W, h, t, lane):
 def condense(W, h, lane):
     """Eliminate inner control points from the derivatives of D_k L_d by X_m, q0 and parameters.
 
-    The displacement q0 of all points follows X_d, as if it were one more control point. The
-    result [[S, R], [E_X, E_q]] gives S dX_d + R dq0 + dp0 = 0 and dp1 - dp0 = E_X dX_d + E_q dq0.
+    The displacement q0 of all points follows X_d, like one more control point. The result
+    [[S, R], [E_X, E_q]] gives two equations:
+
+        S dX_d + R dq0 + dp0 = 0,    dp1 - dp0 = E_X dX_d + E_q dq0.
     """
     assemble_entries(W, h, DIMENSION, EQUATION_ROW_STEP, EQUATION_STRIDE, lane)
-    if VARIED_BY:
-        condense_parameters(W, h, lane)
+    if VARIED_BY:  # derivatives by parameters stand beside the others
+        right = JACOBIAN + UNKNOWNS * EQUATION_STRIDE
+        for parameter in range(VARIED):
+            clear(W, right, UNKNOWNS + DIMENSION, lane)
+            add_parameter(W, h, right, parameter, lane)
+            for row in range(UNKNOWNS):
+                here = JACOBIAN + row * EQUATION_STRIDE + UNKNOWNS + parameter
+                W[here, lane] = -W[right + row, lane]
     last = UNKNOWNS - 2 * DIMENSION
     for i in range(last):
         row_i = JACOBIAN + i * EQUATION_STRIDE
@@ -77,18 +89,6 @@ def condense(W, h, lane):
             impulse = W[here + DIMENSION * EQUATION_STRIDE, lane]
             W[here, lane] = impulse - W[here, lane]
     factor_in_order(W, CONDENSED_END, DIMENSION, EQUATION_STRIDE, lane)
-
-
-@compiled
-def condense_parameters(W, h, lane):
-    """Put derivatives by parameters beside the others."""
-    room = JACOBIAN + UNKNOWNS * EQUATION_STRIDE
-    for parameter in range(VARIED):
-        clear(W, room, UNKNOWNS + DIMENSION, lane)
-        add_parameter(W, h, room, parameter, lane)
-        for row in range(UNKNOWNS):
-            here = JACOBIAN + row * EQUATION_STRIDE + UNKNOWNS + parameter
-            W[here, lane] = -W[room + row, lane]
 
 
 @compiled
@@ -112,15 +112,6 @@ def move_end(W, lane):
         W[TANGENT + moved + a, lane] = momentum / W[GROWTH + NODES, lane] if DAMPED else momentum
     for a in range(DIMENSION):
         W[TANGENT + a, lane] += W[RESIDUAL + a, lane]
-
-
-@compiled
-def vary_end(W, first, parameter, lane):
-    """Add what a parameter changes at the end of the step."""
-    if parameter >= 0:
-        for row in range(2 * DIMENSION):
-            changed = W[DERIVATIVE + parameter * 2 * DIMENSION + row, lane]
-            W[TANGENT + first + row, lane] += changed
 
 
 @kernel
@@ -215,7 +206,7 @@ def close_variation(W, h, dq, room, lane):
 
 @compiled
 def project_variations(W, h, t, lane):
-    """Project the variations of p at the end of the step; velocities are found once more."""
+    """Project the variations of p at the end of the step; restore the velocities."""
     find_velocity(W, t + h, lane)
     jet(W, lane)
     if VARIED_BY:
@@ -254,7 +245,7 @@ def differentiate_constraints(W, lane):
 
 @compiled
 def times(W, first, i, turned, x, lane):
-    """Multiply a row of derivatives of Phi^T lambda by q, or of Phi, or a column, with a vector."""
+    """Multiply row i of the bordered derivatives, or its column, with a vector."""
     total = real(0)
     for b in range(DIMENSION):
         j = HELD_PLACE[b]
@@ -266,7 +257,7 @@ def times(W, first, i, turned, x, lane):
 
 @compiled
 def vary_constraint(W, h, point, dq, room, parameter, lane):
-    """Add to the right side what changes of constraints at a control point and their pull."""
+    """Add the changes of constraints and their forces at a control point to the right side."""
     first = POINT_QQ + point * HELD_SIZE
     if point < DEGREE:
         for s in range(DIMENSION):
@@ -288,7 +279,7 @@ def vary_constraint(W, h, point, dq, room, parameter, lane):
 
 @compiled
 def vary_pull(W, h, point, dq, room, lane):
-    """Add to dp1 - dp0 what the pull of constraints at a control point changes by."""
+    """Add the change of constraint forces at a control point to dp1 - dp0."""
     column = COLUMN_OF_POINT[point]
     first = POINT_QQ + point * HELD_SIZE
     for s in range(DIMENSION):
@@ -309,7 +300,7 @@ def vary_pull(W, h, point, dq, room, lane):
 
 @compiled
 def vary_curvature(W, constraint, variation, lane):
-    """Find -(v.phi_qq) dq of a constraint and what a parameter changes of -Phi v."""
+    """Find -(v.phi_qq) dq of a constraint, and the derivative of -Phi v by a parameter."""
     dq = TANGENT + variation * 2 * DIMENSION
     parameter = variation - int(W[TANGENTS, lane]) + VARIED
     total = real(0)

@@ -169,7 +169,7 @@ def test_a_home_that_is_not_known(tmp_path, monkeypatch):
         without.setattr("os.path.expanduser", lambda path: path)
         assert cache_folder() == tmp_path / "own"
         without.delenv("SYMSIMPSON_CACHE_DIR")
-        with pytest.warns(RuntimeWarning, match=r"home directory\): each process") as said:
+        with pytest.warns(RuntimeWarning, match=r"home directory\), so each process") as said:
             assert cache_folder().is_dir()
         assert said[0].filename == __file__
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -191,7 +191,7 @@ def test_an_interrupt_waits_for_what_is_compiled_unless_it_is_given_again(
 
     before = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
-        cache.compiled("value = 1\n", f"interrupted_{times}", use)
+        cache.load_or_compile("value = 1\n", f"interrupted_{times}", use)
     assert done == [True][: 2 - times]
     assert signal.getsignal(signal.SIGINT) is before
 
@@ -199,7 +199,7 @@ def test_an_interrupt_waits_for_what_is_compiled_unless_it_is_given_again(
 def test_numba_that_compiles_nothing(monkeypatch):
     monkeypatch.setattr("numba.config.DISABLE_JIT", True)
     with pytest.raises(GenerationError, match=r"NUMBA_DISABLE_JIT[\s\S]*precision=20"):
-        cache.compiled("", "nothing", lambda module, keep: None)
+        cache.load_or_compile("", "nothing", lambda module, keep: None)
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ from numba import njit
 
 import symsimpson as ss
 from symsimpson.program import driver as compiled
-from symsimpson.targets.llvm.intrinsics import read_functions, stub, walking_function
+from symsimpson.targets.llvm.intrinsics import function_intrinsic, read_functions, stub
 from symsimpson.text.driver import steps as text
 
 
@@ -15,7 +15,7 @@ def test_a_step_allocates_nothing():
         signature = compiled.signatures()[name]
         made = {}
         exec(stub(name, len(signature.args)), made)
-        made[f"walk_{name}"] = walking_function(
+        made[f"walk_{name}"] = function_intrinsic(
             lambda: read_functions(compiled.driver_text()), name, signature, 128
         )
         (code,) = njit(signature, **text.DRIVER_OPTIONS)(made[name]).inspect_llvm().values()

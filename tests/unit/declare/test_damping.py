@@ -25,7 +25,7 @@ def found(kinetic, **more):
     if rate is None:
         return None
     back = dict(zip(system.plain.parameters, (c, m, g), strict=True))
-    return sp.simplify(system.plain.written(rate).xreplace(back))
+    return sp.simplify(system.plain.to_sympy(rate).xreplace(back))
 
 
 DAMPED = {

@@ -74,13 +74,13 @@ def test_lagranges_method_with_more_is_refused():
     _, frame, body, _ = pendulum_bodies()
     L, values = me.Lagrangian(frame, body), {m: 1.0, l: 1.0, g: 9.81}
     make = ss.MechanicalSystem.from_lagranges_method
-    with pytest.raises(ss.ModelError, match="not a sympy"):
+    with pytest.raises(ss.ModelError, match="is neither a sympy"):
         make("swing", L, values)
 
 
 def test_lagrangians_of_first_order_are_told_from_missing_masses():
     for lagrangian in (x.diff() * sp.log(y) - x - y, x * y.diff() - sp.log(x**2 + y**2)):
-        with pytest.raises(ss.ModelError, match=r"degenerate.*\nIts equations.*first order"):
+        with pytest.raises(ss.ModelError, match=r"degenerate.* Its equations.*first order"):
             ss.MechanicalSystem.from_lagrangian("first_order", lagrangian, (x, y))
     with pytest.raises(ss.ModelError, match="zero row"):
         ss.MechanicalSystem.from_lagrangian("massless", x.diff() ** 2 / 2 - x * y, (x, y))

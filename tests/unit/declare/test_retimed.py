@@ -99,8 +99,8 @@ def test_systems_whose_energy_is_not_constant():
     for other, told in (
         (system(forces={x: -x.diff()}), "forces act on it"),
         (system(potential=x * sp.cos(ss.time)), "depends on the time"),
-        (system(constraints={"rod": x**2 + y**2 - 1}), "constraints hold it"),
-        (system().retimed("encounters"), "retimed already"),
+        (system(constraints={"rod": x**2 + y**2 - 1}), "because it has constraints"),
+        (system().retimed("encounters"), "already retimed"),
     ):
         with pytest.raises(ss.ModelError, match=told):
             other.retimed(1 + x**2)
@@ -140,7 +140,7 @@ def test_names_that_retiming_takes():
         potential=own * x**2,
         parameters={own: 1.0},
     )
-    with pytest.raises(ss.ModelError, match="name of one that retiming adds"):
+    with pytest.raises(ss.ModelError, match="name of a parameter that retiming adds"):
         other.retimed(1 + x**2)
 
 

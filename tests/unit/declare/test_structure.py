@@ -265,5 +265,5 @@ def test_report_in_a_notebook_is_escaped():
 
 @pytest.mark.parametrize("wrong", ["cycle", ["cyclic", "sparsity"], 3, [None]])
 def test_exploit_is_checked(wrong):
-    with pytest.raises(ss.GenerationError, match=r"(?s)exploit names .*Choose 'all', \(\)"):
+    with pytest.raises(ss.GenerationError, match=r"(?s)exploit contains .*Choose 'all', \(\)"):
         ss.compile(ss.systems.kepler(), exploit=wrong)

@@ -98,7 +98,11 @@ def test_seconds_are_not_read_as_dates(tmp_path, ending):
 
 @pytest.mark.parametrize(
     ("units", "message"),
-    [({"thta": "rad"}, "Did you mean theta"), ({"x": 3}, "no text"), ({"w": "m"}, "does not have")],
+    [
+        ({"thta": "rad"}, "Did you mean theta"),
+        ({"x": 3}, "not a string"),
+        ({"w": "m"}, "does not have"),
+    ],
 )
 def test_bad_units(units, message):
     with pytest.raises(ss.ModelError, match=message):

@@ -43,7 +43,7 @@ def test_names_and_forms():
 def test_rows_and_what_moves_them():
     """A is read off by differentiation, b by what is left at rest."""
     plain = skate([BLADE - k * sp.cos(ss.time) - x]).plain
-    *row, b = map(plain.written, plain.velocity_constraints["1"])
+    *row, b = map(plain.to_sympy, plain.velocity_constraints["1"])
     q, t, a = plain.q, plain.t, plain.parameters[1]
     assert row == [-sp.sin(q[2]), sp.cos(q[2]), 0]
     assert sp.expand(b - a * sp.cos(t) - q[0]) == 0
@@ -56,19 +56,25 @@ def test_rows_and_what_moves_them():
 @pytest.mark.parametrize(
     ("rows", "told"),
     [
-        ([x - 1], "contains no velocity.\n.*Give it as constraints"),
+        ([x - 1], "contains no velocity.\n.*Declare it as constraints"),
         ([0 * x], "is true everywhere"),
-        ([x.diff() ** 2 - 1], "is not linear in the velocities.\n.*does not determine the force"),
+        (
+            [x.diff() ** 2 - 1],
+            "is not linear in the velocities. .*does not determine its constraint force",
+        ),
         ([sp.sqrt(x.diff() ** 2 + y.diff() ** 2) - 1], "is not linear"),
         ([sp.Abs(x.diff()) - 1], "Abs"),
         ([x.diff(ss.time, 2)], "a derivative of order 2"),
         ([sp.Symbol("c") * x.diff()], "unknown symbol c"),
-        ([(x.diff() + 1) ** 2 - x.diff() ** 2 - 2 * x.diff() - 3], "no velocity is left in it"),
+        (
+            [(x.diff() + 1) ** 2 - x.diff() ** 2 - 2 * x.diff() - 3],
+            "cannot be satisfied, because its velocities cancel",
+        ),
         ([(x.diff() + 1) ** 2 - x.diff() ** 2 - 2 * x.diff() - 1], "is true everywhere"),
         ({"a": BLADE, "b": k * BLADE}, "'a', 'b' depend on each other"),
         ([BLADE, x.diff(), th.diff()], "3 constraints on 3"),
         ("x", "neither a list nor a mapping"),
-        ({3: BLADE}, "is not a text"),
+        ({3: BLADE}, "is not a printable string"),
     ],
 )
 def test_what_is_refused(rows, told):
@@ -83,16 +89,16 @@ def test_what_does_not_go_together():
         skate({"b": x.diff() - y.diff()}, constraints={"a": x - y})
     with pytest.raises(ss.ModelError, match=r"velocity [xy]'.*\n.*velocity_constraints"):
         skate((), constraints=[BLADE])
-    with pytest.raises(ss.ModelError, match=r"input u\.\n.*function of time"):
+    with pytest.raises(ss.ModelError, match=r"input u\. .*\n.*function of time"):
         skate([BLADE - u], inputs=(u,), forces={x: u})
     with pytest.raises(ss.ModelError, match="'constraints'"):
         skate([BLADE - 1], forces={"constraints": {x: -x}})
     with pytest.raises(ss.ModelError, match="velocity constraints"):
         skate().retimed(1 + x**2)
     for scheme in ("kahan_li8", "blanes_moan4"):
-        with pytest.raises(ss.SchemeError, match="leave the velocity constraints '1'"):
+        with pytest.raises(ss.SchemeError, match="violate the velocity constraints '1'"):
             ss.compile(skate(), scheme)
-    with pytest.raises(ss.SchemeError, match="no second derivatives"):
+    with pytest.raises(ss.SchemeError, match="Second derivatives of their steps are not"):
         ss.compile(skate()).hessian([0.0] * 3, np.zeros((2, 3)), 0.1, np.ones(6))
 
 
@@ -134,9 +140,9 @@ def test_consistent_velocities():
     held = system.consistent([0.1, 0.2, 0.3], [1.0, -1.0, 0.4], fixed=("x",), t=2.0)[1]
     assert held[0] == 1.0
     stepper = ss.compile(system)
-    with pytest.raises(ss.InputError, match="v0 is not allowed by the constraint 'blade'"):
+    with pytest.raises(ss.InputError, match="v0 violates the constraint 'blade'"):
         stepper.integrate(q, v0=[1.0, -1.0, 0.4], h=0.1, steps=1, t0=2.0)
-    with pytest.raises(ss.InputError, match="p0 has a part that is taken by the constraint"):
+    with pytest.raises(ss.InputError, match="p0 has a component along the constraint"):
         stepper.integrate(q, p0=[1.0, -1.0, 0.4], h=0.1, steps=1, t0=2.0)
 
 
@@ -180,11 +186,11 @@ def test_consistent_velocities_of_any_scale():
 @pytest.mark.parametrize(
     ("rows", "given", "told"),
     [
-        ([x.diff() - th * y.diff()], {"fixed": ["x", "y"]}, "with those of x, y as given"),
+        ([x.diff() - th * y.diff()], {"fixed": ["x", "y"]}, "with the velocities of x, y fixed"),
         ([x * x.diff() - th * y.diff() - 1], {}, "no velocities at"),
-        ([x.diff() - th * y.diff() - ss.time], {"t": np.nan}, "t is no finite number"),
-        ([x.diff() - th * y.diff() - ss.time], {"t": "a"}, "t is no finite number"),
-        ([x.diff() - sp.sqrt(x - 1) * y.diff()], {}, "no finite value at q0"),
+        ([x.diff() - th * y.diff() - ss.time], {"t": np.nan}, "t is not a finite number"),
+        ([x.diff() - th * y.diff() - ss.time], {"t": "a"}, "t is not a finite number"),
+        ([x.diff() - sp.sqrt(x - 1) * y.diff()], {}, "are not finite at q0"),
     ],
 )
 def test_velocities_that_there_are_not(rows, given, told):
@@ -197,7 +203,7 @@ def test_names_that_are_told_apart():
     assert list(both.velocity_constraints) == ["3"]
     assert list(skate(np.array([BLADE])).velocity_constraints) == ["1"]
     for name in ("", "a\nb"):
-        with pytest.raises(ss.ModelError, match="is not a text that can be printed"):
+        with pytest.raises(ss.ModelError, match="is not a printable string"):
             skate({name: BLADE})
     with pytest.raises(ss.ModelError, match=r"velocity_constraints is '5'.*\n.*x.diff\(\)"):
         skate(5)
@@ -238,7 +244,9 @@ def test_a_mechanism_that_cannot_move():
         {"constraints": [x - 1]},
         {"velocity_constraints": [x.diff() - 1, x.diff() - sp.cos(ss.time)]},
     ):
-        with pytest.raises(ss.ModelError, match="There must be fewer constraints than coordinates"):
+        with pytest.raises(
+            ss.ModelError, match=r"so nothing can move(.|\n)*fewer constraints than coordinates"
+        ):
             skate(**({"rows": None, "coordinates": (x,), "kinetic": m * x.diff() ** 2 / 2} | given))
 
 
@@ -249,5 +257,7 @@ def _free(*others):
 def test_a_row_of_zeros_is_told():
     c = sp.Symbol("c", real=True)
     stepper = ss.compile(skate([c * BLADE], parameters={m: 1.3, c: 0.5}))
-    with pytest.raises(ss.ModelError, match=r"asks for nothing at .*(\n.*)*parameters in it"):
+    with pytest.raises(
+        ss.ModelError, match=r"coefficients of .* are zero at .*(\n.*)*parameters in the constraint"
+    ):
         stepper.integrate([0, 0, 0], v0=[1, 0, 1], h=0.1, steps=2, parameters={"c": 0.0})

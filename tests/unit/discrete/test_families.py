@@ -9,10 +9,10 @@ import sympy as sp
 from support.chains import damped_chain
 
 import symsimpson as ss
-from symsimpson.declare.structure import _whole
+from symsimpson.declare.structure import _is_whole_multiple
 from symsimpson.discrete import families as made
-from symsimpson.discrete.bandwidth import neighbours, ordering
-from symsimpson.discrete.families import families
+from symsimpson.discrete.bandwidth import list_neighbours, order_coordinates
+from symsimpson.discrete.families import find_families
 
 
 def lagrangian(plain):
@@ -24,8 +24,8 @@ def lagrangian(plain):
         )
         / 2
     )
-    linear = sum(plain.written(a) * v for a, v in zip(plain.a, plain.v, strict=True))
-    return quadratic + linear - plain.written(plain.V)
+    linear = sum(plain.to_sympy(a) * v for a, v in zip(plain.a, plain.v, strict=True))
+    return quadratic + linear - plain.to_sympy(plain.V)
 
 
 def total(found, plain):
@@ -36,7 +36,7 @@ def total(found, plain):
         for places, numbers in zip(family.coordinates, family.coefficients, strict=True):
             q = dict(zip(family.plain.q, (plain.q[i] for i in places), strict=True))
             v = dict(zip(family.plain.v, (plain.v[i] for i in places), strict=True))
-            numbers = map(plain.written, numbers)
+            numbers = map(plain.to_sympy, numbers)
             slots = dict(zip(family.plain.parameters[: family.slots], numbers, strict=True))
             value += term.xreplace(q | v | slots)
     return value
@@ -54,7 +54,7 @@ def total(found, plain):
 )
 def test_families_add_up_to_the_lagrangian(make, most):
     plain = make().structure.plain
-    found = families(plain)
+    found = find_families(plain)
     assert len(found) <= most
     gap = total(found, plain) - lagrangian(plain)
     symbols = sorted(gap.free_symbols, key=str)
@@ -77,25 +77,25 @@ def test_terms_of_other_signs_and_orders_are_one_family():
         kinetic=sum((3 + i) * u**2 for i, u in enumerate(v)) / 2,
         potential=sum(sp.cos((2 + i) * (x[i] - x[i + 1])) * (5 - i) for i in range(5)),
     )
-    found = families(chain.structure.plain)
+    found = find_families(chain.structure.plain)
     assert sorted(len(family.coordinates) for family in found) == [5, 6]
 
 
 def test_families_add_up_to_the_forces():
     plain = damped_chain().plain
-    found = families(plain)
+    found = find_families(plain)
     assert len(found) <= 13
     forces = [sp.S.Zero] * len(plain.q)
     for family in found:
         for places, numbers in zip(family.coordinates, family.coefficients, strict=True):
             q = dict(zip(family.plain.q, (plain.q[i] for i in places), strict=True))
             v = dict(zip(family.plain.v, (plain.v[i] for i in places), strict=True))
-            numbers = map(plain.written, numbers)
+            numbers = map(plain.to_sympy, numbers)
             slots = dict(zip(family.plain.parameters[: family.slots], numbers, strict=True))
             for place, f in zip(places, family.plain.f, strict=True):
-                forces[place] += family.plain.written(f).xreplace(q | v | slots)
+                forces[place] += family.plain.to_sympy(f).xreplace(q | v | slots)
     for force, f in zip(forces, plain.f, strict=True):
-        assert sp.expand(force - plain.written(f)) == 0
+        assert sp.expand(force - plain.to_sympy(f)) == 0
     assert sp.expand(total(found, plain) - lagrangian(plain)) == 0
 
 
@@ -114,9 +114,9 @@ def ring(constant, n=5):
 
 def test_what_contains_no_coordinate_is_a_family_of_its_own():
     plain = ring(1).structure.plain
-    found = families(plain)
+    found = find_families(plain)
     ((number,),) = next(f.coefficients for f in found if f.coordinates == ((),))
-    assert plain.written(number) == -5 * plain.parameters[0]
+    assert plain.to_sympy(number) == -5 * plain.parameters[0]
     assert sp.expand(total(found, plain) - lagrangian(plain)) == 0
 
 
@@ -140,14 +140,14 @@ def test_a_shuffled_chain_gets_its_order_back(seed):
     for a, b in pairwise(names):
         near[a].add(b)
         near[b].add(a)
-    order, band = ordering(near)
+    order, band = order_coordinates(near)
     assert band == 1
     assert list(order) in (names, names[::-1])
 
 
 def test_a_ladder_has_its_width_as_its_band():
     plain = ss.systems.fermi_pasta_ulam(20).structure.plain
-    order, band = ordering(neighbours(families(plain), 40))
+    order, band = order_coordinates(list_neighbours(find_families(plain), 40))
     assert sorted(order) == list(range(40))
     assert band == 3
 
@@ -166,11 +166,11 @@ def test_what_is_shared_in_a_term_is_written_once(monkeypatch):
         potential=product + y**2 + summed * y,
         parameters={},
     )
-    visits, write = [], made._Reader._new_node
+    visits, write = [], made._TermMatcher._new_node
     monkeypatch.setattr(
-        made._Reader, "_new_node", lambda *given: visits.append(given) or write(*given)
+        made._TermMatcher, "_new_node", lambda *given: visits.append(given) or write(*given)
     )
-    found = families(system.plain)
+    found = find_families(system.plain)
     assert len(visits) < 3 * len(system.plain.graph.nodes)
     assert sum(len(family.coordinates) for family in found) >= 4
 
@@ -189,7 +189,7 @@ def test_sums_of_shared_sums_are_not_split_without_end():
     for k in range(200):  # s_k = s_(k-1) + (s_(k-1) + sin(y + k))
         wave = graph.function("sin", graph.add([(1, second), (k + 1, 0)]))
         inner = graph.add([value, wave])
-        value = graph.add([value, (1, graph.kept(inner))])
+        value = graph.add([value, (1, graph.absorb_coefficient(inner))])
     assert list(made._split(graph, value, moving)) == [value]
 
 
@@ -206,7 +206,7 @@ def test_angles_of_shared_sums_are_whole_or_not():
     value = (1, first)
     for k in range(200):
         wave = graph.function("sin", graph.add([(1, second), (k + 1, 0)]))
-        value = graph.add([value, (1, graph.kept(graph.add([value, wave])))])
-    assert _whole(graph, value, first)  # 2^200 turns
-    assert not _whole(graph, (0.5, graph.add([(1, first), (1, second)])[1]), first)
-    assert not _whole(graph, value, second)
+        value = graph.add([value, (1, graph.absorb_coefficient(graph.add([value, wave])))])
+    assert _is_whole_multiple(graph, value, first)  # 2^200 turns
+    assert not _is_whole_multiple(graph, (0.5, graph.add([(1, first), (1, second)])[1]), first)
+    assert not _is_whole_multiple(graph, value, second)

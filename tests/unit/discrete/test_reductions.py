@@ -5,7 +5,7 @@ import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.discrete.combined_rows import annihilating, shear_factors
+from symsimpson.discrete.combined_rows import find_annihilators, shear_factors
 from symsimpson.discrete.equations import discretise
 from symsimpson.discrete.reductions import factorise, reduce
 from symsimpson.schemes.named import read_scheme
@@ -17,7 +17,7 @@ SCHEMES = ["simpson", "midpoint", "gauss4", "lobatto6", "lobatto2", "lobatto_3_3
 def test_annihilating_combinations(name):
     scheme = read_scheme(name)
     nodes, d = scheme.quadrature.nodes, scheme.degree
-    rows = annihilating(scheme)
+    rows = find_annihilators(scheme)
     assert len(rows) == scheme.stages - d
     for row in rows:
         for power in range(d):

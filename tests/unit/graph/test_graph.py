@@ -8,12 +8,12 @@ import sympy as sp
 
 from symsimpson.graph import lines, nodes
 from symsimpson.graph.derive import Derivatives, gradient
-from symsimpson.graph.evaluate import evaluated, line_value, moduli
-from symsimpson.graph.findings import Findings, merged
-from symsimpson.graph.lines import Program
+from symsimpson.graph.evaluate import evaluate_line, evaluate_nodes, moduli
+from symsimpson.graph.findings import IdentityTest, merge_equal_nodes
+from symsimpson.graph.lines import StraightLineCode
 from symsimpson.graph.nodes import Graph
-from symsimpson.graph.read import Reader, tree_size, written
-from symsimpson.graph.rebuild import fixed, rebuilt, same
+from symsimpson.graph.read import SympyConverter, to_sympy, tree_size
+from symsimpson.graph.rebuild import agree_at_points, fix_symbols, rebuild
 from symsimpson.graph.roots import Signs, dependent_radicands
 from symsimpson.graph.share import share
 
@@ -56,15 +56,17 @@ def test_logarithms_and_quotients_of_exponentials_do_not_overflow(expression):
     """Values and three derivatives, where the exponentials are numbers and where they are none."""
     one_sided = sp.log(sp.sinh(x))
     graph, (value,), places = read(expression)
-    shown = written(graph, value, {n: s for s, n in places.items()})
-    assert same(graph, value, Reader(graph, {s: (1, n) for s, n in places.items()})(shown))
+    shown = to_sympy(graph, value, {n: s for s, n in places.items()})
+    assert agree_at_points(
+        graph, value, SympyConverter(graph, {s: (1, n) for s, n in places.items()})(shown)
+    )
     derivatives = Derivatives(graph)
     for order in range(4):
         right = sp.lambdify(
             (x, a), sp.diff(expression, x, order) if order else expression, "mpmath"
         )
         for at in (-900.0, -30.0, -0.4, 0.4, 30.0, 900.0)[3 * (expression == one_sided) :]:
-            doubles = evaluated(graph, [value[1]], {places[x]: at, places[a]: 1.25}, mp.fp)
+            doubles = evaluate_nodes(graph, [value[1]], {places[x]: at, places[a]: 1.25}, mp.fp)
             found = float(value[0]) * doubles[value[1]]
             with mp.workdps(820):
                 exact = right(mp.mpf(at), mp.mpf(1.25))
@@ -76,7 +78,7 @@ def test_logarithms_and_quotients_of_exponentials_do_not_overflow(expression):
 def test_what_is_left_of_an_exponential_is_not_lost(at):
     graph, (value,), places = read(sp.log(1 + sp.exp(x)))
     for _ in range(3):
-        found = evaluated(graph, [value[1]], {places[x]: at}, mp.fp)[value[1]]
+        found = evaluate_nodes(graph, [value[1]], {places[x]: at}, mp.fp)[value[1]]
         assert abs(found * float(value[0]) / mp.exp(at) - 1) < (1e-12 if at < -30 else 0.2)
         value = Derivatives(graph)(value, places[x])
 
@@ -92,7 +94,7 @@ def test_other_logarithms_stay(expression):
 def read(*expressions, factored=False):
     graph = Graph(factored=factored)
     known = {s: graph.symbol(s.name) for s in SYMBOLS}
-    reader = Reader(graph, known)
+    reader = SympyConverter(graph, known)
     return graph, [reader(e) for e in expressions], {s: n for s, (_, n) in known.items()}
 
 
@@ -119,7 +121,7 @@ def test_values_and_derivatives(expression, factored):
     reverse = dict(zip(places, gradient(graph, value, list(places.values())), strict=True))
     with mp.workdps(50):
         roots = [value, *forward.values(), *reverse.values()]
-        numbers = evaluated(graph, [n for _, n in roots], point(places), mp.mp)
+        numbers = evaluate_nodes(graph, [n for _, n in roots], point(places), mp.mp)
         exact = expression.xreplace({f: sp.nsimplify(f) for f in expression.atoms(sp.Float)})
         if not expression.has(sp.Float):
             assert abs(number(value, numbers) - truth(exact, places)) < 1e-45
@@ -133,8 +135,8 @@ def test_values_and_derivatives(expression, factored):
 @pytest.mark.parametrize("expression", EXPRESSIONS)
 def test_written_expressions_are_read_again(expression):
     graph, (value,), places = read(expression)
-    text = written(graph, value, {n: s for s, n in places.items()})
-    assert Reader(graph, {s: (1, n) for s, n in places.items()})(text) == value
+    text = to_sympy(graph, value, {n: s for s, n in places.items()})
+    assert SympyConverter(graph, {s: (1, n) for s, n in places.items()})(text) == value
 
 
 @pytest.mark.parametrize("factored", [False, True])
@@ -148,9 +150,9 @@ def test_programs_keep_the_values(factored):
         return 2 if places[z] in symbols else 1 if symbols - {places[a]} else 0
 
     with mp.workdps(50):
-        before = evaluated(graph, [n for _, n in values], point(places), mp.mp)
-        equal = merged(graph, values, level)
-        program = Program.of(graph, dict(enumerate(equal)), level)
+        before = evaluate_nodes(graph, [n for _, n in values], point(places), mp.mp)
+        equal = merge_equal_nodes(graph, values, level)
+        program = StraightLineCode.of(graph, dict(enumerate(equal)), level)
         count = program.operations()
         share(program)
         assert program.operations() < count
@@ -158,7 +160,7 @@ def test_programs_keep_the_values(factored):
         for n in program.order():
             line = program.lines[n]
             if line.kind != "symbol":
-                after[n] = line_value(line.kind, line.parts, after, mp.mp)
+                after[n] = evaluate_line(line.kind, line.parts, after, mp.mp)
                 levels = [program.lines[m].level for m in program.arguments(n)]
                 assert line.level == max(levels, default=0)
         for k, value in enumerate(values):
@@ -171,7 +173,7 @@ def test_equal_nodes_are_one():
     graph, values, _ = read(
         (sp.sin(x) ** 2 + sp.cos(x) ** 2) * y, root - x**2 / root, y**2 / root, x - y, (y - x) ** 3
     )
-    one, first, second, third, power = merged(graph, values, lambda n: 0)
+    one, first, second, third, power = merge_equal_nodes(graph, values, lambda n: 0)
     assert one == (1, graph.symbol("y")[1])
     assert first == second
     assert graph.nodes[power[1]].parts == ((third[1], 3),)
@@ -182,11 +184,13 @@ def test_the_square_of_lennard_and_jones_takes_few_powers():
     square = sum((r[i] - r[i + 3]) ** 2 for i in range(3))
     graph = Graph(factored=True)
     known = {s: graph.symbol(s.name) for s in (*r, a)}
-    value = Reader(graph, known)(4 * a * (square**-6 - square**-3))
+    value = SympyConverter(graph, known)(4 * a * (square**-6 - square**-3))
     derivatives = Derivatives(graph)
     slopes = [derivatives(value, known[s][1]) for s in r]
     every = slopes + [derivatives(slope, known[s][1]) for slope in slopes for s in r]
-    program = Program.of(graph, dict(enumerate(every)), lambda n: int(n > 0 and n != known[a][1]))
+    program = StraightLineCode.of(
+        graph, dict(enumerate(every)), lambda n: int(n > 0 and n != known[a][1])
+    )
     share(program)
     divisions = [
         p
@@ -212,16 +216,16 @@ def test_fixing_avoids_poles():
     graph, (value,), places = read(y + x / x**2 * x)
     assert graph.nodes[value[1]].symbols == {places[y]}
     graph, (value,), places = read(y + (x + x**2) / (1 + x) / x)
-    assert rebuilt(graph, [fixed(graph, value, [places[x]])], {places[y]: (0, 0)}) == [(1, 0)]
+    assert rebuild(graph, [fix_symbols(graph, value, [places[x]])], {places[y]: (0, 0)}) == [(1, 0)]
 
 
 def test_several_symbols_are_fixed_at_a_time_or_one_by_one():
     graph, (value,), places = read(y + (x + x**2) / (1 + x) / x + (z + z**2) / (1 + z) - z)
-    without = fixed(graph, value, [places[x], places[z]])
+    without = fix_symbols(graph, value, [places[x], places[z]])
     assert graph.nodes[without[1]].symbols == {places[y]}
-    assert rebuilt(graph, [without], {places[y]: (0, 0)}) == [(1, 0)]
-    assert fixed(graph, value, [places[x], places[y]]) is None
-    assert fixed(graph, value, []) == value
+    assert rebuild(graph, [without], {places[y]: (0, 0)}) == [(1, 0)]
+    assert fix_symbols(graph, value, [places[x], places[y]]) is None
+    assert fix_symbols(graph, value, []) == value
 
 
 def test_floats_are_exact():
@@ -240,27 +244,27 @@ def diamond(depth):
             graph.add([(1, 0), graph.power(graph.function("sin", value), 2)]), Fraction(1, 2)
         )
         product = graph.multiply([root, graph.function("cos", value)])
-        value = graph.add([product, (1, graph.kept(graph.add([value, other])))])
+        value = graph.add([product, (1, graph.absorb_coefficient(graph.add([value, other])))])
     return graph, value
 
 
 WALKS = {
-    "reached": lambda g, v: g.reached([v[1]]),
+    "reached": lambda g, v: g.descendants([v[1]]),
     "Derivatives": lambda g, v: Derivatives(g)(v, g.symbol("x")[1]),
     "gradient": lambda g, v: gradient(g, v, g.numbers("xy")),
-    "evaluated": lambda g, v: evaluated(g, [v[1]], dict.fromkeys(g.numbers("xy"), 0.5), mp.fp),
+    "evaluated": lambda g, v: evaluate_nodes(g, [v[1]], dict.fromkeys(g.numbers("xy"), 0.5), mp.fp),
     "moduli": lambda g, v: moduli(
-        g, [v[1]], evaluated(g, [v[1]], dict.fromkeys(g.numbers("xy"), 0.5), mp.fp)
+        g, [v[1]], evaluate_nodes(g, [v[1]], dict.fromkeys(g.numbers("xy"), 0.5), mp.fp)
     ),
-    "findings": lambda g, v: Findings(g, [v]),
-    "merged": lambda g, v: merged(g, [v], lambda n: 0),
-    "rebuilt": lambda g, v: rebuilt(g, [v], {g.symbol("x")[1]: g.symbol("z")}),
-    "fixed": lambda g, v: fixed(g, v, g.numbers("x")),
-    "same": lambda g, v: same(g, v, v),
+    "findings": lambda g, v: IdentityTest(g, [v]),
+    "merged": lambda g, v: merge_equal_nodes(g, [v], lambda n: 0),
+    "rebuilt": lambda g, v: rebuild(g, [v], {g.symbol("x")[1]: g.symbol("z")}),
+    "fixed": lambda g, v: fix_symbols(g, v, g.numbers("x")),
+    "same": lambda g, v: agree_at_points(g, v, v),
     "radicands": lambda g, v: dependent_radicands(g, [v[1]]),
     "tree_size": tree_size,
     "signs": lambda g, v: (Signs(g, {})(v), Signs(g, {}).never_real(v[1])),
-    "share": lambda g, v: share(Program.of(g, {"value": v}, lambda n: 0)),
+    "share": lambda g, v: share(StraightLineCode.of(g, {"value": v}, lambda n: 0)),
 }
 
 

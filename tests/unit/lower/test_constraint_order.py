@@ -11,7 +11,7 @@ import symsimpson as ss
 from symsimpson.discrete.equations import discretise
 from symsimpson.lower.module_kernels import lower
 from symsimpson.lower.pipeline import source
-from symsimpson.lower.storage import Held
+from symsimpson.lower.storage import Border
 from symsimpson.targets.binding import bind_mpmath
 
 #: Seven coordinates in an order of its own; constraints on neighbours, one of them alone.
@@ -21,7 +21,7 @@ NEAR = [{2, 4, 3}, {3}, {0, 4}, {1, 0}, {0, 2}, {6}, {5}]
 
 
 @pytest.mark.parametrize(
-    "held", [Held.chain(ORDER, MEMBERS, NEAR), Held.dense(7, 4)], ids=["chain", "dense"]
+    "held", [Border.chain(ORDER, MEMBERS, NEAR), Border.dense(7, 4)], ids=["chain", "dense"]
 )
 def test_each_constraint_stands_behind_its_coordinates(held):
     n = 7
@@ -51,7 +51,7 @@ def test_chains_grow_in_proportion_to_their_links():
 
 def test_a_constraint_on_one_coordinate_of_many():
     """Nothing meets anything but the constraint and its coordinate."""
-    held = Held.chain((0, 1, 2), [frozenset({1})], [set(), set(), set()])
+    held = Border.chain((0, 1, 2), [frozenset({1})], [set(), set(), set()])
     assert held.place == (0, 1, 3, 2)
     assert held.storage.band == 1
 

@@ -11,7 +11,7 @@ NAMES = Expressions()
 
 
 def load(name, block, index):
-    return Load(NAMES.named(name), Row(block, index))
+    return Load(NAMES.make_symbol(name), Row(block, index))
 
 
 def test_loads_of_one_block_share_lines():
@@ -26,7 +26,7 @@ def test_loads_of_one_block_share_lines():
 
 
 def test_results_of_one_block_share_lines_and_what_is_computed_stands_alone():
-    a, b = NAMES.named("a"), NAMES.named("b")
+    a, b = NAMES.make_symbol("a"), NAMES.make_symbol("b")
     values = [a, b, -a, a + b]
     stores = [Store(Row("POSITION", k), value) for k, value in enumerate(values)]
     stores += [Store(Row("MOMENTUM", 0), a), Store(Row("MOMENTUM", 1), b, add=True)]

@@ -10,7 +10,7 @@ from symsimpson.lower.expression import Expressions
 
 def test_terms_of_sums_in_sums_are_collected():
     graph = Expressions()
-    x, y, z = map(graph.named, "xyz")
+    x, y, z = map(graph.make_symbol, "xyz")
     total = x + y
     assert (2 * total + z) - total == x + y + z
     assert 2 * total - total - total == 0

@@ -13,7 +13,7 @@ from support.workspace import block, new_workspace
 import symsimpson as ss
 from symsimpson.lower import module_kernels, pipeline
 from symsimpson.lower.stages import looped_stages
-from symsimpson.run.requested import program_for
+from symsimpson.run.requested import program_for_request
 from symsimpson.stepping.request import Request
 
 H = 0.0625
@@ -52,7 +52,9 @@ def by_loops(monkeypatch):
 
 def runs(stepper, monkeypatch, **given):
     """Run by stages, then by Newton's method alone."""
-    made = program_for(stepper.program, Request(None, tangents=given.get("tangents"))).kernels
+    made = program_for_request(
+        stepper.program, Request(None, tangents=given.get("tangents"))
+    ).kernels
     assert made.fallbacks[0] == "stages"
     for first in (0, 1):
         monkeypatch.setattr(made, "fallbacks", made.fallbacks[first:])
@@ -115,7 +117,7 @@ def test_the_same_text_serves_masses_that_change(monkeypatch):
     """Small systems have a trace of it; as loops it factorises M at each node."""
     limited(monkeypatch, UNROLLED_UNKNOWNS=0)
     monkeypatch.setattr(
-        module_kernels, "_stage_kernels", lambda low, loops, known, **_: looped_stages(low, known)
+        module_kernels, "_stage_kernels", lambda low, known, **_: looped_stages(low, known)
     )
     stepper = ss.compile(ss.systems.double_pendulum(), "gauss10", precision=40)
     assert "least_pivot(" in stepper.source

@@ -28,7 +28,7 @@ def test_values_move_to_the_next_step_in_the_order_of_their_names():
     total = low.graph.define("total", low.graph.total(parts), "some")
     following = low.graph.declare("q_next", Level.STEP)
     before = len(low.graph.definitions)
-    low.moved(total, {q: following})
+    low.advance_symbol(total, {q: following})
     names = [symbol.name for symbol in list(low.graph.definitions)[before:]]
     assert names == [*(f"part_{k}_next" for k in range(8)), "total_next"]
 
@@ -44,7 +44,7 @@ def test_values_that_share_much_move_in_as_many_visits_as_there_are(monkeypatch)
     following = low.graph.declare("q_next", Level.STEP)
     made, define = [], low.graph.define
     monkeypatch.setattr(low.graph, "define", lambda *given: made.append(given) or define(*given))
-    assert low.moved(top, {low.q[0]: following}).name == "top_199_next"
+    assert low.advance_symbol(top, {low.q[0]: following}).name == "top_199_next"
     assert len(made) == 600
 
 

@@ -16,7 +16,7 @@ a, b = sp.symbols("a b", positive=True)
 def test_roots(base, power):
     expression = 3 / (base ** sp.Rational(power) + 1)
     printer, graph = Printer(), Expressions()
-    known = {symbol: graph.named(symbol.name) for symbol in (a, b)}
+    known = {symbol: graph.make_symbol(symbol.name) for symbol in (a, b)}
     text = printer.text(graph.read(expression, known))
     assert "**(" not in text
     assert printer.used == {"sqrt"}
@@ -44,7 +44,7 @@ WRITTEN = {
 @pytest.mark.parametrize("expression", WRITTEN)
 def test_parentheses_stand_where_they_are_needed(expression):
     graph = Expressions()
-    known = {symbol: graph.named(symbol.name) for symbol in (x, y)}
+    known = {symbol: graph.make_symbol(symbol.name) for symbol in (x, y)}
     text = Printer().text(graph.read(expression, known))
     values = {"x": 0.3, "y": 0.9, "pi": math.pi, "exp": math.exp}
     assert eval(text, {}, values) == pytest.approx(float(expression.subs({x: 0.3, y: 0.9})))

@@ -4,7 +4,7 @@ import pytest
 
 from symsimpson.lower.emit import _statements
 from symsimpson.lower.printer import Printer
-from symsimpson.lower.specialise import kernel_from_text, specialised
+from symsimpson.lower.specialise import kernel_from_text, specialise
 
 TEXT = '''\
 @compiled
@@ -47,7 +47,7 @@ FACTS |= {"AUTONOMOUS": True}
 
 def test_one_branch_stays_with_its_comments():
     assert (
-        specialised(TEXT, FACTS) + "\n"
+        specialise(TEXT, FACTS) + "\n"
         == '''\
 @compiled
 def step(W, h, t, lane):
@@ -78,7 +78,7 @@ def step(W, h, t, lane):
 def test_the_other_branch_and_nothing():
     facts = {**FACTS, "HELD": False, "VARIED_BY": 1, "ROLLING": False}
     assert (
-        specialised(TEXT, facts) + "\n"
+        specialise(TEXT, facts) + "\n"
         == '''\
 @compiled
 def step(W, h, t, lane):
@@ -100,24 +100,24 @@ def step(W, h, t, lane):
 
 def test_what_has_no_facts_stays_as_it_is():
     text = "def f(n):\n    if n > SIZE and (n or\n            HELD[n]):\n        return n"
-    assert specialised(text, FACTS) == text
+    assert specialise(text, FACTS) == text
 
 
 def test_a_body_without_statements_passes():
     text = (
         "def f(n):\n    if n:\n        if not HELD:\n            g()\n    elif HELD:\n        h()"
     )
-    assert specialised(text, {"HELD": True}) == (
+    assert specialise(text, {"HELD": True}) == (
         "def f(n):\n    if n:\n        pass\n    else:\n        h()"
     )
-    assert specialised("def f():\n    if HELD:\n        g()", {"HELD": False}) == (
+    assert specialise("def f():\n    if HELD:\n        g()", {"HELD": False}) == (
         "def f():\n    pass"
     )
 
 
 def test_a_fact_must_be_known():
-    with pytest.raises(KeyError, match="The value of DRIVEN is not known"):
-        specialised(TEXT, {"HELD": True, "AUTONOMOUS": True})
+    with pytest.raises(KeyError, match="The module has no value of DRIVEN"):
+        specialise(TEXT, {"HELD": True, "AUTONOMOUS": True})
 
 
 def test_a_kernel_is_the_body_of_its_text(monkeypatch):

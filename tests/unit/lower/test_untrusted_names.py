@@ -12,7 +12,7 @@ from support.workspace import begin, block, take_step
 from sympy.physics.mechanics import dynamicsymbols
 
 import symsimpson as ss
-from symsimpson.lower.emitted_names import NameTable, reserved
+from symsimpson.lower.emitted_names import NameTable, reserved_names
 from symsimpson.lower.pipeline import derive, source
 from symsimpson.text.header import read_header
 from symsimpson.text.workspace_layout import BLOCKS
@@ -192,4 +192,4 @@ def test_functions_of_a_module_have_names_that_no_symbol_takes(name):
         if isinstance(node, ast.FunctionDef)
     ]
     families = [name for name in functions if re.search(r"_\d+$", name)]
-    assert {*functions} - {*families} <= reserved()
+    assert {*functions} - {*families} <= reserved_names()

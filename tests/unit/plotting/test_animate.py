@@ -8,7 +8,7 @@ import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.plotting.scene import Link, scene_of
+from symsimpson.plotting.scene import Segment, build_scene
 
 
 def run_of(name, **options):
@@ -27,19 +27,19 @@ def run():
     ("name", "links"),
     sweep(
         [
-            ("double_pendulum", (Link(-1, 0, True), Link(0, 1, True))),
-            ("cart_pole", (Link(0, 1, True),)),
-            ("elastic_pendulum", (Link(-1, 0, False),)),
-            ("spherical_pendulum", (Link(-1, 0, True),)),
+            ("double_pendulum", (Segment(-1, 0, True), Segment(0, 1, True))),
+            ("cart_pole", (Segment(0, 1, True),)),
+            ("elastic_pendulum", (Segment(-1, 0, False),)),
+            ("spherical_pendulum", (Segment(-1, 0, True),)),
         ]
     ),
 )
 def test_what_keeps_its_distance_is_linked(name, links):
-    assert scene_of(run_of(name)).links == links
+    assert build_scene(run_of(name)).links == links
 
 
 def test_points_are_where_they_were_declared(run):
-    scene = scene_of(run)
+    scene = build_scene(run)
     l1, l2 = run.parameters["l1"], run.parameters["l2"]
     x = l1 * np.sin(run["q1"]) + l2 * np.sin(run["q2"])
     assert scene.points[:, 1, 0] == pytest.approx(x)
@@ -49,7 +49,7 @@ def test_points_are_where_they_were_declared(run):
 @pytest.mark.slow
 def test_a_body_turns_with_the_top():
     run = run_of("lagrange_top")
-    scene = scene_of(run)
+    scene = build_scene(run)
     (disc,) = scene.bodies
     assert disc.shape == (501, 7, 3)
     assert (disc[:, 0] == disc[:, -1]).all()
@@ -86,7 +86,7 @@ def test_length_of_a_film():
     [{"fps": 0}, {"fps": 1000}, {"fps": None}, {"seconds": -1}, {"seconds": 1e9}, {"seconds": "2"}],
 )
 def test_films_that_are_none(run, options):
-    with pytest.raises(ss.InputError, match="make no film"):
+    with pytest.raises(ss.InputError, match="one of them is out of range"):
         run.animate(**options)
 
 
@@ -98,11 +98,11 @@ def test_systems_without_positions(tmp_path):
         "bare", coordinates=(x,), kinetic=m * x.diff() ** 2 / 2, potential=x**2, parameters={m: 1.0}
     )
     run = ss.compile(bare).integrate([1.0], v0=[0.0], h=0.1, steps=10)
-    with pytest.raises(ss.InputError, match=r"Declare them: MechanicalSystem\(..., positions"):
+    with pytest.raises(ss.InputError, match=r"Declare MechanicalSystem\(..., positions"):
         run.animate()
     path = ss.generate(ss.systems.pendulum(), directory=tmp_path)
     loaded = ss.load(path).integrate([1.0], v0=[0.0], h=0.1, steps=10)
-    with pytest.raises(ss.InputError, match="from a file has none"):
+    with pytest.raises(ss.InputError, match="from generated files never have positions"):
         loaded.plot_path()
 
 
@@ -111,11 +111,9 @@ def test_points_in_one_dimension_and_bad_ones():
     (x,) = ss.coordinates("x")
     given = {"coordinates": (x,), "kinetic": x.diff() ** 2 / 2, "potential": x**2, "parameters": {}}
     system = ss.MechanicalSystem("line", **given, positions={"mass": x})
-    assert scene_of(ss.compile(system).integrate([1.0], v0=[0.0], h=0.1, steps=3)).points.shape == (
-        4,
-        1,
-        2,
-    )
+    assert build_scene(
+        ss.compile(system).integrate([1.0], v0=[0.0], h=0.1, steps=3)
+    ).points.shape == (4, 1, 2)
     for bad in ((x, x, x, x), [[x, x], []]):
         with pytest.raises(ss.ModelError, match="components"):
             ss.MechanicalSystem("line", **given, positions={"mass": bad})
@@ -153,7 +151,7 @@ def test_points_that_move_with_the_time(tmp_path):
     )
     run = ss.compile(shaken).integrate([1.0], v0=[0.0], h=0.1, steps=30, parameters={a: 0.5})
     moved = 0.5 * np.cos(3 * run.t)
-    scene = scene_of(run)
+    scene = build_scene(run)
     assert scene.points[:, 0, 0] == pytest.approx(moved)
     assert scene.points[:, 1, 0] == pytest.approx(moved + np.sin(run["theta"]))
     assert scene.bodies[0][:, 1, 0] == pytest.approx(moved + 1)

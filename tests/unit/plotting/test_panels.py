@@ -6,7 +6,7 @@ import pytest
 
 import symsimpson as ss
 from symsimpson.plotting.axes import name_axis
-from symsimpson.plotting.run_figures import free_names, panels_of
+from symsimpson.plotting.run_figures import find_free_names, group_panels
 
 matplotlib.use("Agg")
 
@@ -34,15 +34,15 @@ def many():
 
 def test_large_and_small_numbers_have_panels():
     small, large, zero = np.sin(np.arange(9)), np.linspace(0, 500, 9), 1e-15 * np.arange(9)
-    assert panels_of({"a": small, "b": large}, {}, "bz") == [["a"], ["b"]]
-    assert panels_of({"b": large, "a": small, "z": zero}, {}, "bz") == [["b", "z"], ["a"]]
-    assert panels_of({"a": small, "b": 20 * small, "c": 1e-3 * small}, {}, "bz") == [
+    assert group_panels({"a": small, "b": large}, {}, "bz") == [["a"], ["b"]]
+    assert group_panels({"b": large, "a": small, "z": zero}, {}, "bz") == [["b", "z"], ["a"]]
+    assert group_panels({"a": small, "b": 20 * small, "c": 1e-3 * small}, {}, "bz") == [
         ["a", "b"],
         ["c"],
     ]
-    assert panels_of({"a": small, "b": small}, {"a": "m"}, "") == [["a"], ["b"]]
-    assert panels_of({"a": small * np.nan, "z": 0 * small}, {}, "bz") == [["a", "z"]]
-    assert panels_of({"x": small, "p_x": 1e-27 * small}, {}, "x") == [["x"], ["p_x"]]
+    assert group_panels({"a": small, "b": small}, {"a": "m"}, "") == [["a"], ["b"]]
+    assert group_panels({"a": small * np.nan, "z": 0 * small}, {}, "bz") == [["a", "z"]]
+    assert group_panels({"x": small, "p_x": 1e-27 * small}, {}, "x") == [["x"], ["p_x"]]
 
 
 def test_powers_of_ten_stand_in_labels(run):
@@ -86,15 +86,15 @@ def test_sections_are_drawn(run):
     assert over_time[-1].get_xlabel() == "t"
     assert section.plot_path().lines[0].get_linestyle() == "None"
     assert run.events("q1 - 50").plot().get_ylabel() == "p_q1"  # none is there
-    with pytest.raises(ss.InputError, match="there is no 'q3'"):
+    with pytest.raises(ss.InputError, match="there is no quantity 'q3'"):
         section.plot("q1", "q3")
 
 
 @pytest.mark.slow
 def test_sections_of_one_coordinate():
     swing = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=80)
-    assert free_names(swing.events("theta")) == ("p_theta",)
-    assert free_names(swing.events("sin(3*t)")) == ("theta", "p_theta")
+    assert find_free_names(swing.events("theta")) == ("p_theta",)
+    assert find_free_names(swing.events("sin(3*t)")) == ("theta", "p_theta")
 
 
 def test_ensembles_are_bands(many):
@@ -144,7 +144,7 @@ def test_films_have_names_and_sizes(run, tmp_path):
         {"dpi": np.inf},
         {"figsize": (np.nan, 1)},
     ):
-        with pytest.raises(ss.InputError, match="no size of a figure"):
+        with pytest.raises(ss.InputError, match="not a size of a figure"):
             run.animate(**wrong)
 
 

@@ -45,7 +45,7 @@ def test_quantities_over_time(run):
 
     before = plt.get_fignums()
     for wrong in (run.plot, run.plot_phase):
-        with pytest.raises(KeyError, match="there is no 'q3'"):
+        with pytest.raises(KeyError, match="there is no quantity 'q3'"):
             wrong("q3")
     assert plt.get_fignums() == before  # no empty figure is left
 
@@ -66,7 +66,7 @@ def test_arrays_and_numbers_are_not_drawn(run):
         (many.plot, (0,)),
         (many.plot, (many.q,)),
     ):
-        with pytest.raises(ss.InputError, match="no name of a quantity"):
+        with pytest.raises(ss.InputError, match="not the name of a quantity"):
             draw(*given)
     with pytest.raises(ss.InputError, match="most is 'all', not a whole number"):
         many.plot(most="all")
@@ -125,7 +125,7 @@ def test_paths(run):
     top = ss.compile(ss.systems.lagrange_top())
     spatial = top.integrate(**top.reference_state, h=0.001, steps=50).plot_path()
     assert spatial.name == "3d"
-    with pytest.raises(ss.InputError, match="these axes are plane"):
+    with pytest.raises(ss.InputError, match="ax has two dimensions"):
         top.integrate(**top.reference_state, h=0.001, steps=50).plot_path(ax=ax)
     with pytest.raises(ss.InputError, match="no states to draw"):
         run[5:5].plot_path()
@@ -147,7 +147,7 @@ def test_names_one_by_one_and_symbols(run):
     assert run.plot(q1).get_ylabel() == "q1"
     ax = run.plot_phase(q2)
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("q2", "p_q2")
-    with pytest.raises(ss.InputError, match=r"there is no 'v_q3'. Did you mean v_q[12]\?"):
+    with pytest.raises(ss.InputError, match=r"there is no quantity 'v_q3'. Did you mean v_q[12]\?"):
         run.plot("q1", "v_q3")
 
 
@@ -157,11 +157,11 @@ def test_names_one_by_one_and_symbols(run):
 def test_names_are_written_as_they_are(name, shown):
     from matplotlib.figure import Figure
 
-    from symsimpson.plotting.axes import label
+    from symsimpson.plotting.axes import escape_label
 
-    assert label(name) == shown
+    assert escape_label(name) == shown
     figure = Figure()
     ax = figure.add_subplot()
-    ax.plot([0, 1], label=label(name))
+    ax.plot([0, 1], label=escape_label(name))
     assert len(ax.legend().get_texts()) == 1
     figure.canvas.draw()  # dollars are no formula

@@ -7,7 +7,7 @@ from filelock import FileLock
 
 import symsimpson as ss
 from symsimpson.program import cache
-from symsimpson.program.cache import kept, usage
+from symsimpson.program.cache import load_or_make, usage
 
 KEY = "newton-4_" + "0123456789abcdef" * 2
 
@@ -48,8 +48,8 @@ def test_what_the_package_wrote_is_removed_and_nothing_else(folder):
     assert usage(folder) == (0, 0)
     assert ss.clear_cache() == 0
     build(folder)
-    kept("choices", "which", lambda x: x, lambda: 1, lambda x: x)
-    kept("texts", "which", lambda x: x, lambda: 1, lambda x: x)
+    load_or_make("choices", "which", lambda x: x, lambda: 1, lambda x: x)
+    load_or_make("texts", "which", lambda x: x, lambda: 1, lambda x: x)
     left = folder / ".building-left" / f"symsimpson_compiled_{KEY}.py"
     left.parent.mkdir()
     left.write_text("x = 1\n")

@@ -36,7 +36,7 @@ def test_functions_of_single_numbers(single):
 
 @pytest.mark.parametrize("wrong", [lambda t: t[:1], lambda t: np.array([t, t])[:, None]])
 def test_shapes_are_told(wrong):
-    with pytest.raises(ss.InputError, match=r"^u: its function gives shape"):
+    with pytest.raises(ss.InputError, match=r"^u: its function returns shape"):
         values_at("u", wrong, TIMES)
 
 

@@ -151,13 +151,15 @@ def test_names_that_are_expressions_are_found_by_their_symbols_alone(name):
 
 
 def test_names_that_are_not_there(case):
-    with pytest.raises(ss.InputError, match="there is no 'nothing'") as told:
+    with pytest.raises(ss.InputError, match="there is no quantity 'nothing'") as told:
         case.run["nothing"]
     assert isinstance(told.value, KeyError)
     assert str(told.value).startswith("there is no")  # not in quotes
     with pytest.raises(ss.InputError, match="unknown name 'beta'"):
         case.run.events(sp.Symbol("beta"))
-    with pytest.raises(ss.InputError, match=r"it contains 'q00'\. Did you mean q0\?"):
+    with pytest.raises(
+        ss.InputError, match=r"it contains the unknown name 'q00'\. Did you mean q0\?"
+    ):
         case.run.events("q00")
     with pytest.raises(ss.InputError, match="no input 'w'"):
         case.stepper.integrate([1.0, 0.2], **(case.given | {"inputs": {"w": 1.0}}))

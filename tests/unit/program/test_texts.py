@@ -30,7 +30,7 @@ def derived(monkeypatch, tmp_path):
 
 
 def compiled(factor=1, scheme="simpson", value=2.0, **more):
-    api._derived.cache_clear()  # as another process would
+    api._derive.cache_clear()  # as another process would
     system = ss.MechanicalSystem(
         "kept",
         coordinates=(x,),

@@ -75,7 +75,7 @@ def test_results_that_are_no_runs_are_told(tmp_path, ending):
     stepper, path = ss.compile(ss.systems.pendulum()), tmp_path / f"run.{ending}"
     stepper.integrate([1.0], v0=[0.0], h=0.1, t_eval=[0.0, 0.25]).save(path)
     opener = {"nc": "open_dataset", "zarr": "open_zarr"}[ending]
-    with pytest.raises(ss.StorageError, match=rf"no run that could go on.*\n.*{opener}.*t_eval="):
+    with pytest.raises(ss.StorageError, match=rf"is not a whole run.*\n.*{opener}.*t_eval="):
         ss.open_trajectory(path)
 
 

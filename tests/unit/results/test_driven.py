@@ -177,7 +177,7 @@ def test_where_a_run_ended_within_a_step_may_not_be_known_from_its_file(stepper,
     more = {"events": [end], "every": None}
     run = stepper.integrate(**START, steps=STEPS, inputs=at_nodes(stepper), **more)
     run.save(tmp_path / "run.nc")
-    with pytest.raises(ss.InputError, match="the inputs u at these states are not known"):
+    with pytest.raises(ss.InputError, match="the inputs u at these states are unknown"):
         _ = ss.open_trajectory(tmp_path / "run.nc").multipliers
 
 
@@ -187,5 +187,5 @@ def test_states_of_which_they_are_not_known_are_refused(stepper):
     states = type(run.at(0.1))(t=run.t, q=run.q, p=run.p, driven=None, **facts)
     assert states.constraint_error.shape == (STEPS + 1, 1)
     for name in ("multipliers", "constraint_forces"):
-        with pytest.raises(ss.InputError, match="the inputs u at these states are not known"):
+        with pytest.raises(ss.InputError, match="the inputs u at these states are unknown"):
             getattr(states, name)

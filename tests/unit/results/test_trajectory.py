@@ -24,7 +24,7 @@ def test_names(run):
     assert (run["energy"] == run.energy).all()
     assert run["v_q2"][0] == pytest.approx(-2.0)
     assert all((run[name] == getattr(run, name)).all() for name in "qpv")
-    with pytest.raises(KeyError, match=r"there is no 'q3'\. There are q1, q2, p_q1"):
+    with pytest.raises(KeyError, match=r"no quantity 'q3'\. The quantities are q1, q2, p_q1"):
         run["q3"]
 
 
@@ -125,7 +125,7 @@ def test_a_last_state_alone_tells_when_it_began_wherever_an_event_ended_it():
 
 def test_a_file_without_the_start_does_not_tell_the_energy_there():
     last = ss.compile(PENDULUM).integrate([0.7, 1.0], p0=[0, 0], h=0.01, steps=5, every=None)
-    with pytest.raises(ss.InputError, match="not how it began"):
+    with pytest.raises(ss.InputError, match="but not the initial state"):
         _ = replace(last, begun=None).energy_error
     assert "energy error" not in replace(last, begun=None)._repr_html_()
 

@@ -97,11 +97,11 @@ def test_the_same_call_goes_on(path, ended, monkeypatch):
     part = stepper.integrate(**given, checkpoint=path, on_failure="return")
     assert part.status is ss.Status.INTERRUPTED
     assert part.steps == 60 == len(part) - 1
-    assert "Go on with symsimpson.resume" in part.message
+    assert "Continue the run with symsimpson.resume" in part.message
     monkeypatch.undo()
     run = stepper.integrate(**given, checkpoint=path)
     assert same(run, stepper.integrate(**given))
-    with pytest.raises(ss.InputError, match="holds another run"):
+    with pytest.raises(ss.InputError, match="contains another run"):
         stepper.integrate(**given | {"steps": STEPS + 1}, checkpoint=path)
 
 
@@ -233,7 +233,7 @@ def test_what_is_no_checkpoint(tmp_path):
         file = tmp_path / name
         if content is not None:
             file.write_bytes(content)
-        with pytest.raises(ss.StorageError, match="no whole checkpoint"):
+        with pytest.raises(ss.StorageError, match="no intact checkpoint"):
             ss.resume(file)
 
 
@@ -316,7 +316,7 @@ def test_names_of_the_user_are_resumed(path, name):
 
 def test_many_digits_are_refused(path):
     system = SYSTEMS["double_pendulum"]
-    with pytest.raises(ss.InputError, match="many digits"):
+    with pytest.raises(ss.InputError, match="multiprecision"):
         ss.compile(system, precision=20).integrate(
             **system.reference_state, h="0.01", steps=3, checkpoint=path
         )

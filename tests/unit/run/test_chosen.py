@@ -101,7 +101,7 @@ def test_a_run_that_fails_keeps_what_it_reached():
     kept = falling.integrate(**start, steps=200, save="energy", on_failure="return")
     assert not kept.success
     assert 50 < kept.t.size < 120
-    assert "not taken" in kept.message
+    assert "failed" in kept.message
 
 
 def test_tables_of_chosen_multipliers_have_them_all_by_name():
@@ -155,9 +155,9 @@ def test_files(stepper, tmp_path):
 @pytest.mark.parametrize(
     ("asked", "message"),
     [
-        ({"t_eval": [0.5, 0.2]}, "do not rise all along"),
-        ({"t_eval": [0.5, 3.0], "steps": 100}, "outside of the run, from 0 to 1"),
-        ({"t_eval": [-0.1, 0.5]}, "outside of the run"),
+        ({"t_eval": [0.5, 0.2]}, "are not in increasing order"),
+        ({"t_eval": [0.5, 3.0], "steps": 100}, "but the run goes from 0 to 1"),
+        ({"t_eval": [-0.1, 0.5]}, "contains t = -0.1, but the run"),
         ({"t_eval": [[0.5]]}, "Pass a list of times"),
         ({"t_eval": "soon"}, "t_eval"),
         ({"t_eval": [float("nan")]}, "not finite"),
@@ -165,8 +165,8 @@ def test_files(stepper, tmp_path):
         ({"t_eval": [0.5], "tangents": 1}, "needs the states of all steps"),
         ({"save": "q", "steps": 1, "checkpoint": "run.ckpt"}, "needs the states of all steps"),
         ({"save": "enregy", "steps": 1}, "Did you mean energy"),
-        ({"save": "run.zz", "steps": 1}, r"run\.save.* writes a file"),
-        ({"save": (), "steps": 1}, "names nothing"),
+        ({"save": "run.zz", "steps": 1}, r"To write a file, use run\.save"),
+        ({"save": (), "steps": 1}, "contains no names"),
         ({"save": 3, "steps": 1}, "not a list of names"),
         ({"save": "q"}, "exactly one of t_end and steps"),
     ],
@@ -178,5 +178,5 @@ def test_bad_input(stepper, asked, message):
 
 def test_what_was_not_saved_is_named(stepper):
     kept = stepper.integrate(**GIVEN, steps=10, save="energy")
-    with pytest.raises(ss.UnknownNameError, match="There are t, energy"):
+    with pytest.raises(ss.UnknownNameError, match="The saved quantities are t, energy"):
         kept["q1"]

@@ -22,8 +22,8 @@ def stepper():
 
 @pytest.mark.parametrize("recorded", [10**6, 1])  # the way in one piece, and in several
 def test_they_are_refused_where_the_energy_is_no_number(stepper, recorded, monkeypatch):
-    monkeypatch.setattr("symsimpson.run.gradients.RECORDED", recorded)
-    with pytest.raises(ss.ConvergenceError, match=r"no finite number at t=0\.44") as caught:
+    monkeypatch.setattr("symsimpson.run.gradients.MOST_RECORDED", recorded)
+    with pytest.raises(ss.ConvergenceError, match=r"not a finite real number at t=0\.44") as caught:
         stepper.gradient(**HOW, steps=24, cost="x", wrt="q")
     assert caught.value.status == ss.Status.NOT_FINITE
     assert caught.value.step == 21

@@ -33,9 +33,9 @@ def test_a_run_from_a_checkpoint_goes_on_to_the_same_bits(tmp_path):
     again = ss.resume(file, events=[floor()])
     assert np.array_equal(again.q, whole.q)
     assert np.array_equal(again.events("floor").t, whole.events("floor").t)
-    with pytest.raises(ss.InputError, match="holds a run with other events"):
+    with pytest.raises(ss.InputError, match="contains a run with other events"):
         ss.resume(file)
-    with pytest.raises(ss.InputError, match="holds a run with other events"):
+    with pytest.raises(ss.InputError, match="contains a run with other events"):
         ss.resume(file, events=[floor(0.5)])
 
 
@@ -116,9 +116,9 @@ def test_observed_values_and_counts():
     assert run.reduced["high"] == whole.q.max()
     assert run.reduced["end"] == 2.0
     assert np.array_equal(run.q[-1], whole.q[-1])
-    with pytest.raises(ss.InputError, match="counts 'wall', and no event"):
+    with pytest.raises(ss.InputError, match="counts 'wall', but no event"):
         drop(floor(), reduce={"hits": ("count", "wall")})
-    with pytest.raises(ss.InputError, match="none: pass events="):
+    with pytest.raises(ss.InputError, match="This call has no events: pass events="):
         ss.compile(BALL).integrate([1.0], v0=[0.0], h=0.01, steps=3, reduce={"a": ("count", "b")})
 
 
@@ -146,7 +146,7 @@ def test_members_of_an_ensemble_do_what_single_runs_do(monkeypatch):
     assert alone == [[0.5], [1.0], [0.3]]
     behind = stepper.ensemble([[1.0], [-1.0]], events=[floor()], **given)
     assert behind.status.tolist() == [0, ss.Status.BAD_INPUT]
-    with pytest.raises(ss.InputError, match="a store does not keep events"):
+    with pytest.raises(ss.InputError, match="A store does not save events"):
         stepper.ensemble(heights, events=[floor()], store="somewhere", **given)
 
 
@@ -169,7 +169,7 @@ def test_a_loop_bounces_as_a_run_does():
     assert abs(last.t - FALL) < 1e-14
     assert abs(last.q[0]) < 1e-15
     assert abs(last.v[0] + 9.81 * FALL) < 1e-13
-    with pytest.raises(ss.InputError, match="the loop is at its end: 'down' ended the run"):
+    with pytest.raises(ss.InputError, match=r"the loop is at its end\. 'down' ended the run"):
         last.step()
 
 
@@ -264,7 +264,7 @@ def test_what_is_kept_of_a_run_knows_its_events(how):
     hits = kept.events("floor")
     assert hits.t.tolist() == whole.events("floor").t.tolist()
     assert hits.after.energy.tolist() == whole.events("floor").after.energy.tolist()
-    with pytest.raises(ss.InputError, match=r"no event 'wall'.\nIt had floor"):
+    with pytest.raises(ss.InputError, match=r"no event 'wall'\. Its events are floor"):
         kept.events("wall")
 
 

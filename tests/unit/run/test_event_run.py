@@ -30,7 +30,7 @@ def test_energy_is_told_apart_from_what_impacts_take():
     lost = hits.energy - hits.after.energy
     assert np.abs(lost - (1 - 0.64) * hits.kinetic_energy).max() < 1e-13
     assert np.ptp(run.energy) > 5
-    with pytest.raises(ss.InputError, match="no shadow energy of this run, events acted"):
+    with pytest.raises(ss.InputError, match=r"has no shadow energy\. Events acted"):
         run.shadow_energy  # noqa: B018
 
 
@@ -170,7 +170,7 @@ def test_impacts_that_accumulate_keep_what_was_computed():
 
 
 def test_a_body_that_stays_on_its_floor_is_told_at_once():
-    with pytest.raises(ss.ConvergenceError, match=r"'floor' is touched at rest at t=.*constraint"):
+    with pytest.raises(ss.ConvergenceError, match=r"The state rests on 'floor' at t=.*constraint"):
         drop(floor(0.0), t_end=3.0)
 
 
@@ -182,7 +182,9 @@ def test_elastic_impacts_are_undone_backwards():
     back = stepper.integrate(run.q[-1], **given, events=[floor(1.0)])
     assert np.abs(back.events("floor").t[::-1] - run.events("floor").t).max() < 1e-13
     assert abs(back.q[-1, 0] - 1.0) < 1e-13
-    with pytest.raises(ss.ConvergenceError, match="loses energy, which a run backwards"):
+    with pytest.raises(
+        ss.ConvergenceError, match="dissipates energy, so it cannot act in a backward run"
+    ):
         stepper.integrate(run.q[-1], **given, events=[floor(0.5)])
 
 
@@ -253,7 +255,7 @@ def test_changes_keep_to_constraints():
     stepper = ss.compile(ROD)
     for change in ({"positions": {x: 0.5}}, {"velocities": {y: 1}}):
         event = ss.Event(x, name="mark", action=ss.Change(**change))
-        with pytest.raises(ss.ConvergenceError, match="constraints do not allow"):
+        with pytest.raises(ss.ConvergenceError, match="a state that violates the constraints"):
             stepper.integrate([0.8, -0.6], v0=[0, 0], h=0.02, steps=60, events=[event])
 
 
@@ -267,7 +269,7 @@ def test_conditions_may_be_inequalities():
     assert len(drop(floor(when=ss.time < 1), t_end=1.0).events("floor")) == 1
     assert len(drop(floor(when=ss.time > 1), t_end=1.0).events("floor")) == 0
     assert len(drop(floor(when=z.diff() <= 100)).events("floor")) == 3
-    with pytest.raises(ss.InputError, match="holds nowhere but in points"):
+    with pytest.raises(ss.InputError, match="holds only at isolated points"):
         drop(floor(when=sp.Eq(z, 0)))
 
 
@@ -304,14 +306,14 @@ def test_plastic_bodies_that_move_on_together_are_at_rest(gap, potential, hits):
         [0.0, 1.0], v0=[2.0, -1.0], h=0.05, t_end=5, events=[plastic], on_failure="return"
     )
     assert run.status is ss.Status.EVENTS_ACCUMULATE
-    assert "'plastic' is touched at rest" in run.message
+    assert "The state rests on 'plastic'" in run.message
     assert len(run.events("plastic")) == hits
 
 
 def test_a_gap_without_a_value_beyond_its_wall_ends_the_run():
     run = drop(ss.Event(sp.sqrt(z), name="w", action=ss.Impact(0.8)), on_failure="return")
     assert run.status is ss.Status.NOT_FINITE
-    assert "A gap has no value beyond its wall" in run.message
+    assert "A gap has no finite value beyond its wall" in run.message
     assert run.steps == 45
 
 

@@ -5,7 +5,7 @@ import pytest
 import sympy as sp
 
 import symsimpson as ss
-from symsimpson.program.observed import Observed
+from symsimpson.program.observed import ObservedExpression
 
 (x,) = ss.coordinates("x")
 FREE = ss.MechanicalSystem("free", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=0)
@@ -55,6 +55,6 @@ def test_rounding_is_no_zero():
     ],
 )
 def test_size_of_a_sum(text, size):
-    assert Observed("", text, False).size == size
+    assert ObservedExpression("", text, False).size == size
     names = {"q_0": 0.3, "p_0": -2.0, "t": 5.0, "exp": np.exp}
     assert eval(size, names) >= abs(eval(text, names))

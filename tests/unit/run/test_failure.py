@@ -6,7 +6,7 @@ from support.cases import sweep
 from support.places import ROOT
 
 import symsimpson as ss
-from symsimpson.run.integrate import started
+from symsimpson.run.integrate import start_run
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import read_run
@@ -126,7 +126,7 @@ def test_stopping_leaves_no_trace(system, h, scheme):
     """K and K steps are 2 K steps, to the last bit of the whole workspace."""
     stepper = ss.compile(system, scheme)
     state = system.reference_state
-    runs = [Run(stepper.program, stepper.program.defaults, h, 0.0, 1, 401) for _ in range(2)]
+    runs = [Run(stepper.program, stepper.program.defaults, h, 0.0, (1, 401)) for _ in range(2)]
     for run in runs:
         velocity = "v0" in state
         run.begin(
@@ -151,7 +151,7 @@ def test_stopping_leaves_no_trace_where_steps_are_recovered(monkeypatch):
         return original(self, name, **how)
 
     monkeypatch.setattr(numbers, "driver", counted)
-    runs = [Run(stepper.program, values, 0.1, 0.0, 1, 41) for _ in range(2)]
+    runs = [Run(stepper.program, values, 0.1, 0.0, (1, 41)) for _ in range(2)]
     for run in runs:
         run.begin(np.array([2.5, 2.0]), np.array([0.0, 3.0]), velocity=True)
     runs[0].advance(40)
@@ -189,7 +189,7 @@ def test_a_blow_up_is_told_where_one_may_end_a_run(status):
 
 
 def test_every_status_is_told():
-    page = (ROOT / "notebooks/guide/trust.md").read_text()
+    page = (ROOT / "notebooks/guide/status.md").read_text()
     for status in ss.Status:
         assert status.message.endswith((".", "kept."))
         assert f"| `{status.name}` |" in page
@@ -228,7 +228,7 @@ def test_injected_nan_and_infinity(scheme):
     random = np.random.default_rng(7)
     failed = 0
     for trial in range(70):
-        run = started(program, spec, 0, 1)
+        run = start_run(program, spec, 0, 1)
         run.advance(20)
         block = BLOCKS[trial % len(BLOCKS)]
         if block not in stepper.program.header.layout:
@@ -267,8 +267,8 @@ def test_a_step_that_fails_where_bars_fold_tells_of_the_constraints(every):
     start = {"q0": [cos, sin, 2 + cos, sin], "v0": [-sin, cos, -sin, cos], "every": every}
     run = stepper.integrate(**start, h=0.005, steps=60, on_failure="return")
     assert run.status is ss.Status.NOT_FINITE
-    assert "'left', 'right', 'top' come to depend on each other there" in run.message
+    assert "'left', 'right', 'top' become linearly dependent there" in run.message
     fast = start | {"v0": [-2000 * sin, 2000 * cos] * 2}
     far = stepper.integrate(**fast, h=0.005, steps=60, on_failure="return")
     assert not far.success
-    assert "depend on each other" not in far.message  # the step is too large
+    assert "linearly dependent" not in far.message  # the step is too large

@@ -79,7 +79,7 @@ def test_runs_that_are_taken_again_have_the_same_gradient(double_pendulum, costs
     monkeypatch.setattr(
         Run, "advance", lambda run, stop: (calls.append(stop), advance(run, stop))[1]
     )
-    monkeypatch.setattr(gradients, "RECORDED", 100)
+    monkeypatch.setattr(gradients, "MOST_RECORDED", 100)
     again = gradient()
     assert calls[:9] == [7, 14, 21, 28, 35, 42, 49, 56, 60]  # there, in pieces of sqrt(60)
     assert calls[9:] == [56, 49, 42, 35, 28, 21, 14, 7]  # and all but the last once more
@@ -295,9 +295,9 @@ def test_the_state_may_be_named_as_it_is_given():
     short = stepper.gradient([0.7], [0.2], **given, wrt=("q", "k", "v"))
     assert list(found.parts) == ["q0", "k", "v0"]
     assert (found.gradient == short.gradient).all()
-    with pytest.raises(ss.InputError, match="wrt names 'p', and the run begins with v0"):
+    with pytest.raises(ss.InputError, match="wrt contains 'p', but the run starts with v0"):
         stepper.gradient([0.7], [0.2], **given, wrt="p0")
-    with pytest.raises(ss.InputError, match="Name each only once"):
+    with pytest.raises(ss.InputError, match="Pass each variable once"):
         stepper.gradient([0.7], [0.2], **given, wrt=("q", "q0"))
 
 
@@ -322,7 +322,7 @@ def test_symbols_of_parameters_are_not_the_state():
     by_name = stepper.tangent([0.7], [0.2], h=0.05, wrt=("q", v))[2]
     assert by_name.shape == (2, 2)
     assert abs(by_name[1, 1] + 0.05 * 0.7) < 1e-3
-    with pytest.raises(ss.InputError, match="in a call of its own"):
+    with pytest.raises(ss.InputError, match="in a separate call"):
         stepper.gradient([0.7], [0.2], **given, wrt=("v", v))
 
 
@@ -337,13 +337,13 @@ def test_what_a_gradient_cannot_be_of_is_refused(double_pendulum):
     for match, changed in {
         "there is no cost": {"cost": None},
         "wrt is empty": {"wrt": ()},
-        "run begins with v0": {"wrt": ("q", "p")},
-        "Name each only once": {"wrt": ("q", "q")},
-        "'l3' is no parameter": {"wrt": ("l3",)},
+        "run starts with v0": {"wrt": ("q", "p")},
+        "Pass each variable once": {"wrt": ("q", "q")},
+        "no parameter or input 'l3'": {"wrt": ("l3",)},
         "contains the energy": {"cost": "energy"},
         "unknown name|contains 'x'": {"cost": "x + 1"},
-        "there are 11 states": {"samples": {"q1": [1, 2]}},
-        "none is finite": {"samples": {"q1": [np.nan] * 11}},
+        "must have shape \\(11,\\)": {"samples": {"q1": [1, 2]}},
+        "contain no finite number": {"samples": {"q1": [np.nan] * 11}},
         "samples is a ndarray": {"samples": np.zeros(11), "cost": None},
         "samples is a GreaterThan": {"samples": sp.Symbol("x") >= 0, "cost": None},
         "running is a Series": {"running": pd.Series([1, 2])},

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import symsimpson as ss
-from symsimpson.run.ended import Samples
-from symsimpson.run.integrate import started
+from symsimpson.run.ended import StateSampler
+from symsimpson.run.integrate import start_run
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import read_run
@@ -62,17 +62,17 @@ def test_ctrl_c_loses_no_crossings(monkeypatch, stepper):
 
 @pytest.mark.parametrize("piece", [1, 7, 64])
 def test_samples_stand_at_equal_strides_and_are_few(monkeypatch, stepper, piece):
-    monkeypatch.setattr("symsimpson.run.ended.MOST_LOOKED_AT", 10)
+    monkeypatch.setattr("symsimpson.run.ended.MOST_SAMPLES", 10)
     whole = stepper.integrate(**START, steps=200)
     program = stepper.program
     spec = read_run(program, Request(**START, steps=200, every=1))
-    run = started(program, spec, 1, piece + 1)
-    samples = Samples(run, 3)
+    run = start_run(program, spec, 1, piece + 1)
+    samples = StateSampler(run, 3)
     while run.step < 200:
         run.advance(min(200, run.room))
         samples.take()
         samples.take()  # nothing new
-        run.forget()
+        run.discard_stored()
     kept = samples.states()
     assert kept.every == 24
     assert np.array_equal(kept.q, whole.q[::24])

@@ -93,7 +93,7 @@ def test_a_loop_that_an_event_ended_has_the_multipliers_there():
     while loop.ended_by is None:
         loop.step([1.0, 2.0])
     assert_same(loop, run)
-    with pytest.raises(ss.InputError, match="the loop is at its end"):
+    with pytest.raises(ss.InputError, match=r"the loop is at its end"):
         loop.step([5.0, 5.0])
     assert_same(loop, run)
 
@@ -115,7 +115,7 @@ def test_a_loop_does_not_say_that_its_inputs_were_zero():
     loop.step([1.0, 2.0])
     with pytest.raises(ss.ConvergenceError) as caught:
         loop.step([1e300, 1e300])
-    with pytest.raises(ss.InputError, match="the inputs u, w at these states are not known"):
+    with pytest.raises(ss.InputError, match="the inputs u, w at these states are unknown"):
         caught.value.trajectory.multipliers  # noqa: B018
 
 

@@ -6,7 +6,7 @@ import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.run.lyapunov import PART, directions, first_columns
+from symsimpson.run.lyapunov import STEP_PART, initial_variations, random_directions
 
 #: m = 1, l = 0.25, g = 9.81.
 VALUES = {"m1": 1.0, "m2": 1.0, "l1": 0.25, "l2": 0.25}
@@ -73,8 +73,8 @@ def test_gali_is_the_volume_of_the_variations(pendulum):
     """Of a short run: from the derivative of the flow itself."""
     chaos = pendulum.lyapunov([0.8, 1.0], p0=[0, 0], h=0.01, steps=60, every=20)
     run = pendulum.integrate([0.8, 1.0], p0=[0, 0], h=0.01, steps=60, every=20, tangents=4)
-    part = pendulum.integrate([0.8, 1.0], p0=[0, 0], h=PART * 0.01, steps=1, tangents=4)
-    *columns, weights = first_columns(part.tangent[1], 0.01, 4).T
+    part = pendulum.integrate([0.8, 1.0], p0=[0, 0], h=STEP_PART * 0.01, steps=1, tangents=4)
+    *columns, weights = initial_variations(part.tangent[1], 0.01, 4).T
     for k in range(1, 4):
         moved = np.sqrt(weights)[:, None] * (run.tangent[k] @ np.transpose(columns))
         units = moved / np.linalg.norm(moved, axis=0)
@@ -90,14 +90,14 @@ def test_variations_have_lengths_without_units():
     weights = []
     for kg, m, s in ((1.0, 1.0, 1.0), (1e-27, 1e-10, 1e-15)):
         h, mass, k = 0.8 * s, 2.0 * kg, 18.0 * kg / s**2
-        turn, omega = PART * h * np.sqrt(k / mass), np.sqrt(k / mass)
+        turn, omega = STEP_PART * h * np.sqrt(k / mass), np.sqrt(k / mass)
         d = np.array(
             [
                 [np.cos(turn), np.sin(turn) / (mass * omega)],
                 [-np.sin(turn) * mass * omega, np.cos(turn)],
             ]
         )
-        columns = first_columns(d, h, 2)
+        columns = initial_variations(d, h, 2)
         q, p = m, kg * m / s
         weights.append(columns[:, 2] * [q**2, p**2] / (kg * m**2 / s))
         product = columns[:, :2].T @ (columns[:, 2:] * columns[:, :2])
@@ -108,12 +108,12 @@ def test_variations_have_lengths_without_units():
 
 
 def test_pairs_of_first_variations_are_conjugate():
-    columns = directions(6, 6)
+    columns = random_directions(6, 6)
     J = np.kron([[0, 1], [-1, 0]], np.eye(3))
     np.testing.assert_allclose(columns.T @ columns, np.eye(6), atol=1e-15)
     form = columns.T @ J @ columns
     np.testing.assert_allclose(np.abs(form), np.eye(6)[::-1], atol=1e-15)
-    np.testing.assert_allclose(directions(6, 2), columns[:, :2], atol=1e-15)
+    np.testing.assert_allclose(random_directions(6, 2), columns[:, :2], atol=1e-15)
 
 
 KG, METRE, SECOND = (1.0, 1e-27, 1e24, 1.7), (1.0, 1e-10, 1e11, 0.3), (1.0, 1e-15, 3.2e7, 2.9)
@@ -237,12 +237,12 @@ def test_stored_states_do_not_disturb_what_is_told(pendulum):
 
 def test_what_cannot_be_told_is_refused(pendulum):
     for match, changed in {
-        "has 4 of them": {"exponents": 5},
-        "made orthonormal after 20": {"steps": 10},
+        "has 4 Lyapunov exponents": {"exponents": 5},
+        "fewer than every=20": {"steps": 10},
     }.items():
         with pytest.raises(ss.InputError, match=match):
             pendulum.lyapunov(REGULAR, p0=[0, 0], **{"h": 0.01, "steps": 100, **changed})
-    with pytest.raises(ss.InputError, match="Take 20 at least"):
+    with pytest.raises(ss.InputError, match="Take at least 20 steps"):
         pendulum.ensemble([REGULAR], p0=[0, 0], h=0.01, steps=10, reduce={"l": "lyapunov"})
     with pytest.raises(ss.InputError, match="lyapunov, megno, sali"):
         pendulum.ensemble([REGULAR], p0=[0, 0], h=0.01, steps=10, reduce={"l": "chaos"})

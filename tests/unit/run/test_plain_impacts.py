@@ -56,7 +56,7 @@ def test_they_are_those_of_python(system, scheme, start, events, h, split, monke
     given = {"v0": v0, "h": h, "steps": 120, "events": events, "reduce": {"e": ("mean", "energy")}}
     run = stepper.integrate(q0, **given)
     assert not split
-    monkeypatch.setattr(event_run, "plain_restitution", lambda *asked: None)
+    monkeypatch.setattr(event_run, "read_plain_restitution", lambda *asked: None)
     other = stepper.integrate(q0, **given)
     assert split
     assert len(run.records) >= 2
@@ -152,7 +152,7 @@ def test_they_are_those_of_python_wherever_a_ball_begins(scheme, split, monkeypa
         hits += len(run.records)
         left = len(split)
         with monkeypatch.context() as patch:
-            patch.setattr(event_run, "plain_restitution", lambda *asked: None)
+            patch.setattr(event_run, "read_plain_restitution", lambda *asked: None)
             other = stepper.integrate(q0, **given)
         assert run.status is other.status
         assert [one.event for one in run.records] == [one.event for one in other.records]

@@ -40,31 +40,31 @@ def told(monkeypatch):
     for module in (tqdm, tqdm.auto):
         monkeypatch.setattr(module, "tqdm", Bar)
     monkeypatch.setattr(progress, "DELAY", 0.01)
-    monkeypatch.setattr(progress, "watched", lambda: True)
+    monkeypatch.setattr(progress, "is_watched", lambda: True)
     return shown
 
 
 def test_waiting_tells_what_for_and_only_once(told, monkeypatch):
     before = set(threading.enumerate())
-    with progress.waiting("the whole"):
-        with progress.waiting("a part of it"):
+    with progress.announce("the whole"):
+        with progress.announce("a part of it"):
             time.sleep(0.1)
         while not told:
             time.sleep(0.01)
     assert told == ["the whole"]
     monkeypatch.setattr(progress, "DELAY", 60.0)
-    with progress.waiting("nothing long"):
+    with progress.announce("nothing long"):
         pass
-    with progress.silence(), progress.waiting("silence"):
+    with progress.silence(), progress.announce("silence"):
         time.sleep(0.1)
-    with pytest.raises(ZeroDivisionError), progress.waiting("a failure"):
+    with pytest.raises(ZeroDivisionError), progress.announce("a failure"):
         raise ZeroDivisionError
     assert told == ["the whole"]
     assert not set(threading.enumerate()) - before
 
 
 def test_trials_of_a_choice_are_counted(told, monkeypatch):
-    with progress.waiting("choosing") as texts:
+    with progress.announce("choosing") as texts:
         while not told:
             time.sleep(0.01)
         texts.append("choosing, trial 1 of at most 9")
@@ -79,7 +79,7 @@ def test_trials_of_a_choice_are_counted(told, monkeypatch):
     )
     with pytest.raises(ZeroDivisionError):
         ss.choose(ss.systems.pendulum(), **asked)
-    shown = motions[0].shown
+    shown = motions[0].labels
     assert shown[0] == "choosing a scheme and a step"
     assert shown[1] == "choosing a scheme and a step, trial 1 of at most 22"
     assert len(shown) <= 9
@@ -131,13 +131,13 @@ def test_bars_are_drawn_one_at_a_time(told):
 
 @pytest.mark.slow
 def test_nothing_is_drawn_into_files_unless_it_is_asked_for(told, monkeypatch):
-    monkeypatch.setattr(progress, "watched", lambda: False)
+    monkeypatch.setattr(progress, "is_watched", lambda: False)
     system = ss.systems.pendulum()
-    with progress.waiting("a file"):
+    with progress.announce("a file"):
         time.sleep(0.1)
     ss.compile(system, "gauss4").integrate([1.0], v0=[0.0], h=0.01, steps=30_000)
     assert told == []
-    with progress.waiting("asked for", True):
+    with progress.announce("asked for", True):
         while not told:
             time.sleep(0.01)
     ss.compile(system, "gauss4").integrate([1.0], v0=[0.0], h=0.01, steps=3, progress=True)

@@ -29,8 +29,8 @@ def taken(monkeypatch):
         found.append(run is not None)
         return run
 
-    plain = short_runs.brief_run
-    monkeypatch.setattr("symsimpson.run.requested.brief_run", counted)
+    plain = short_runs.try_short_run
+    monkeypatch.setattr("symsimpson.run.requested.try_short_run", counted)
     return found
 
 

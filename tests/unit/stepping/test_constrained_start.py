@@ -40,16 +40,16 @@ def test_results(stepper):
 
 
 def test_starts_that_miss_are_refused_with_what_would_do(stepper):
-    told = r"q0 does not satisfy the constraint 'rod'.*0\.12(.|\n)*consistent.*q0=\[0\.65"
+    told = r"q0 violates the constraint 'rod'.*0\.12(.|\n)*consistent.*q0=\[0\.65"
     with pytest.raises(ss.InputError, match=told):
         stepper.integrate([0.6, 0, -0.7], START["v0"], h=0.01, steps=1)
-    with pytest.raises(ss.InputError, match="v0 is not allowed by the constraint 'rod'"):
+    with pytest.raises(ss.InputError, match="v0 violates the constraint 'rod'"):
         stepper.integrate(START["q0"], [0.4, 1.7, 0.4], h=0.01, steps=1)
-    with pytest.raises(ss.InputError, match=r"p0 has a part(.|\n)*Or give v0"):
+    with pytest.raises(ss.InputError, match=r"p0 has a component(.|\n)*Or pass v0"):
         stepper.integrate(START["q0"], p0=[0.4, 1.7, 0.4], h=0.01, steps=1)
     with pytest.raises(ss.InputError, match="of member 1"):
         stepper.ensemble([START["q0"], [0, 0.6, 0.7]], v0=[0, 0, 0], h=0.01, steps=1)
-    with pytest.raises(ss.ModelError, match="no slope"):
+    with pytest.raises(ss.ModelError, match=r"the gradient of the constraint .* is zero"):
         stepper.integrate([0, 0, 0], START["v0"], h=0.01, steps=1)
 
 
@@ -64,7 +64,7 @@ def test_a_square_has_no_slope_where_rounding_gives_it_one(angle, off):
         ss.MechanicalSystem("wire", **system, potential=y, constraints=[phi])
         for phi in (circle**2, circle)
     )
-    with pytest.raises(ss.ModelError, match="has no slope"):
+    with pytest.raises(ss.ModelError, match=r"the gradient of the constraint .* is zero"):
         ss.compile(squared).integrate(place, [0, 0], h=0.01, steps=1)
     assert ss.compile(plain).integrate(place, [0, 0], h=0.01, steps=1).success
 
@@ -90,8 +90,8 @@ def test_starts_that_nearly_do_are_mended(stepper):
 
 
 def test_starts_that_are_not_led_onto_the_constraints_are_refused(stepper, monkeypatch):
-    monkeypatch.setattr("symsimpson.stepping.constrained_start.MOST", 1)
-    with pytest.raises(ss.InputError, match="q0 is not led to the constraint 'rod'"):
+    monkeypatch.setattr("symsimpson.stepping.constrained_start.MOST_ITERATIONS", 1)
+    with pytest.raises(ss.InputError, match="q0 does not reach the constraint 'rod'"):
         stepper.integrate([0.6, 0, -0.8 + 3e-10], START["v0"], h=0.01, steps=1)
 
 
@@ -108,7 +108,10 @@ def test_folded_linkages_are_told():
         potential=0,
         constraints={"loop_x": gap[0] - 2, "loop_y": gap[1]},
     )
-    with pytest.raises(ss.ModelError, match=r"'loop_x', 'loop_y' depend|no slope"):
+    with pytest.raises(
+        ss.ModelError,
+        match=r"'loop_x', 'loop_y' are linearly dependent|gradient of the constraint .* is zero",
+    ):
         ss.compile(system).integrate([0, 0, 0], [1, 0, 1], h=0.01, steps=1)
 
 
@@ -131,11 +134,13 @@ def parallelogram():
 @pytest.mark.filterwarnings("ignore::symsimpson.ResolutionWarning")
 def test_folds_on_the_way_are_told():
     stepper = ss.compile(parallelogram())
-    with pytest.warns(ss.ConstraintWarning, match=r"about t=2\.1.*close to following") as told:
+    with pytest.warns(
+        ss.ConstraintWarning, match=r"nearly linearly dependent at about t=2\.1"
+    ) as told:
         run = stepper.integrate([1.0, 0.0, 1.0], [1.0, 0.0, 1.0], h=0.02, steps=150)
     assert run.success
     assert len(told) == 1
-    assert "close to following" in run.message
+    assert "nearly linearly dependent" in run.message
     # the fold stands at a step
     rate = np.pi - 1
     with pytest.raises(ss.ConvergenceError, match=r"'loop_x', 'loop_y' depend.*t=1, at step 20"):
@@ -193,7 +198,7 @@ def test_pivots_in_rows_lead_to_the_same_states(name):
     system = ss.systems.CONSTRAINED[name]()
     stepper = ss.compile(system)
     whole = stepper.integrate(**system.reference_state, h=0.01, steps=20)
-    run = Run(stepper.program, stepper.program.values(None), 0.01, 0.0, 1, 21, ("robust",))
+    run = Run(stepper.program, stepper.program.values(None), 0.01, 0.0, (1, 21), ("robust",))
     run.begin(*map(np.array, system.reference_state.values()), velocity=True)
     run.advance(20)
     assert run.alive
@@ -202,7 +207,7 @@ def test_pivots_in_rows_lead_to_the_same_states(name):
 
 
 def test_explicit_schemes_say_why_not():
-    with pytest.raises(ss.SchemeError, match="drift of a system with constraints"):
+    with pytest.raises(ss.SchemeError, match="order 4 only for drifts along straight lines"):
         ss.compile(SYSTEM, "blanes_moan4")
 
 
@@ -268,10 +273,12 @@ def test_residual_and_jacobian_with_multipliers(name, scheme):
 
 def test_multipliers_of_another_shape():
     stepper = ss.compile(ss.systems.four_bar(), precision=20)
-    with pytest.raises(ss.InputError, match=r"multipliers has shape \(1,\), but four_bar has 2"):
+    with pytest.raises(
+        ss.InputError, match=r"multipliers has shape \(1,\), but must .*four_bar has 2"
+    ):
         stepper.residual([1, 0, 1], [0, 0, 0], np.ones((2, 3)), 0.1, multipliers=[1.0])
     free = ss.compile(ss.systems.pendulum(), "midpoint", precision=20)
-    with pytest.raises(ss.InputError, match="none to a system without constraints"):
+    with pytest.raises(ss.InputError, match="Omit them for a system without constraints"):
         free.residual([1], [0], [[1]], 0.1, multipliers=np.ones((1, 0)))
 
 
@@ -299,11 +306,11 @@ def test_starts_are_judged_alike_in_any_unit_of_length(unit):
     system = rod_of(unit)
     stepper = ss.compile(system)
     for q, other, told in (
-        ([1.5, 0], {"v0": [0, 0]}, "q0 does not satisfy"),
-        ([1 + 1e-8, 0], {"v0": [0, 0]}, "q0 does not satisfy"),
-        ([1, 0], {"v0": [0.5, 0]}, "v0 is not allowed by"),
-        ([1, 0], {"v0": [1e-8, 0]}, "v0 is not allowed by"),
-        ([1, 0], {"p0": [0.5, 0]}, "p0 has a part"),
+        ([1.5, 0], {"v0": [0, 0]}, "q0 violates"),
+        ([1 + 1e-8, 0], {"v0": [0, 0]}, "q0 violates"),
+        ([1, 0], {"v0": [0.5, 0]}, "v0 violates"),
+        ([1, 0], {"v0": [1e-8, 0]}, "v0 violates"),
+        ([1, 0], {"p0": [0.5, 0]}, "p0 has a component along"),
     ):
         second = {name: np.multiply(x, unit) for name, x in other.items()}
         with pytest.raises(ss.InputError, match=told):
@@ -335,7 +342,7 @@ def test_terms_that_are_large_against_q_and_cancel():
         for start in (place, q):
             stepper.integrate(start, v0=v, h=0.01, steps=1)
         assert abs(v[0] - 0.1) < 1e-8
-    with pytest.raises(ss.InputError, match="q0 does not satisfy"):
+    with pytest.raises(ss.InputError, match="q0 violates"):
         stepper.integrate([1e-3, 0.0], v0=[0.0, 0.0], h=0.01, steps=1)
 
 
@@ -343,9 +350,9 @@ def test_the_call_that_is_advised_has_the_parameters_of_the_run():
     bars = ss.systems.four_bar()
     q, v = bars.consistent([1.0, 0.3, 1.4], [1.3, 0.0, 0.0])
     stepper, given = ss.compile(bars), {"h": 0.01, "steps": 2, "parameters": {"l1": 1.05}}
-    with pytest.raises(ss.InputError, match="gives the nearest start") as told:
+    with pytest.raises(ss.InputError, match="returns the nearest start") as told:
         stepper.integrate(q, v0=v, **given)
-    call = re.search(r"system\.consistent\(q0, v0, parameters=(.*)\) gives", str(told.value))
+    call = re.search(r"system\.consistent\(q0, v0, parameters=(.*)\) returns", str(told.value))
     q, v = bars.consistent(q, v, parameters=ast.literal_eval(call[1]))
     assert stepper.integrate(q, v0=v, **given).success
 
@@ -373,7 +380,7 @@ def test_starts_are_judged_in_the_unit_of_what_a_constraint_is_made_of():
     stepper = ss.compile(craft, "midpoint")
     for far in (7e9, 1.5e11):
         assert stepper.integrate([far, 0.6, 0.8], v0=[7e3, 0.4, -0.3], h=1e-3, steps=1).success
-        with pytest.raises(ss.InputError, match="q0 does not satisfy the constraint 'unit'"):
+        with pytest.raises(ss.InputError, match="q0 violates the constraint 'unit'"):
             stepper.integrate([far, 0.61, 0.8], v0=[7e3, 0.4, -0.3], h=1e-3, steps=1)
     rod = ss.MechanicalSystem(
         "rod",
@@ -386,5 +393,5 @@ def test_starts_are_judged_in_the_unit_of_what_a_constraint_is_made_of():
     stepper = ss.compile(rod, "midpoint")
     start, along = [0.0, -2e-9, 0.0], [1e3, 0.0, 5e11]
     assert stepper.integrate(start, v0=along, h=1e-14, steps=1).success
-    with pytest.raises(ss.InputError, match="v0 is not allowed by the constraint 'along'"):
+    with pytest.raises(ss.InputError, match="v0 violates the constraint 'along'"):
         stepper.integrate(start, v0=[1e3, 4e2, 5e11], h=1e-14, steps=1)

@@ -26,18 +26,18 @@ WRONG = {
     "nothing": ({"q0": [None, 0.0]}, r"q0 is \[None, 0.0\], not real numbers"),
     "digits": ({"q0": ["1", "2"]}, "q0 is .* not real numbers"),
     "none": ({"q0": None}, "q0 is None, not real numbers|q0 has shape"),
-    "zero step": ({"h": 0.0}, "the step h is 0"),
+    "zero step": ({"h": 0.0}, "the step size h is 0"),
     "nan step": ({"h": float("nan")}, "h is nan, not a finite real number"),
     "text step": ({"h": "0.1"}, "h is .*not a finite real number"),
     "part of a step": (
         EXACT | {"t_end": 0.35},
-        r"t_end=0.35 is 3.5 steps of h=0.1 from t0=0, not a whole number.*\n.*steps=4, or exact_h",
+        r"t_end=0.35 is 3.5 steps of h=0.1 after t0=0, not a whole number.*\n.*steps=4, or exact_h",
     ),
     "less than a step": (EXACT | {"t_end": 0.05}, r"Use h=0\.05, steps=1, "),
     "thirds": (EXACT | {"t_end": 1.0, "h": 0.3}, r"h=0\.25, steps=4, "),
     "late": (
         EXACT | {"t0": 1e7, "t_end": 10000000.25, "h": 0.1},
-        r"t_end=10000000.25 is 2.5 steps .* from t0=10000000, not",
+        r"t_end=10000000.25 is 2.5 steps .* after t0=10000000, not",
     ),
     "masked step": ({"h": np.ma.masked}, "h is masked, not a finite real number"),
     "masked start": ({"t0": np.ma.masked}, "t0 is masked, not"),
@@ -47,22 +47,22 @@ WRONG = {
     "masked position by name": ({"q0": {"q1": np.ma.masked, "q2": 0.2}}, "q0 has masked entries"),
     "masked momentum": ({"p0": np.ma.masked}, "p0 has masked entries"),
     "masked time": ({"t_eval": [0.1, np.ma.masked]}, "t_eval has masked entries"),
-    "no end": ({"steps": None}, "exactly one of t_end and steps, and has neither"),
-    "two ends": ({"t_end": 0.3}, "exactly one of t_end and steps, and has both"),
-    "backwards": ({"steps": None, "t_end": -1.0}, "is not reached"),
+    "no end": ({"steps": None}, "exactly one of t_end and steps, but has neither"),
+    "two ends": ({"t_end": 0.3}, "exactly one of t_end and steps, but has both"),
+    "backwards": ({"steps": None, "t_end": -1.0}, "cannot reach t_end=-1"),
     "negative steps": ({"steps": -1}, "steps is -1"),
     "part of a count": ({"steps": 2.5}, "steps is 2.5, not a whole number"),
     "every": ({"every": 0}, "every is 0"),
     "boolean": ({"every": True}, "every is True, not a whole number"),
     "absurd": ({"steps": 10**15}, "do not fit into memory"),
     "more absurd": ({"steps": 10**30}, "Pass a whole number"),
-    "tiny step": ({"steps": None, "t_end": 1.0, "h": 1e-100}, "too many to count"),
-    "least step": ({"h": -1e-310}, "the step h is -1e-310, so small that"),
-    "both": ({"v0": [0, 0]}, "exactly one of v0 and p0, and has both"),
-    "neither": ({"p0": None}, "exactly one of v0 and p0, and has neither"),
+    "tiny step": ({"steps": None, "t_end": 1.0, "h": 1e-100}, "is too long; the limit is"),
+    "least step": ({"h": -1e-310}, "the step size h is -1e-310. Its square"),
+    "both": ({"v0": [0, 0]}, "exactly one of v0 and p0, but has both"),
+    "neither": ({"p0": None}, "exactly one of v0 and p0, but has neither"),
     "name": ({"parameters": {"mass": 1.0}}, "no parameter 'mass'.\nThe system has m1, m2"),
     "value": ({"parameters": {"m1": np.nan}}, "parameter m1 is nan"),
-    "sign": ({"parameters": {"m1": -1.0}}, "m1 is declared positive and given as -1"),
+    "sign": ({"parameters": {"m1": -1.0}}, "m1 is declared positive, but its value is -1"),
     "list": ({"parameters": [1.0]}, "parameters is .* not a mapping"),
     "failure": ({"on_failure": "ignore"}, "on_failure is 'ignore'"),
 }
@@ -94,12 +94,14 @@ def test_a_step_that_does_not_divide_the_time_is_shortened(stepper, h, t0, t_end
     for run in (stepper.integrate(**asked), stepper.integrate(**asked)):
         assert (run.steps, run.h) == (steps, (t_end - t0) / steps)
         assert run.t[-1] == pytest.approx(t_end, rel=1e-15, abs=1e-15)
-        assert f" The step is h={run.h:.15g}, not {h:.15g}: t_end is {steps} step" in run.message
+        assert (
+            f" The step size is h={run.h:.15g}, not {h:.15g}, so that {steps} step" in run.message
+        )
     same = stepper.integrate(**(GOOD | {"h": run.h, "t0": t0, "steps": steps}))
     assert (run.q == same.q).all()
-    assert "The step is" not in same.message
+    assert "The step size is" not in same.message
     saved = stepper.integrate(**asked, t_eval=[t_end])
-    assert "The step is" in saved.message
+    assert "The step size is" in saved.message
     assert (saved.q[-1] == run.q[-1]).all()
 
 
@@ -129,7 +131,7 @@ def test_step_and_equations_check_too(stepper):
         stepper.step([1.0], [0.0, 0.0], h=0.1)
     with pytest.raises(ss.InputError, match="nodes has shape"):
         stepper.residual([0.5, 0.2], [0.0, 0.1], [0.5, 0.2], 0.1)
-    for h, told in ((0, "the step h is 0"), (1e-200, "leaves the range of double")):
+    for h, told in ((0, "the step size h is 0"), (1e-200, "leave the range of double")):
         with pytest.raises(ss.InputError, match=told):
             stepper.jacobian([0.5, 0.2], [0.0, 0.1], [[0.5, 0.2], [0.5, 0.2]], h)
     with pytest.raises(ss.InputError, match=r"nodes is .* not real numbers"):
@@ -227,7 +229,7 @@ def test_without_mass_it_is_not_the_position_that_is_wrong():
             ss.InputError, match=r"(?s)mass matrix is singular at.*m is 0\."
         ) as told:
             light.integrate([1.0], **given, h=0.1, steps=1, parameters={m: 0})
-        assert "Begin elsewhere" not in str(told.value)
+        assert "Start from another position" not in str(told.value)
     pole = ss.compile(ss.systems.spherical_pendulum(), "midpoint")
     with pytest.raises(ss.InputError, match="singular point of the coordinates"):
         pole.integrate([0.0, 0.0], p0=[0.1, 0.1], h=0.01, steps=1)

@@ -128,7 +128,7 @@ def test_it_is_resumed_to_the_same_bits(stepper, given, whole, tmp_path, monkeyp
 def test_another_record_is_another_run(stepper, given, tmp_path):
     path = tmp_path / "run.ckpt"
     stepper.integrate(**given, record="work", checkpoint=path)
-    with pytest.raises(ss.InputError, match="holds another run"):
+    with pytest.raises(ss.InputError, match="contains another run"):
         stepper.integrate(**given, checkpoint=path)
 
 

@@ -1,10 +1,10 @@
-"""Stress tests of a scheme on standard problems: the linear oscillator, a pass of a pole.
+"""Stress tests of a scheme on standard problems: the linear oscillator, and a pass of a pole.
 
-The angles of a body turn by half a turn within the time eps/v where its axis passes the pole of
-spherical angles at a distance eps and a speed v; a step that is longer cannot follow. The unit
-vector n along the axis is regular there; its equations are those of a symmetric top with
-I n'' = -I |n'|^2 n + p n x n' - c (e - n (n e)), where p is the momentum of the spin (0 for the
-spherical pendulum), c the torque of gravity and e points against gravity.
+Let the axis of a body pass the pole of spherical angles at a distance eps with a speed v. Its
+angles then change by half a turn within the time eps/v, which a longer step cannot follow. The unit
+vector n along the axis is regular at the pole. For a symmetric top it satisfies
+I n'' = -I |n'|^2 n + p n x n' - c (e - n (n e)). Here p is the momentum of the spin (0 for the
+spherical pendulum), c is the torque of gravity, and e points against gravity.
 """
 
 from __future__ import annotations
@@ -23,36 +23,46 @@ from symsimpson.api.stepper import Stepper
 from symsimpson.errors import ResolutionWarning
 from symsimpson.program.status import Status
 from symsimpson.reference import FirstOrder, rk4
-from symsimpson.run.ended import uninterrupted
+from symsimpson.run.ended import raise_if_interrupted
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import without_step_warnings
 from symsimpson.systems import harmonic_oscillator, lagrange_top, spherical_pendulum
 
-#: Steps of the solution in space for each step of the scheme.
+#: Number of steps of the reference solution for n in each step of the scheme.
 FINER = 200
-#: Rate of the top about its axis, in rad/s.
+#: Spin of the top about its axis, in rad/s.
 SPIN = 252.0
 
 
 @dataclass(frozen=True)
 class PolePass:
-    """One run past a pole.
+    """One run past a pole of spherical angles.
+
+    :func:`pole_sweep` returns a list of them.
 
     Attributes
     ----------
     system, scheme : str
+        The names of the system and of the scheme.
     distance : float
-        Of the closest approach, in radians.
+        The closest distance of the axis from the pole, in rad.
     status : Status
+        The status of the run.
     error : float
-        Largest difference of the axis to the motion in space at the end of the run, or before the
-        step at which it stopped.
+        The largest component of the error of the unit vector along the axis, at the last state.
     energy_error : float
-        Largest relative energy error.
+        The largest relative energy error.
     warned : bool
         Whether the run warned that its steps did not resolve the pass.
+
+    Examples
+    --------
+    >>> from symsimpson.study.analysis.stability import pole_sweep
+    >>> top, pendulum = pole_sweep("simpson", [0.1])
+    >>> pendulum.status.name, pendulum.warned
+    ('SUCCESS', False)
     """
 
     system: str
@@ -65,7 +75,9 @@ class PolePass:
 
 
 @dataclass(frozen=True)
-class _Case:
+class _PoleProblem:
+    """A top or a pendulum, in SI units; ``down`` if theta is measured from the downward axis."""
+
     stepper: Stepper
     inertia: float
     torque: float
@@ -82,26 +94,27 @@ def pole_sweep(
     *,
     phase: float = 0.0,
 ) -> list[PolePass]:
-    """Run the Lagrange top and the spherical pendulum past a pole at some distances.
+    """Run the Lagrange top and the spherical pendulum past a pole at several distances.
 
     Parameters
     ----------
-    scheme : str or Scheme
-    distances : sequence of float
-        In radians.
-    phase : float
-        Where within a step the pole is met, from 0 to 1.
+    scheme : str or Scheme, default "simpson"
+        The scheme to test.
+    distances : sequence of float, default 0.1, 0.01, ..., 1e-9
+        The closest distances from the pole, in rad.
+    phase : float, default 0.0
+        The time of the closest approach within a step, from 0 to 1.
 
     Returns
     -------
     list of PolePass
-        For the top, then for the pendulum.
+        The runs of the top at each distance, then the runs of the pendulum.
     """
     top, pendulum = lagrange_top(), spherical_pendulum()
     m, g, l, inertia, spin_inertia = top.parameters.values()
     mass, length, gravity = pendulum.parameters.values()
-    cases = [
-        _Case(
+    problems = [
+        _PoleProblem(
             compile_system(top, scheme),
             inertia,
             m * g * l,
@@ -111,7 +124,7 @@ def pole_sweep(
             h=0.005,
             t_end=0.4,
         ),
-        _Case(
+        _PoleProblem(
             compile_system(pendulum, scheme),
             mass * length**2,
             mass * gravity * length,
@@ -123,26 +136,30 @@ def pole_sweep(
         ),
     ]
     return [
-        _run_past_pole(case, float(distance), phase) for case in cases for distance in distances
+        _run_past_pole(problem, float(distance), phase)
+        for problem in problems
+        for distance in distances
     ]
 
 
-def _run_past_pole(case: _Case, distance: float, phase: float) -> PolePass:
-    """Integrate a run that passes the pole at half of its time."""
-    steps = round(case.t_end / case.h)
-    h = case.t_end / steps
-    z = -1.0 if case.down else 1.0
-    near = [np.sin(distance), 0.0, z * np.cos(distance), 0.0, case.speed, 0.0]
-    equations = _in_space(case)
+def _run_past_pole(problem: _PoleProblem, distance: float, phase: float) -> PolePass:
+    """Integrate a motion that passes the pole at half of its duration."""
+    steps = round(problem.t_end / problem.h)
+    h = problem.t_end / steps
+    z = -1.0 if problem.down else 1.0
+    near = [np.sin(distance), 0.0, z * np.cos(distance), 0.0, problem.speed, 0.0]
+    equations = _axis_equations(problem)
     half = FINER * steps // 2 + round(phase * FINER)
     start = rk4(equations, near, h=-h / FINER, steps=half, every=half)[1][-1]
     path = rk4(equations, start, h=h / FINER, steps=FINER * steps, every=FINER)[1][:, :3]
-    stepper = case.stepper
-    q0, v0 = _angles(start[:3], start[3:], case)
+    stepper = problem.stepper
+    q0, v0 = _angles(start[:3], start[3:], problem)
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always", ResolutionWarning)
-        run = uninterrupted(stepper.integrate(q0, v0=v0, h=h, steps=steps, on_failure="return"))
-    axes = _axis(run.q, case)
+        run = raise_if_interrupted(
+            stepper.integrate(q0, v0=v0, h=h, steps=steps, on_failure="return")
+        )
+    axes = _axis(run.q, problem)
     done = len(axes) - 1
     return PolePass(
         stepper.system,
@@ -155,24 +172,24 @@ def _run_past_pole(case: _Case, distance: float, phase: float) -> PolePass:
     )
 
 
-def _in_space(case: _Case) -> FirstOrder:
-    """Write the equations of the axis."""
+def _axis_equations(problem: _PoleProblem) -> FirstOrder:
+    """Return the differential equations of the unit vector n and its velocity."""
     n = sp.Matrix(sp.symbols("n:3", real=True))
     v = sp.Matrix(sp.symbols("v:3", real=True))
     p, c = sp.symbols("p c", real=True)
     up = sp.Matrix([0, 0, 1])
     rates = -v.dot(v) * n + p * n.cross(v) - c * (up - n * n[2])
-    values = {p: case.spin / case.inertia, c: case.torque / case.inertia}
+    values = {p: problem.spin / problem.inertia, c: problem.torque / problem.inertia}
     return FirstOrder("axis", (*n, *v), (), (*v, *rates), values, ("p", "c"))
 
 
-def _angles(n: Floats, v: Floats, case: _Case) -> tuple[list[float], list[float]]:
-    """Return angles and their velocities for an axis and its velocity."""
-    z = -n[2] if case.down else n[2]
+def _angles(n: Floats, v: Floats, problem: _PoleProblem) -> tuple[list[float], list[float]]:
+    """Return the angles and their velocities for an axis n and its velocity v."""
+    z = -n[2] if problem.down else n[2]
     theta = float(np.arctan2(np.hypot(n[0], n[1]), z))
-    phi = float(np.arctan2(n[1], n[0]) if case.down else np.arctan2(n[0], -n[1]))
+    phi = float(np.arctan2(n[1], n[0]) if problem.down else np.arctan2(n[0], -n[1]))
     c, s = np.cos(theta), np.sin(theta)
-    if case.down:
+    if problem.down:
         along = np.array([c * np.cos(phi), c * np.sin(phi), s])
         across = np.array([-np.sin(phi), np.cos(phi), 0.0])
         return [theta, phi], [float(v @ along), float(v @ across / s)]
@@ -182,8 +199,9 @@ def _angles(n: Floats, v: Floats, case: _Case) -> tuple[list[float], list[float]
     return [phi, theta, 0.0], [turn, float(v @ along), SPIN - turn * c]
 
 
-def _axis(q: Floats, case: _Case) -> Floats:
-    if case.down:
+def _axis(q: Floats, problem: _PoleProblem) -> Floats:
+    """Return the axis for angles q, shape (N, 3)."""
+    if problem.down:
         theta, phi = q.T
         axis = [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), -np.cos(theta)]
     else:
@@ -193,28 +211,30 @@ def _axis(q: Floats, case: _Case) -> Floats:
 
 
 STEPS = 4000
-#: A trajectory from (1, 0) that comes further than this is unstable.
+#: A trajectory from (1, 0) is unstable if it exceeds this distance.
 FAR = 1e6
 
 
 @without_step_warnings()
 def linear_limits(scheme: str | Scheme, largest: float = 6.0, width: float = 1e-4) -> list[float]:
-    """Find where the linear oscillator turns unstable or stable again, as h omega grows.
+    """Find the values of h omega at which the linear oscillator changes its stability.
 
-    Runs of the compiled stepper decide, those of an ensemble with h = 1; each edge is bisected to
-    ``width``.
+    Runs of the compiled stepper with h = 1 and omega as parameter decide. Bisection locates each
+    change.
 
     Parameters
     ----------
     scheme : str or Scheme
-    largest : float
-        Largest h omega looked at.
-    width : float
+        The scheme to test.
+    largest : float, default 6.0
+        The largest value of h omega.
+    width : float, default 1e-4
+        The tolerance of the bisection.
 
     Returns
     -------
     list of float
-        Edges, the first from stable to unstable.
+        The values of h omega in ascending order. The first is a change from stable to unstable.
     """
     q = harmonic_oscillator().coordinates[0]
     stepper = compile_system(harmonic_oscillator(), scheme)
@@ -238,30 +258,48 @@ def linear_limits(scheme: str | Scheme, largest: float = 6.0, width: float = 1e-
 def _edges(
     stable: Callable[[Floats], NDArray[np.bool_]], largest: float, width: float
 ) -> list[float]:
-    """Find where a property changes, by a scan and bisection."""
+    """Find the arguments at which ``stable`` changes, by a scan and bisection."""
     grid = np.linspace(0.01, largest, round(largest / 0.01))
-    seen = stable(grid)
-    edges = np.flatnonzero(seen[:-1] != seen[1:])
-    low, high, before = grid[edges], grid[edges + 1], seen[edges]
+    values = stable(grid)
+    edges = np.flatnonzero(values[:-1] != values[1:])
+    low, high, left = grid[edges], grid[edges + 1], values[edges]
     while edges.size and (high - low).max() > width:
         middle = (low + high) / 2
-        here = stable(middle) == before
-        low, high = np.where(here, middle, low), np.where(here, high, middle)
+        same = stable(middle) == left
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
     return [float(x) for x in (low + high) / 2]
 
 
 def theory_limits(scheme: str | Scheme, largest: float = 6.0) -> list[float]:
-    """Return the same edges from the scheme's tables: where |trace R| passes 2.
+    """Return the limits of :func:`linear_limits` from the tables of the scheme.
 
-    The step (q0, p0) -> (q1, p1) of L = v^2/2 - q^2/2 is linear; for Simpson's scheme the edges are
-    2 sqrt(2), 2 sqrt(3) and 2 sqrt(6).
+    The step of L = v^2/2 - q^2/2 is a linear map R of (q, p). It is stable if |trace R| <= 2. For
+    Simpson's scheme the limits are 2 sqrt(2), 2 sqrt(3) and 2 sqrt(6).
+
+    Parameters
+    ----------
+    scheme : str or Scheme
+        The scheme.
+    largest : float, default 6.0
+        The largest value of h omega.
+
+    Returns
+    -------
+    list of float
+        The values of h omega in ascending order.
+
+    Examples
+    --------
+    >>> from symsimpson.study.analysis.stability import theory_limits
+    >>> [round(x, 6) for x in theory_limits("simpson")]
+    [2.828427, 3.464102, 4.898979]
     """
     method = read_scheme(scheme)
 
     def stable_at(x: float) -> bool:
         try:
             return bool(abs(np.trace(method.oscillator(x))) - 2 <= 1e-12)
-        except np.linalg.LinAlgError:  # a pole of the map
+        except np.linalg.LinAlgError:  # R is singular for this h omega
             return False
 
     def stable(x: Floats) -> NDArray[np.bool_]:
@@ -279,43 +317,47 @@ def energy_map(
     state: Mapping[str, Any],
     t_end: float,
 ) -> Floats:
-    """Map the largest relative energy error over step sizes and a parameter.
+    """Map the largest relative energy error over step sizes and values of a parameter.
 
     Parameters
     ----------
     stepper : Stepper
+        The stepper to test.
     steps : array_like, shape (a,)
-        Step sizes; each is fitted to divide ``t_end``.
+        The step sizes. Each is changed to the nearest one that divides ``t_end``.
     parameter : str
+        The name of the parameter.
     values : array_like, shape (b,)
+        The values of the parameter.
     state : mapping
-        q0, and v0 or p0.
+        The initial state: q0, and v0 or p0.
     t_end : float
+        The final time of each run.
 
     Returns
     -------
     ndarray, shape (a, b)
-        The range of the energy in units of its mean; infinite where a run failed.
+        The range of the energy, divided by its mean. It is infinite if the run failed.
     """
     column = np.asarray(values, dtype=np.float64)
     q0 = np.tile(np.asarray(state["q0"], dtype=np.float64), (column.size, 1))
-    other = {key: value for key, value in state.items() if key != "q0"}
+    velocities = {key: value for key, value in state.items() if key != "q0"}
     rows = []
     for h in np.asarray(steps, dtype=np.float64):
         count = max(1, round(t_end / h))
         with without_step_warnings():
             ensemble = stepper.ensemble(
                 q0,
-                **other,
+                **velocities,
                 h=t_end / count,
                 steps=count,
                 parameters={parameter: column},
                 reduce={kind: (kind, "energy") for kind in ("min", "max", "mean")},
             )
-        seen = ensemble.reduced
-        good = (ensemble.status == 0) & np.isfinite(seen["mean"])
+        energy = ensemble.reduced
+        good = (ensemble.status == 0) & np.isfinite(energy["mean"])
         row = np.full(column.size, np.inf)
-        size = np.maximum(np.abs(seen["mean"][good]), 1e-300)
-        row[good] = (seen["max"][good] - seen["min"][good]) / size
+        size = np.maximum(np.abs(energy["mean"][good]), 1e-300)
+        row[good] = (energy["max"][good] - energy["min"][good]) / size
         rows.append(row)
     return np.array(rows)

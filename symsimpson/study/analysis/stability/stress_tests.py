@@ -1,4 +1,4 @@
-"""Stress tests of a stepper: long runs, large steps, chaotic motion, large angles."""
+"""Stress tests of a stepper: long runs, large steps, reversed runs and large angles."""
 
 from __future__ import annotations
 
@@ -7,55 +7,69 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from symsimpson.api.stepper import Stepper
 from symsimpson.errors import ConvergenceError
-from symsimpson.run.ended import uninterrupted
+from symsimpson.run.ended import raise_if_interrupted
 from symsimpson.study.analysis.checks import shadow_is_testable
 from symsimpson.study.analysis.pilot import choose_state, choose_step
+from symsimpson.study.analysis.stability.run_comparisons import compare_turns, reversal
 from symsimpson.study.analysis.stability.standard_problems import (
     linear_limits,
     pole_sweep,
     theory_limits,
 )
-from symsimpson.study.analysis.variants import in_tau, oversolved
+from symsimpson.study.analysis.variants import in_tau, iterate_to_round_off
 from symsimpson.support.array_types import Floats
 
-#: Blocks of samples, and samples of a block; a run takes a multiple of their product as steps.
+#: Number of blocks, and of samples in a block. The number of steps is a multiple of their product.
 BLOCKS, SAMPLES = 32, 128
 
 
 @dataclass(frozen=True)
 class Drift:
-    """How the energy of several trajectories moved.
+    """The drift of the energy of several trajectories.
+
+    :func:`energy_drift` returns it.
 
     Attributes
     ----------
     scheme : str
+        The name of the scheme.
     h : float
+        The step size.
     steps : int
+        The number of steps of each trajectory.
     t : ndarray, shape (blocks - 1,)
-        Times between the first block of samples and the others.
+        The times from the first block of samples to the other blocks.
     rms : ndarray, shape (blocks - 1,)
-        Root mean square, over the members, of the relative change of a block's mean energy since
-        the first block.
+        The relative change of a block's mean energy since the first block, as root mean square
+        over the trajectories.
     noise : float
-        Part of ``rms`` that comes from sampling an oscillation alone.
+        The part of ``rms`` that comes from sampling an oscillation.
     exponent : float
-        Exponent a of the fit rms ~ t^a; NaN if the last ``rms`` is at most three times the noise.
+        The exponent a of the fit rms ~ t^a. It is NaN if the last ``rms`` is at most three times
+        the noise.
     bias : float
-        Mean change of the energy of all members at the end, in units of its standard error:
-        unbiased rounding stays below 3.
+        The mean change of the energy of all trajectories at the end, in units of its standard
+        error. It is below 3 if round-off is unbiased.
     truncation : float
-        Rms oscillation within a block, relative to the energy.
+        The oscillation within a block, as root mean square relative to the energy.
     solver : float
-        Rms change of the last block's mean if Newton's method is iterated until it stagnates, less
-        twice the noise.
+        The change of the last block's mean if Newton's method is iterated to round-off, as root
+        mean square, minus twice the noise. It is at least 0.
     momenta : float
-        Largest relative change of a momentum that does not change in the first steps.
+        The largest relative change of a momentum that is constant in the first steps.
     failed : int
-        Members that did not reach the end.
+        The number of trajectories that did not reach the end.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> from symsimpson.study.analysis.stability import energy_drift
+    >>> drift = energy_drift(ss.compile(ss.systems.pendulum()), 0.02, 20_000)
+    >>> drift.failed, bool(drift.rms[-1] < 1e-6)
+    (0, True)
     """
 
     scheme: str
@@ -72,10 +86,10 @@ class Drift:
     failed: int
 
     def __repr__(self) -> str:
-        grown = f"{self.exponent:.2f}" if self.exponent == self.exponent else "none seen"
+        exponent = f"{self.exponent:.2f}" if self.exponent == self.exponent else "none"
         return (
-            f"{self.scheme:<10} h = {self.h:<9.4g} {self.steps:.0e} steps: energy moved by "
-            f"{self.rms[-1]:.1e} (noise {self.noise:.0e}, exponent {grown}, bias "
+            f"{self.scheme:<10} h = {self.h:<9.4g} {self.steps:.0e} steps: energy changed by "
+            f"{self.rms[-1]:.1e} (noise {self.noise:.0e}, exponent {exponent}, bias "
             f"{self.bias:.1f} sigma), truncation {self.truncation:.1e}, solver {self.solver:.1e}, "
             f"momenta {self.momenta:.0e}" + (f", {self.failed} FAILED" if self.failed else "")
         )
@@ -91,42 +105,50 @@ def energy_drift(
     spread: float = 0.1,
     progress: bool | None = None,
 ) -> Drift:
-    """Integrate some nearby states for long and follow the mean energy of blocks of samples.
+    """Measure the drift of the mean energy over long runs from several nearby states.
 
-    Symplectic truncation makes the energy oscillate; its mean over a block stays. What remains is
-    round-off, which should grow like the square root of time, without bias (Brouwer's law), and
-    what Newton's method leaves unsolved, which grows linearly.
+    The truncation error of a symplectic scheme makes the energy oscillate, but its mean over a
+    block of samples is nearly constant. The mean changes by round-off, and by the error of Newton's
+    method. Round-off should grow like the square root of time, without bias (Brouwer's law). The
+    error of Newton's method grows linearly.
 
     Parameters
     ----------
     stepper : Stepper
+        The stepper to test.
     h : float
-    steps : int
+        The step size.
+    steps : int, default 10_000_000
+        The number of steps of each trajectory, rounded down to a multiple of 4096, and
+        at least 4096.
     state : mapping, optional
-        q0, and v0 or p0; the reference state if left out.
-    members : int
-        Initial states: the state with positions moved by up to ``spread``.
-    spread : float
+        The central initial state: q0, and v0 or p0. The default is the reference state.
+    members : int, default 12
+        The number of trajectories. Their initial positions are random.
+    spread : float, default 0.1
+        The largest distance of an initial coordinate from the central state.
     progress : bool, optional
-        Whether to show a bar; None shows one after a second.
+        Whether to show a progress bar. By default it appears after a second.
 
     Returns
     -------
     Drift
+        The change of the mean energy, and its parts.
     """
     values = stepper.program.named_values()
     q, p = choose_state(stepper, state, values)
-    moved = q + spread * np.random.default_rng(5).uniform(-1, 1, (members, stepper.n))
-    energies, momenta, failed = _sampled(stepper, moved, p, h, steps, values, progress)
+    starts = q + spread * np.random.default_rng(5).uniform(-1, 1, (members, stepper.n))
+    energies, momenta, failed = _sample_energies(stepper, starts, p, h, steps, values, progress)
     blocks = energies.reshape(len(energies), BLOCKS, SAMPLES)
     means = blocks.mean(axis=2)
     change = means[:, 1:] - means[:, :1]
     rms = np.sqrt((change**2).mean(axis=0))
     within = float(np.sqrt(blocks.var(axis=2).mean()))
-    solved, _, _ = _sampled(oversolved(stepper), moved, p, h, steps, values, progress)
+    exact = iterate_to_round_off(stepper)
+    solved, _, _ = _sample_energies(exact, starts, p, h, steps, values, progress)
     other = solved.reshape(blocks.shape).mean(axis=2)
     gap = float(np.sqrt(((other - means)[:, -1] ** 2).mean()))
-    # the change of the mean between neighbouring blocks is what sampling makes of an oscillation
+    # sampling an oscillation makes the means of adjacent blocks differ
     noise = float(np.sqrt(np.median((np.diff(means, axis=1) ** 2).mean(axis=0))))
     t: Floats = abs(h) * steps / BLOCKS * np.arange(1.0, BLOCKS)
     last = change[:, -1]
@@ -138,7 +160,7 @@ def energy_drift(
         t,
         rms,
         noise,
-        _exponent(t, rms, noise),
+        _fit_exponent(t, rms, noise),
         abs(float(last.mean())) / error,
         within,
         max(0.0, gap - 2 * noise),
@@ -147,7 +169,7 @@ def energy_drift(
     )
 
 
-def _sampled(
+def _sample_energies(
     stepper: Stepper,
     q: Floats,
     p: Floats,
@@ -156,7 +178,11 @@ def _sampled(
     values: Mapping[str, float],
     progress: bool | None,
 ) -> tuple[Floats, float, int]:
-    """Return energies over the first one, the drift of conserved momenta, and how many failed."""
+    """Return relative energies, shape (members, samples), the momentum drift, and the failures.
+
+    Energies are relative to the initial energy. The momentum drift is the largest relative change
+    of a momentum that is constant in the first steps.
+    """
     every = max(1, steps // (BLOCKS * SAMPLES))
     ensemble = stepper.ensemble(
         q,
@@ -176,181 +202,42 @@ def _sampled(
     constant = (ps[:, :2] == ps[:, :1]).all(axis=(0, 1))
     momenta = 0.0
     if constant.any():
-        kept = ps[:, :, constant]
-        size = np.abs(kept).max() or 1.0
-        momenta = float(np.abs(kept - kept[:, :1]).max() / size)
+        conserved = ps[:, :, constant]
+        size = np.abs(conserved).max() or 1.0
+        momenta = float(np.abs(conserved - conserved[:, :1]).max() / size)
     scale = np.abs(energies[:, :1])
     return energies[:, 1:] / np.where(scale > 0, scale, 1.0), momenta, int((~good).sum())
 
 
-def _exponent(t: Floats, rms: Floats, noise: float) -> float:
-    """Fit the growth, where there is any to see."""
+def _fit_exponent(t: Floats, rms: Floats, noise: float) -> float:
+    """Fit the exponent of the growth; NaN if the noise hides it."""
     if not rms[-1] > 3 * noise:
         return float("nan")
     return float(np.polyfit(np.log(t), np.log(rms), 1)[0])
 
 
-@dataclass(frozen=True)
-class Reversal:
-    """A run with h and back with -h.
-
-    Attributes
-    ----------
-    steps : int
-    error : float
-        Distance from the start, relative to the state's size.
-    growth : float
-        By how much a displacement of 1e-9 grew on the way there.
-    shadow : float
-        Largest relative energy error on the way.
-    """
-
-    steps: int
-    error: float
-    growth: float
-    shadow: float
-
-    @property
-    def rounding(self) -> float:
-        """The error of a single step: error / (growth steps)."""
-        return self.error / (max(self.growth, 1.0) * self.steps)
-
-
-def reversal(stepper: Stepper, h: float, steps: int, *, state: Mapping[str, Any]) -> Reversal:
-    """Integrate there and back; in chaos the error is that of rounding, grown by the motion."""
-    there = stepper.integrate(**state, h=h, steps=steps)
-    back = stepper.integrate(there.q[-1], p0=there.p[-1], h=-h, steps=steps, every=None)
-    q_size, p_size = (max(1e-300, float(np.abs(x).max())) for x in (there.q, there.p))
-    q_size = max(q_size, 1.0)
-    moved = stepper.integrate(there.q[0] + 1e-9, p0=there.p[0], h=h, steps=steps, every=None)
-
-    def distance(q: Floats, p: Floats, q2: Floats, p2: Floats) -> float:
-        return float(max(np.abs(q - q2).max() / q_size, np.abs(p - p2).max() / p_size))
-
-    growth = distance(moved.q[0], moved.p[0], there.q[-1], there.p[-1]) / (1e-9 / q_size)
-    error = distance(back.q[0], back.p[0], there.q[0], there.p[0])
-    return Reversal(steps, error, growth, float(np.abs(there.energy_error).max()))
-
-
-@dataclass(frozen=True)
-class Mixing:
-    """Whether two steppers give a quantity the same distribution.
-
-    Attributes
-    ----------
-    distance : float
-        Largest distance of the two distribution functions (Kolmogorov and Smirnov).
-    threshold : float
-        Exceeded by chance once in a thousand.
-    members : int
-    """
-
-    distance: float
-    threshold: float
-    members: int
-
-    @property
-    def agrees(self) -> bool:
-        """Whether chance explains the difference."""
-        return self.distance <= self.threshold
-
-
-def mixing(
-    steppers: tuple[Stepper, Stepper],
-    steps: tuple[float, float],
-    q0: ArrayLike,
-    *,
-    t_end: float,
-    quantity: Any,
-    **given: Any,
-) -> Mixing:
-    """Compare distributions over members whose trajectories themselves have parted.
-
-    Parameters
-    ----------
-    steppers : two of Stepper
-    steps : two of float
-        Their steps; each is fitted to divide ``t_end``.
-    q0 : array_like, shape (K, n)
-        Initial positions; those of the second stepper are moved by 1e-6.
-    t_end : float
-    quantity : callable
-        Gives an array of shape (K,) from q and p of shape (K, n).
-    **given
-        v0 or p0, and parameters, as for ``ensemble``.
-    """
-    samples = []
-    start = np.asarray(q0, dtype=np.float64)
-    for k, (stepper, h) in enumerate(zip(steppers, steps, strict=True)):
-        count = round(t_end / h)
-        ensemble = stepper.ensemble(start + 1e-6 * k, h=t_end / count, steps=count, **given)
-        good = ensemble.status == 0
-        samples.append(np.sort(quantity(ensemble.q[good], ensemble.p[good])))
-    both = np.concatenate(samples)
-    shares = [np.searchsorted(x, both, side="right") / x.size for x in samples]
-    sizes = [x.size for x in samples]
-    threshold = 1.95 * np.sqrt(sum(sizes) / np.prod(sizes, dtype=np.float64))
-    return Mixing(float(np.abs(shares[0] - shares[1]).max()), float(threshold), min(sizes))
-
-
-@dataclass(frozen=True)
-class Turned:
-    """A run from an angle that is some million radians away.
-
-    Attributes
-    ----------
-    angle : float
-        By how much the start is turned.
-    difference : float
-        Largest difference of the states, less the turn, to the run from the plain start.
-    resolution : float
-        Spacing of floating-point numbers at that angle.
-    energy : float
-        Difference of the largest relative energy errors.
-    """
-
-    angle: float
-    difference: float
-    resolution: float
-    energy: float
-
-
-def turned(
-    stepper: Stepper, coordinate: int, turns: int, *, h: float, steps: int, state: Mapping[str, Any]
-) -> Turned:
-    """Integrate from a start and from the same start many turns away."""
-    plain = stepper.integrate(**state, h=h, steps=steps)
-    moved: dict[str, Any] = {key: np.array(value, dtype=np.float64) for key, value in state.items()}
-    angle = 2 * np.pi * turns
-    moved["q0"][coordinate] += angle
-    far = stepper.integrate(**moved, h=h, steps=steps)
-    turn = np.zeros(stepper.n)
-    turn[coordinate] = far.q[0, coordinate] - plain.q[0, coordinate]
-    energy = abs(np.abs(far.energy_error).max() - np.abs(plain.energy_error).max())
-    difference = float(np.abs(far.q - turn - plain.q).max())
-    resolution = float(np.spacing(abs(angle) + np.abs(plain.q).max()))
-    return Turned(angle, difference, resolution, float(energy))
-
-
-#: Steps of the run whose shadow energy is reported.
+#: Number of steps of the run whose shadow energy is reported.
 SHORT = 200
 
 
 def stress(stepper: Stepper, *, h: float | None = None, steps: int = 1_000_000) -> Iterator[str]:
-    """Put a stepper under stress, from its reference state or a random one.
+    """Test a stepper with long runs, large steps, reversed runs and large angles.
+
+    The runs begin at the reference state of the stepper, or, without one, at a random state.
 
     Parameters
     ----------
     stepper : Stepper
+        The stepper to test.
     h : float, optional
-        The step; found by trial if left out.
-    steps : int
-        Of the long run.
+        The step size. By default, trial runs choose it.
+    steps : int, default 1_000_000
+        The number of steps of the long run.
 
     Yields
     ------
     str
-        Lines.
+        The lines of the report.
     """
     q, p = choose_state(stepper, None, stepper.program.free_values())
     if stepper.program.header.retimed:
@@ -363,48 +250,48 @@ def stress(stepper: Stepper, *, h: float | None = None, steps: int = 1_000_000) 
     yield f"  {energy_drift(stepper, step, steps, state=state)}"
     if shadow_is_testable(stepper):
         run = stepper.integrate(q, p0=p, h=step, steps=SHORT)
-        swing, kept = (np.ptp(x) / run.energy_scale for x in (run.energy, run.shadow_energy))
+        energy, shadow = (np.ptp(x) / run.energy_scale for x in (run.energy, run.shadow_energy))
         yield (
-            f"  in {SHORT} steps the energy swings by {swing:.1e}, what the scheme keeps by "
-            f"{kept:.1e}"
+            f"  in {SHORT} steps the energy oscillates by {energy:.1e}, the shadow energy by "
+            f"{shadow:.1e}"
         )
-    yield "larger and larger steps, to the same time: energy error, iterations, outcome"
+    yield "increasing step sizes, to the same time: energy error, iterations, status"
     for factor in (0.25, 0.5, 1, 2, 4, 8, 16):
         count = max(1, round(4000 / factor))
-        run = uninterrupted(
+        run = raise_if_interrupted(
             stepper.integrate(q, p0=p, h=step * factor, steps=count, on_failure="return")
         )
         error = float(np.abs(run.energy_error).max())
         mean = run.newton_iterations.sum() / max(1, run.steps)
         yield f"  h = {step * factor:<10.4g} {error:9.1e} {mean:6.2f}  {run.status.name}"
     if stepper.program.header.constraints:
-        return  # states beside another one, or turned by themselves, leave the constraints
-    yield "there with h and back with -h"
+        return  # a displaced or rotated state violates the constraints
+    yield "forward with h and back with -h"
     for count in (100, 1000, 10_000):
         back = reversal(stepper, step, count, state=state)
         yield (
-            f"  {count:>6} steps: error {back.error:.1e}, {back.rounding:.1e} a step without the "
-            f"growth of {back.growth:.1e}; energy within {back.shadow:.1e}"
+            f"  {count:>6} steps: error {back.error:.1e}; divided by the growth of errors, "
+            f"{back.growth:.1e}, {back.rounding:.1e} a step; energy error {back.shadow:.1e}"
         )
-    yield "many turns away (coordinates in which the motion is periodic)"
+    yield "large angles (coordinates in which the motion is periodic)"
     for k, name in enumerate(stepper.coordinates):
         try:
-            far = turned(stepper, k, 159_155, h=step, steps=100, state=state)
-        except ConvergenceError:  # far away the same step may be too large
+            far = compare_turns(stepper, k, 159_155, h=step, steps=100, state=state)
+        except ConvergenceError:  # not an angle: the step may be too large at the other position
             continue
         if far.energy < 1e-6:
             yield (
-                f"  {name} + {far.angle:.0f} rad: states differ by {far.difference:.1e}, where "
-                f"numbers are {far.resolution:.1e} apart"
+                f"  {name} + {far.angle:.0f} rad: states differ by {far.difference:.1e}; the "
+                f"spacing of numbers is {far.resolution:.1e}"
             )
 
 
 def stress_standard(scheme: str) -> Iterator[str]:
-    """Report limits of stability of the linear oscillator, and runs past poles, line by line."""
-    yield f"{scheme}: where the linear oscillator turns unstable or stable again, h omega"
+    """Test a scheme on the linear oscillator and on runs past poles; yield a report by lines."""
+    yield f"{scheme}: limits of stability of the linear oscillator, h omega"
     for limit, theory in zip(linear_limits(scheme), theory_limits(scheme), strict=False):
-        yield f"  {limit:.4f}, by theory {theory:.4f}"
-    yield "past a pole of spherical angles: distance, outcome, error of the axis, warning"
+        yield f"  {limit:.4f}, in theory {theory:.4f}"
+    yield "past a pole of spherical angles: distance, status, error of the axis, warning"
     for run in pole_sweep(scheme):
         warned = "warned" if run.warned else ""
         yield (

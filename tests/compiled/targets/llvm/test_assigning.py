@@ -109,13 +109,13 @@ def test_kernels_by_loops_have_lanes_as_vectors(make, monkeypatch):
     """No kernel of a step is walked once more, or for one lane after another."""
     name, *size = make.split()
     text = ss.compile(getattr(ss.systems, name)(*map(int, size))).source
-    text, taken, real = redefined(text, {"LANES": "LANES = 4"}), [], intrinsics._walked
+    text, taken, real = redefined(text, {"LANES": "LANES = 4"}), [], intrinsics._walk_kernel
 
     def walk(*given, **how):
         taken.append((given[3], how["at_once"], how["alone"]))
         return real(*given, **how)
 
-    monkeypatch.setattr(intrinsics, "_walked", walk)
+    monkeypatch.setattr(intrinsics, "_walk_kernel", walk)
     steps = [kernel for kernel in ("start", "newton", "advance") if f"def {kernel}(" in text]
     walked(text, steps, 4)
     assert taken == [(kernel, True, frozenset()) for kernel in steps]

@@ -19,7 +19,7 @@ from symsimpson.schemes.named import read_scheme
 from symsimpson.systems import EVERY
 from symsimpson.targets.binding import bind
 from symsimpson.targets.llvm.trees import ARGUMENTS, read_text
-from symsimpson.targets.llvm.values import Refused
+from symsimpson.targets.llvm.values import UnsupportedConstruct
 from symsimpson.targets.llvm.walker import Walker
 from symsimpson.text.interface import LOOKED_AT, PIVOTED
 from symsimpson.text.syntax import redefined
@@ -202,7 +202,7 @@ def test_what_is_not_walked_is_compiled_by_numba_and_counted(monkeypatch, tmp_pa
     assert numbers.not_walked == []
 
     def refuse(*_):
-        raise Refused("something new")
+        raise UnsupportedConstruct("something new")
 
     monkeypatch.setattr(cache, "_results", {})
     monkeypatch.setattr(Walker, "_binary", refuse)

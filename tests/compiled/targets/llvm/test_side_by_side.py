@@ -13,7 +13,7 @@ import symsimpson as ss
 from symsimpson.lower.pipeline import source
 from symsimpson.targets.llvm import vectors
 from symsimpson.targets.llvm.trees import read_text
-from symsimpson.targets.llvm.vectors import in_order
+from symsimpson.targets.llvm.vectors import order_statements
 
 WAVES = """\
 @compiled
@@ -214,7 +214,7 @@ W[5, lane] = u""",
 
 def batches(statements, text):
     """List how many calls are done at once, in a block and in those below it."""
-    sizes = [len(some) for _, some in in_order(statements, text) if len(some) > 1]
+    sizes = [len(some) for _, some in order_statements(statements, text) if len(some) > 1]
     for statement in statements:
         for inner in (getattr(statement, "body", []), getattr(statement, "orelse", [])):
             sizes += batches(inner, text) if inner else []
@@ -235,7 +235,7 @@ def test_every_statement_is_walked_once_behind_what_it_needs():
     text = read_text(source(ss.systems.n_pendulum(3), "simpson"))
     for kernel in ("newton", "advance", "start"):
         (loop,) = (node for node in text.functions[kernel].body if isinstance(node, ast.For))
-        walked = [node for _, some in in_order(loop.body, text) for node in some]
+        walked = [node for _, some in order_statements(loop.body, text) for node in some]
         assert sorted(map(id, walked)) == sorted(map(id, loop.body))
         known = {"W", "lane", "h", "t", "abs", "min", *text.functions, *text.constants}
         for node in walked:

@@ -11,7 +11,7 @@ from support.small_texts import HEAD, run, text_of
 from support.workspace import walked
 
 from symsimpson.errors import GenerationError
-from symsimpson.targets.llvm.intrinsics import read_functions, stub, walking_function
+from symsimpson.targets.llvm.intrinsics import function_intrinsic, read_functions, stub
 
 LEAVE = """\
 @compiled
@@ -152,7 +152,7 @@ def test_functions_of_arrays():
     signature = types.int64(types.float64[::1], types.float64[:, :], types.int64, types.boolean)
     names = {}
     exec(stub("function", 4), names)
-    names["walk_function"] = walking_function(
+    names["walk_function"] = function_intrinsic(
         lambda: read_functions(TEXT), "function", signature, 128
     )
     made = njit(signature)(names["function"])
@@ -191,7 +191,7 @@ def test_tuples_of_numbers_and_arrays_and_calls_that_are_not_made():
     signature = types.int64(some, types.UniTuple(types.float64[::1], 2), types.int64)
     names = {}
     exec(stub("function", 3), names)
-    names["walk_function"] = walking_function(
+    names["walk_function"] = function_intrinsic(
         lambda: read_functions(TUPLES), "function", signature, 128
     )
     made = njit(signature)(names["function"])
@@ -222,10 +222,10 @@ def function(n):
 def test_a_function_does_not_give_back_what_it_frees():
     names, signature = {}, types.float64(types.int64)
     exec(stub("function", 1), names)
-    names["walk_function"] = walking_function(
+    names["walk_function"] = function_intrinsic(
         lambda: read_functions(ESCAPING), "function", signature, 128
     )
-    with pytest.raises(GenerationError, match="room gives back an array"):
+    with pytest.raises(GenerationError, match="room returns an array"):
         njit(signature)(names["function"])
 
 

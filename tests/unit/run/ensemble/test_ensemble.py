@@ -179,7 +179,7 @@ def test_reductions(stepper):
 def test_interrupt_keeps_what_is_done(stepper, threads, monkeypatch):
     """Ctrl-C when the main thread asks for more blocks, and again in another call."""
     given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 200, "threads": threads}
-    many, plain, asked = np.tile(ANGLES, (20, 1)), module._Queue.next, []
+    many, plain, asked = np.tile(ANGLES, (20, 1)), module._BlockQueue.next, []
     main = threading.main_thread().ident
 
     def next_one(queue):
@@ -192,7 +192,7 @@ def test_interrupt_keeps_what_is_done(stepper, threads, monkeypatch):
                 time.sleep(1e-3)
         return plain(queue)
 
-    monkeypatch.setattr(module._Queue, "next", next_one)
+    monkeypatch.setattr(module._BlockQueue, "next", next_one)
     with pytest.raises(ss.Interrupted) as caught:
         stepper.ensemble(many, **given)
     partial = caught.value.trajectory
@@ -210,13 +210,13 @@ WRONG = {
     "text": ({"q0": "abc"}, "not real numbers"),
     "both": ({"v0": [0, 0]}, "exactly one of v0 and p0"),
     "neither": ({"p0": None}, "exactly one of v0 and p0"),
-    "rows": ({"p0": np.zeros((3, 2))}, "p0 has 3 members, another argument has 37"),
+    "rows": ({"p0": np.zeros((3, 2))}, "p0 has 3 members, but another argument has 37"),
     "parameter rows": ({"parameters": {"l1": np.ones(5)}}, "l1 has 5 members"),
     "parameter sign": ({"parameters": {"l1": np.linspace(-1, 1, 37)}}, "l1 is declared positive"),
     "parameter name": ({"parameters": {"x": 1.0}}, "no parameter 'x'"),
-    "parameter shape": ({"parameters": {"l1": np.ones((37, 1))}}, "expected"),
+    "parameter shape": ({"parameters": {"l1": np.ones((37, 1))}}, "but must have"),
     "parameters": ({"parameters": [1.0]}, "not a mapping"),
-    "h": ({"h": 0}, "the step h is 0"),
+    "h": ({"h": 0}, "the step size h is 0"),
     "every": ({"every": 0}, "every is 0"),
     "threads": ({"threads": 0}, "threads is 0"),
     "threads text": ({"threads": "2"}, "threads is '2'"),
@@ -226,7 +226,7 @@ WRONG = {
     "kind": ({"reduce": {"x": ("median", "q1")}}, "median"),
     "reduce by a tuple": ({"reduce": ("max", "q1")}, "not a mapping"),
     "pair": ({"reduce": {"x": "q1"}}, "Pass a pair"),
-    "name": ({"reduce": {"x": ("max", "q3")}}, "it contains 'q3'"),
+    "name": ({"reduce": {"x": ("max", "q3")}}, "it contains the unknown name 'q3'"),
     "import": ({"reduce": {"x": ("max", "__import__('os').system('id')")}}, "it contains"),
     "attribute": ({"reduce": {"x": ("max", "q1.real")}}, "it contains"),
     "subscript": ({"reduce": {"x": ("max", "q1[0]")}}, "it contains"),

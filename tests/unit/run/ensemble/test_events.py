@@ -35,7 +35,7 @@ def test_a_member_has_its_own_events():
         assert many[member].events("wall").t == pytest.approx(times, abs=1e-12)
     assert many[-1].events("wall").impulse.tolist() == [1.5]
     assert (many[1].steps, many[1].status) == (10, ss.Status.SUCCESS)
-    with pytest.raises(ss.InputError, match=r"had no event 'wal'.\nIt had wall"):
+    with pytest.raises(ss.InputError, match=r"has no event 'wal'. Its events are wall"):
         many[0].events("wal")
     with pytest.raises(ss.InputError, match="Run a member of an ensemble alone"):
         many[0].at(0.5)

@@ -118,11 +118,11 @@ def test_table_of_members():
 
 def test_refused(tmp_path):
     stepper = ss.compile(KEPLER.retimed("encounters"), "simpson")
-    with pytest.raises(ss.InputError, match="no mean over the time"):
+    with pytest.raises(ss.InputError, match="not the mean over time"):
         stepper.ensemble(Q0, v0=V0, h=0.1, t_end=2.0, reduce={"x": ("mean", "x")})
-    with pytest.raises(ss.InputError, match="times of their own"):
+    with pytest.raises(ss.InputError, match="Each member has its own times"):
         stepper.ensemble(Q0, v0=V0, h=0.1, t_end=2.0, store=tmp_path / "store")
-    with pytest.raises(ss.InputError, match="follow from the start"):
+    with pytest.raises(ss.InputError, match="follow from the initial state"):
         stepper.ensemble(Q0, v0=V0, h=0.1, t_end=2.0, parameters={"E0": 1.0})
 
 

@@ -120,7 +120,7 @@ def test_one_member_that_is_not_resolved(drag, every):
     """Its energy is off by more than 1 behind the encounter; friction explains 1e-5 of it."""
     stepper = ss.compile(kepler(drag), "simpson")
     given = {"h": 0.02, "steps": 2000, "every": every}
-    with pytest.warns(ss.ResolutionWarning, match="member 3, as others may: comet") as told:
+    with pytest.warns(ss.ResolutionWarning, match="member 3, and possibly others: comet") as told:
         stepper.ensemble(STARTS, v0=SPEEDS, **given)
     assert len(told) == 1
     stepper.ensemble(STARTS[:3], v0=SPEEDS[:3], **given)  # in silence
@@ -171,7 +171,10 @@ def test_members_that_fail_by_themselves_are_told():
         "quartic", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=x**4 / 4
     )
     stepper = ss.compile(system, "gauss8")
-    told = "member 0, as others may, does not come to its end by itself: quartic, gauss8: step 112"
+    told = (
+        "member 0, and possibly others, does not reach its end in a single run: "
+        "quartic, gauss8: step 112"
+    )
     with pytest.warns(ss.ResolutionWarning, match=told):
         stepper.ensemble([[1.0], [0.0]], v0=[0.5], h=3.5, steps=400)
 
@@ -197,7 +200,7 @@ def test_the_energy_of_each_of_many_members_is_looked_at():
     system = ss.MechanicalSystem("comet", coordinates=(x, y), **about)
     stepper = ss.compile(system, "suzuki4")
     for every in (None, 50):
-        with pytest.warns(ss.ResolutionWarning, match="member 22, as others may"):
+        with pytest.warns(ss.ResolutionWarning, match="member 22, and possibly others"):
             stepper.ensemble([1.0, 0.0], v0=v0, h=0.05, t_end=10.0, every=every)
 
 

@@ -15,7 +15,7 @@ from support.cases import sweep
 import symsimpson as ss
 from symsimpson.run.ensemble import dispatch
 from symsimpson.run.ensemble import store as module
-from symsimpson.run.ensemble.members import read_task
+from symsimpson.run.ensemble.members import read_ensemble_spec
 from symsimpson.stepping.request import Request
 
 xarray = pytest.importorskip("xarray")
@@ -53,7 +53,7 @@ def whole(request):
 
 @pytest.fixture(autouse=True)
 def small_chunks(monkeypatch):
-    monkeypatch.setattr(module, "_chunk", lambda stepper, task: 8)
+    monkeypatch.setattr(module, "_choose_chunk_size", lambda stepper, task: 8)
 
 
 @pytest.fixture
@@ -226,16 +226,16 @@ def test_chunks_are_worth_their_trouble(stepper, monkeypatch):
     monkeypatch.undo()
     program, states = stepper.program, np.zeros((3 * 10**6, 2))
     asked = Request(states, p0=[0, 0], h=0.02, steps=500)
-    task = read_task(program, asked, 1, False, on_disk=True)
-    assert module.seconds_of_member(program, task) > 0
-    monkeypatch.setattr(module, "seconds_of_member", lambda *_: 0.1)
-    assert module._chunk(program, task) == task.lanes
-    assert module._chunk(program, replace(task, threads=16)) == 80
-    monkeypatch.setattr(module, "seconds_of_member", lambda *_: 1e-9)
-    assert module._chunk(program, task) == 2**26 // 32
-    assert module._chunk(program, task.part(slice(10))) == 10
+    task = read_ensemble_spec(program, asked, 1, False, on_disk=True)
+    assert module.measure_member_time(program, task) > 0
+    monkeypatch.setattr(module, "measure_member_time", lambda *_: 0.1)
+    assert module._choose_chunk_size(program, task) == task.lanes
+    assert module._choose_chunk_size(program, replace(task, threads=16)) == 80
+    monkeypatch.setattr(module, "measure_member_time", lambda *_: 1e-9)
+    assert module._choose_chunk_size(program, task) == 2**26 // 32
+    assert module._choose_chunk_size(program, task.part(slice(10))) == 10
     large = replace(task, every=1, steps=10**5)
-    assert module._chunk(program, large) == 2**26 // (16 * 2 * 100_001)
+    assert module._choose_chunk_size(program, large) == 2**26 // (16 * 2 * 100_001)
 
 
 def test_what_does_not_fit_into_memory_may_go_to_disk(stepper):
@@ -244,8 +244,8 @@ def test_what_does_not_fit_into_memory_may_go_to_disk(stepper):
     asked = Request(states, p0=[0, 0], h=0.1, steps=steps, every=1)
     given = stepper.program, asked, 1, False
     with pytest.raises(ss.InputError, match=r"store='folder'"):
-        read_task(*given, on_disk=False)
-    assert read_task(*given, on_disk=True).stored == steps + 1
+        read_ensemble_spec(*given, on_disk=False)
+    assert read_ensemble_spec(*given, on_disk=True).stored == steps + 1
 
 
 @pytest.fixture(scope="module")
@@ -280,7 +280,7 @@ def test_a_worker_is_killed(stepper, client, sent, tmp_path, after):
     given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 2000, "reduce": WATCH}
     expected = stepper.ensemble(many, **given)
     victim = next(iter(client.run(os.getpid).values()))
-    after(dispatch, "_result", 5, lambda: os.kill(victim, signal.SIGKILL))
+    after(dispatch, "_task_result", 5, lambda: os.kill(victim, signal.SIGKILL))
     found = stepper.ensemble(many, **given, store=tmp_path / "s", client=client)
     assert victim not in client.run(os.getpid).values()
     assert_same(found, expected)
@@ -302,7 +302,7 @@ def test_a_module_changed_in_the_store_is_not_executed(stepper, client, tmp_path
         return plain(store, client)
 
     monkeypatch.setattr(dispatch, "run_on_cluster", tampered)
-    with pytest.raises(ss.StorageError, match="not the one that was asked for"):
+    with pytest.raises(ss.StorageError, match="has another digest than the requested one"):
         stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s", client=client)
     assert not canary.exists()
 
@@ -311,7 +311,7 @@ def test_a_module_changed_in_the_store_is_not_executed(stepper, client, tmp_path
 def test_interrupt_on_a_cluster(stepper, client, tmp_path, after):
     many = np.tile(ANGLES, (10, 1))
     given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 2000, "store": tmp_path / "s"}
-    after(dispatch, "_result", 3, lambda: signal.raise_signal(signal.SIGINT))
+    after(dispatch, "_task_result", 3, lambda: signal.raise_signal(signal.SIGINT))
     found = stepper.ensemble(many, **given, client=client, on_failure="return")
     assert (found.status == ss.Status.INTERRUPTED).any()
     assert (found.status == ss.Status.SUCCESS).any()

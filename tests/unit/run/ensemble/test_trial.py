@@ -7,7 +7,7 @@ import pytest
 
 import symsimpson as ss
 from symsimpson.run.ensemble import lanes as trial
-from symsimpson.run.ensemble.members import read_task
+from symsimpson.run.ensemble.members import read_ensemble_spec
 from symsimpson.stepping.request import Request
 
 STARTS = np.linspace([0.1, 0.2], [2.0, 1.0], 40)
@@ -23,8 +23,8 @@ def tried(monkeypatch):
         found.append(task.lanes)
         return seconds.get(task.lanes, 1.0)
 
-    monkeypatch.setattr(trial, "WORTH_IT", 0)
-    monkeypatch.setattr(trial, "seconds_of_member", told)
+    monkeypatch.setattr(trial, "FEWEST_STEPS_OF_TRIAL", 0)
+    monkeypatch.setattr(trial, "measure_member_time", told)
     return seconds, found
 
 
@@ -67,14 +67,14 @@ def test_where_bits_would_differ_there_is_no_trial(tried, lanes, scheme):
 
 
 def test_short_tasks_are_not_tried(monkeypatch):
-    monkeypatch.setattr(trial, "seconds_of_member", None)
+    monkeypatch.setattr(trial, "measure_member_time", None)
     ss.compile(ss.systems.double_pendulum(), "gauss8").ensemble(STARTS, **ASKED)
 
 
 def test_a_trial_takes_time_and_leaves_the_task_alone():
     stepper = ss.compile(ss.systems.double_pendulum(), "gauss8")
-    task = read_task(stepper.program, Request(STARTS, **ASKED), 1, False, on_disk=False)
-    assert trial.seconds_of_member(stepper.program, task) > 0
+    task = read_ensemble_spec(stepper.program, Request(STARTS, **ASKED), 1, False, on_disk=False)
+    assert trial.measure_member_time(stepper.program, task) > 0
     assert task.members == 40
     assert task.steps == 20
 
@@ -91,10 +91,10 @@ def test_a_trial_takes_a_small_part_of_the_task(monkeypatch, members, steps):
     stepper = ss.compile(ss.systems.double_pendulum(), "gauss8")
     starts = np.linspace([0.1, 0.2], [2.0, 1.0], members)
     request = Request(starts, p0=[0.0, 0.0], h=0.05, steps=steps)
-    task = read_task(stepper.program, request, 1, False, on_disk=False)
-    trial.with_fastest_lanes(stepper.program, task)
+    task = read_ensemble_spec(stepper.program, request, 1, False, on_disk=False)
+    trial.choose_lanes(stepper.program, task)
     assert len(taken) == 2 * (1 + trial.ROUNDS)
-    assert 0 < sum(taken) <= trial.PART * members * steps
+    assert 0 < sum(taken) <= trial.TRIAL_PART * members * steps
 
 
 def test_ctrl_c_in_a_trial_is_heard(monkeypatch):
@@ -102,7 +102,7 @@ def test_ctrl_c_in_a_trial_is_heard(monkeypatch):
         return plain(program, task, lambda done: signal.raise_signal(signal.SIGINT))
 
     plain = trial.run_blocks
-    monkeypatch.setattr(trial, "WORTH_IT", 0)
+    monkeypatch.setattr(trial, "FEWEST_STEPS_OF_TRIAL", 0)
     monkeypatch.setattr(trial, "run_blocks", run)
     stepper = ss.compile(ss.systems.double_pendulum(), "gauss8")
     with pytest.raises(KeyboardInterrupt):

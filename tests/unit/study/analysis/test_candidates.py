@@ -5,7 +5,7 @@ import pytest
 import sympy as sp
 
 import symsimpson as ss
-from symsimpson.study.analysis.candidates import PathError, path_error
+from symsimpson.study.analysis.candidates import PathError, compare_paths
 
 x, y = ss.coordinates("x y")
 
@@ -13,7 +13,7 @@ x, y = ss.coordinates("x y")
 def compared(system, q0, p0, *, h=0.5, steps=8, bound=1e-3, **given):
     stepper = ss.compile(system)
     coarse, fine = (stepper.integrate(q0, p0=p0, h=h / k, steps=k * steps, **given) for k in (1, 2))
-    return coarse, fine, path_error(coarse, fine, h * steps, bound)
+    return coarse, fine, compare_paths(coarse, fine, h * steps, bound)
 
 
 def test_the_whole_path_counts_and_not_its_end():
@@ -29,7 +29,7 @@ def test_the_whole_path_counts_and_not_its_end():
     assert abs(coarse.q[-1] - fine.q[-1]) < 1e-10
     off = np.abs(coarse.q - fine.q[::2]).max()
     assert found.largest >= off > 1e-3
-    assert found.since == 1.0
+    assert found.violation_time == 1.0
 
 
 @pytest.mark.parametrize("constant", [0.0, 3.0, 3e9])
@@ -83,7 +83,7 @@ def test_velocities_jump_at_impacts_in_both_runs():
     coarse, fine, found = compared(ball, [1.5], [-2.0], h=0.05, steps=40, events=[floor])
     assert [record.t for record in coarse.records] != [record.t for record in fine.records]
     assert found.largest < 1e-4
-    other = path_error(
+    other = compare_paths(
         coarse,
         ss.compile(ball).integrate(
             [1.5],
@@ -95,7 +95,7 @@ def test_velocities_jump_at_impacts_in_both_runs():
         2.0,
         1e-3,
     )
-    assert other.since == pytest.approx(coarse.records[0].t, abs=0.05)
+    assert other.violation_time == pytest.approx(coarse.records[0].t, abs=0.05)
 
 
 def test_an_event_ends_both_runs_at_nearly_the_same_time():
@@ -105,7 +105,7 @@ def test_an_event_ends_both_runs_at_nearly_the_same_time():
     assert coarse.ended_by == fine.ended_by == "stop"
     assert coarse.t[-1] != fine.t[-1]
     assert found.largest < 1e-3
-    late = path_error(
+    late = compare_paths(
         coarse, ss.compile(swing).integrate([1.0], p0=[0.0], h=0.025, steps=80), 2.0, 1e-3
     )
     assert late.largest > 0.1  # it does not end there
@@ -118,4 +118,4 @@ def test_a_run_that_fails_has_no_bound():
     stepper = ss.compile(steep)
     fails = stepper.integrate([1.0], p0=[-1.0], h=0.1, steps=40, on_failure="return")
     assert not fails.success
-    assert path_error(fails, fails, 4.0, 1e-3) == PathError(np.inf, float(fails.t[-1]))
+    assert compare_paths(fails, fails, 4.0, 1e-3) == PathError(np.inf, float(fails.t[-1]))

@@ -20,11 +20,11 @@ from symsimpson.lower.pipeline import source
 from symsimpson.program.program import new_program
 from symsimpson.schemes.named import read_scheme
 from symsimpson.study.analysis.certificate import Check
-from symsimpson.study.analysis.certify import _constraints
-from symsimpson.study.analysis.checks import starts
-from symsimpson.study.analysis.precise import Precise
+from symsimpson.study.analysis.certify import _measure_constraints
+from symsimpson.study.analysis.checks import measure_initial_momenta
+from symsimpson.study.analysis.discrete_flow import DiscreteFlow
 from symsimpson.study.analysis.subject import Subject
-from symsimpson.study.analysis.variants import rewritten
+from symsimpson.study.analysis.variants import redefine_constants
 from symsimpson.text.header import signed_anew
 from symsimpson.text.library import library_sources
 from symsimpson.text.syntax import definitions, redefined
@@ -90,7 +90,9 @@ def test_a_time_by_the_ends_of_steps_fails_on_its_row():
 
 def test_wrong_momenta_of_velocities_are_told(monkeypatch):
     """Steps go from q and p; a run that begins with velocities has other momenta."""
-    monkeypatch.setattr("symsimpson.study.analysis.certify.CHECKS", (starts,))
+    monkeypatch.setattr(
+        "symsimpson.study.analysis.certify.CHECKS", {"starts": measure_initial_momenta}
+    )
     x, y = ss.coordinates("x y")
     kinetic = (x.diff() ** 2 + y.diff() ** 2) / 2 + x.diff() * y.diff() * sp.cos(x) / 4
     system = ss.MechanicalSystem(
@@ -162,7 +164,7 @@ def stepper_of(text, state=PENDULUM.reference_state):
 
 def once():
     """A stepper that takes a single Newton iteration a step."""
-    return rewritten(
+    return redefine_constants(
         ss.compile(PENDULUM), dict.fromkeys(("NEGLIGIBLE", "OWN_NEGLIGIBLE"), 'real("inf")')
     )
 
@@ -265,7 +267,7 @@ def test_a_file_by_itself_does_not_tell_its_forces(tmp_path):
     path = tmp_path / "damped.py"
     path.write_text(stepper.source, "utf-8")
     alone = ss.load(path)
-    with pytest.raises(ss.InputError, match="by itself does not tell what its forces"):
+    with pytest.raises(ss.InputError, match="does not contain the expressions of its forces"):
         alone.certify()
 
 
@@ -293,7 +295,7 @@ def test_runs_with_a_step_that_nobody_gave_warn_of_nothing(monkeypatch):
         warnings.warn("take a smaller h", ss.ResolutionWarning, stacklevel=1)
         yield Check.at_most("coarse", 0.0, 1.0, "what", "why")
 
-    monkeypatch.setattr("symsimpson.study.analysis.certify.CHECKS", (coarse,))
+    monkeypatch.setattr("symsimpson.study.analysis.certify.CHECKS", {"order": coarse})
     stepper = ss.compile(PENDULUM)
     assert stepper.certify().passed
     with pytest.warns(ss.ResolutionWarning, match="smaller h"):
@@ -303,7 +305,9 @@ def test_runs_with_a_step_that_nobody_gave_warn_of_nothing(monkeypatch):
 @pytest.mark.slow
 def test_constraints_are_measured_by_what_they_contain(monkeypatch):
     """A unit vector that is off by 1e-13, 7e6 m away."""
-    monkeypatch.setattr("symsimpson.study.analysis.certify.CHECKS", (_constraints,))
+    monkeypatch.setattr(
+        "symsimpson.study.analysis.certify.CHECKS", {"constraints": _measure_constraints}
+    )
     x, a, b = ss.coordinates("x a b")
     craft = ss.MechanicalSystem(
         "craft",
@@ -314,19 +318,19 @@ def test_constraints_are_measured_by_what_they_contain(monkeypatch):
     )
     start = {"q0": [7e6, 0.6, 0.8], "v0": [7e3, 0.4, -0.3], "h": 0.1}
     stepper = ss.compile(craft, "midpoint")
-    plain = Subject.compiled
+    plain = Subject.integrate
 
     def off(position, pull):
         def compiled(subject, *steps, **given):
             run = plain(subject, *steps, **given)
             vars(run)["constraint_error"] = run.constraint_error + position
-            evaluated = run._evaluated
-            vars(run)["_evaluated"] = lambda kernel, block, *rest, **named: (
+            evaluated = run._evaluate_rows
+            vars(run)["_evaluate_rows"] = lambda kernel, block, *rest, **named: (
                 evaluated(kernel, block, *rest, **named) + (pull if block == "MULTIPLIER" else 0)
             )
             return run
 
-        monkeypatch.setattr(Subject, "compiled", compiled)
+        monkeypatch.setattr(Subject, "integrate", compiled)
         return [row.name for row in stepper.certify(**start).checks if not row.passed]
 
     assert off(0.0, 0.0) == []
@@ -355,9 +359,9 @@ def test_sizes_of_corrections_that_are_none_have_not_passed(value):
     right = "W[CORRECTION_SQUARED, lane] = correction_theta"
     assert right in stepper.source
     text = stepper.source.replace(right, right.replace("correction_theta", value))
-    precise = Precise(stepper_of(signed_anew(text)), {}, 50)
+    flow = DiscreteFlow(stepper_of(signed_anew(text)), {}, 50)
     with pytest.raises(ArithmeticError, match="a sum of squares is"):
-        precise.corrections([0.5, 0.1], 0.1, 8)
+        flow.corrections([0.5, 0.1], 0.1, 8)
 
 
 def test_what_friction_has_damped_comes_back_up_to_roundings_that_grow():
@@ -372,7 +376,7 @@ def test_what_friction_has_damped_comes_back_up_to_roundings_that_grow():
     )
     certificate = ss.compile(system, "gauss6").certify([1.0], v0=[0.0], h=2.0)
     assert certificate["reversible"].passed, certificate
-    assert "errors growing" in certificate["reversible"].what
+    assert "growth of errors" in certificate["reversible"].what
 
 
 def test_what_is_not_symmetric_is_seen_though_errors_grow(monkeypatch):
@@ -382,4 +386,4 @@ def test_what_is_not_symmetric_is_seen_though_errors_grow(monkeypatch):
     monkeypatch.setattr("symsimpson.study.analysis.certify.read_scheme", lambda name: symmetric)
     certificate = stepper.certify(h=0.5)
     assert certificate["reversible"].measured > 1e-8
-    assert "errors growing" in certificate["reversible"].what
+    assert "growth of errors" in certificate["reversible"].what

@@ -10,7 +10,7 @@ from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.study.analysis.certificate import Check
-from symsimpson.study.analysis.order import order_of_errors
+from symsimpson.study.analysis.order import measure_order
 
 PENDULUM = ss.systems.double_pendulum()
 
@@ -19,17 +19,17 @@ def test_an_order_that_is_late_is_seen_with_another_half():
     """Errors h^4 - 3.9 h^6 change their sign, and from h/4 to h/8 they show an order of 3.7."""
     measured = SimpleNamespace(
         stepper=SimpleNamespace(order=4, source=""),
-        precise=SimpleNamespace(context=mpmath.mp, flow=lambda z, h, steps: h**4 - 3.9 * h**6),
+        flow=SimpleNamespace(context=mpmath.mp, advance=lambda z, h, steps: h**4 - 3.9 * h**6),
         h=1.0,
         z=0.0,
-        exact=lambda end, error: 0.0,
+        solve_exactly=lambda end, error: 0.0,
         distance=lambda a, b: float(abs(a - b)),
     )
-    (row,) = order_of_errors(measured)
+    (row,) = measure_order(measured)
     assert row.passed
     assert "for h to h/32" in row.what
-    measured.precise.flow = lambda z, h, steps: h**3
-    (row,) = order_of_errors(measured)
+    measured.flow.advance = lambda z, h, steps: h**3
+    (row,) = measure_order(measured)
     assert not row.passed
     assert row.measured == pytest.approx(3)
 
@@ -94,7 +94,7 @@ def test_what_is_watched_and_no_invariant_is_not_asked_of():
     certificate = ss.compile(system).certify([0.5], v0=[0.3])
     assert certificate.passed, certificate
     watched, kept = (check for check in certificate.checks if check.name == "invariant")
-    assert "speed: not asked" in watched.what
+    assert "speed: not measured" in watched.what
     assert kept.measured > 3.5
 
 
@@ -102,10 +102,9 @@ def test_an_error_without_words_is_a_row_that_has_not_passed(monkeypatch):
     """mpmath divides by zero without a message."""
 
     def divided(subject):
-        """starts: nothing."""
         yield mpmath.mpf(1) / 0
 
-    monkeypatch.setattr("symsimpson.study.analysis.certify.CHECKS", (divided,))
+    monkeypatch.setattr("symsimpson.study.analysis.certify.CHECKS", {"order": divided})
     (row,) = ss.compile(PENDULUM).certify(h=0.01).checks
     assert not row.passed
     assert row.failure == "ZeroDivisionError"

@@ -8,8 +8,8 @@ import sympy as sp
 import symsimpson as ss
 from symsimpson.study.analysis import checks
 from symsimpson.study.analysis.certify import DIGITS
-from symsimpson.study.analysis.checks import drift, order_of_corrections
-from symsimpson.study.analysis.precise import Precise
+from symsimpson.study.analysis.checks import measure_drift, order_of_corrections
+from symsimpson.study.analysis.discrete_flow import DiscreteFlow
 from symsimpson.study.analysis.subject import Subject
 
 
@@ -26,7 +26,7 @@ def test_a_jacobian_of_loops_is_that_of_the_unknowns():
     )
     stepper = ss.compile(ring, "simpson")
     assert len(stepper.program.header.tables["SOLVE_COLUMNS"]) == 1
-    subject = Precise(stepper, {}, DIGITS)
+    subject = DiscreteFlow(stepper, {}, DIGITS)
     z = np.array([mpmath.mpf(k % 7) / 40 for k in range(34)])
     assert subject.jacobian_defect(z, mpmath.mpf("0.05")) < 1e-12
 
@@ -77,10 +77,10 @@ def test_velocities_at_a_momentum_are_those_that_constraints_move():
         potential=9.81 * y,
         velocity_constraints={"string": (x**2 + y**2 - length**2).diff(ss.time) / 2},
     )
-    precise = Precise(ss.compile(system, "midpoint"), {}, DIGITS)
+    flow = DiscreteFlow(ss.compile(system, "midpoint"), {}, DIGITS)
     with mpmath.workdps(DIGITS):
         z = np.array([mpmath.mpf(k) / 25 for k in (15, -20, 6, -8)])
-    assert abs(precise.gradient(z)[2:] - z[2:]).max() < 1e-45
+    assert abs(flow.gradient(z)[2:] - z[2:]).max() < 1e-45
 
 
 def test_a_correction_that_is_better_than_quadratic_hides_no_order():
@@ -102,7 +102,7 @@ def test_corrections_by_a_jacobian_that_is_off_by_little_are_linear(ratio, start
 @pytest.mark.filterwarnings("ignore::symsimpson.errors.ResolutionWarning")
 def test_violent_motions_change_their_level_with_half_the_step_too(monkeypatch):
     """The energy of three pendulums wanders by 3e-1 with h, by 3e-3 with h/2."""
-    monkeypatch.setattr("symsimpson.study.analysis.certify.CHECKS", (drift,))
+    monkeypatch.setattr("symsimpson.study.analysis.certify.CHECKS", {"drift": measure_drift})
     chain = ss.systems.n_pendulum(3)
     certificate = ss.compile(chain, "gauss8").certify([2.0, 1.0, 0.0], v0=[0.0] * 3, h=1 / 64)
     assert certificate.passed, certificate
@@ -111,7 +111,7 @@ def test_violent_motions_change_their_level_with_half_the_step_too(monkeypatch):
 @pytest.mark.slow
 def test_the_energy_of_what_rolls_is_watched(monkeypatch):
     """A coin turns through 2e5 rad: the rounding of its angles turns the constraints, too."""
-    monkeypatch.setattr("symsimpson.study.analysis.certify.CHECKS", (drift,))
+    monkeypatch.setattr("symsimpson.study.analysis.certify.CHECKS", {"drift": measure_drift})
     x, y, roll, turn = ss.coordinates("x y roll turn")
     coin = ss.MechanicalSystem(
         "coin",
@@ -188,8 +188,8 @@ def test_forces_with_numbers_alone_have_all_digits(push):
         forces={x: push},
     )
     stepper = ss.compile(system)
-    precise = Precise(stepper, {}, 50)
-    subject = Subject(stepper, precise, np.array([1.0, 0.0, 0.0, 0.6]), 0.03)
+    flow = DiscreteFlow(stepper, {}, 50)
+    subject = Subject(stepper, flow, np.array([1.0, 0.0, 0.0, 0.6]), 0.03)
     defect, symmetries = checks.momentum_balance(subject)
     assert [symmetry.name for symmetry in symmetries] == ["p_x*y - p_y*x"]
     assert defect < 1e-45

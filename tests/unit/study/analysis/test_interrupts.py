@@ -12,7 +12,7 @@ from symsimpson.run import integrate
 from symsimpson.study.analysis import certify as certification
 from symsimpson.study.analysis.stability import stress
 from symsimpson.study.analysis.stability import stress_tests as stress_report
-from symsimpson.support.interpreter import listening
+from symsimpson.support.interpreter import catch_interrupts
 
 PENDULUM = ss.systems.pendulum()
 STATE = {"q0": [1.0], "v0": [0.0]}
@@ -52,7 +52,7 @@ def test_stress_tests_end(interrupted, monkeypatch):
 
 def test_certificates_end(monkeypatch):
     with pytest.raises(KeyboardInterrupt):
-        list(certification._guarded(stopped, None))
+        list(certification._catch_failure("order", stopped, None))
 
 
 def test_comparisons_end(interrupted):
@@ -62,7 +62,7 @@ def test_comparisons_end(interrupted):
 
 def test_what_a_user_asks_to_be_returned_is_returned(monkeypatch):
     """Also where Ctrl-C comes when all steps are done: no state is lost."""
-    monkeypatch.setattr(integrate, "verdict", stopped)
+    monkeypatch.setattr(integrate, "judge_run", stopped)
     stepper = ss.compile(PENDULUM, "midpoint")
     given = {**STATE, "h": 0.1, "steps": 3, "progress": False}
     run = stepper.integrate(**given, on_failure="return")
@@ -73,12 +73,12 @@ def test_what_a_user_asks_to_be_returned_is_returned(monkeypatch):
 
 
 def test_an_inner_run_does_not_keep_an_interrupt_to_itself():
-    with listening() as outer:
-        with listening() as inner:
+    with catch_interrupts() as outer:
+        with catch_interrupts() as inner:
             os.kill(os.getpid(), signal.SIGINT)
             while not inner:
                 pass
         assert outer == inner == [signal.SIGINT]
-    with listening() as heard:
+    with catch_interrupts() as heard:
         pass
     assert heard == []

@@ -8,8 +8,8 @@ from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.study.analysis.certify import DIGITS
-from symsimpson.study.analysis.precise import Precise
-from symsimpson.study.analysis.symmetries import _refined, block_size, linear_symmetries
+from symsimpson.study.analysis.discrete_flow import DiscreteFlow
+from symsimpson.study.analysis.symmetries import _refine_row, block_size, linear_symmetries
 
 
 @pytest.mark.parametrize(
@@ -27,8 +27,8 @@ def test_linear_symmetries(name, momenta):
     system = ss.systems.CATALOGUE[name]()
     stepper = ss.compile(system)
     run = stepper.integrate(**system.reference_state, h=0.01, steps=1)
-    precise = Precise(stepper, run.parameters, DIGITS)
-    found = linear_symmetries(precise, np.concatenate([run.q[0], run.p[0]]))
+    flow = DiscreteFlow(stepper, run.parameters, DIGITS)
+    found = linear_symmetries(flow, np.concatenate([run.q[0], run.p[0]]))
     assert [symmetry.name for symmetry in found] == momenta
 
 
@@ -36,8 +36,8 @@ def test_linear_symmetries(name, momenta):
 def test_a_symmetry_that_is_not_determined_is_a_row_that_has_not_passed(monkeypatch):
     """mpmath's QR of a singular matrix raised a ValueError of its own, out of the certificate."""
 
-    def undetermined(precise, z):
-        return _refined(np.array([0.123456789, 0.23456789]), np.zeros((5, 2)), precise.context)
+    def undetermined(flow, z):
+        return _refine_row(np.array([0.123456789, 0.23456789]), np.zeros((5, 2)), flow.context)
 
     monkeypatch.setattr("symsimpson.study.analysis.subject.linear_symmetries", undetermined)
     found = ss.compile(ss.systems.pendulum(), "midpoint").certify()
@@ -59,7 +59,7 @@ def test_rotations_of_many_coordinates_are_found():
     )
     stepper = ss.compile(system)
     found = linear_symmetries(
-        Precise(stepper, {"m": 1.5}, DIGITS), np.array([0.3, 0.4, 0.5, 1.0, -1.0, 0.2])
+        DiscreteFlow(stepper, {"m": 1.5}, DIGITS), np.array([0.3, 0.4, 0.5, 1.0, -1.0, 0.2])
     )
     assert {symmetry.name for symmetry in found} == {
         "p_x",
@@ -76,8 +76,8 @@ def test_momenta_of_masses_that_differ_by_eight_orders_are_exact():
     system = ss.systems.outer_solar_system()
     stepper = ss.compile(system, "midpoint")
     run = stepper.integrate(**system.reference_state, h=10.0, steps=1)
-    precise = Precise(stepper, run.parameters, DIGITS)
-    symmetries = linear_symmetries(precise, np.concatenate([run.q[0], run.p[0]]))
+    flow = DiscreteFlow(stepper, run.parameters, DIGITS)
+    symmetries = linear_symmetries(flow, np.concatenate([run.q[0], run.p[0]]))
     assert [x.name for x in symmetries[:2]] == [
         " + ".join(f"p_{axis}{k}" for k in range(6)) for axis in "xy"
     ]
@@ -118,19 +118,19 @@ def test_a_ratio_of_masses_is_that_of_doubles():
         potential=sp.S.Zero,
         parameters=dict(zip(masses, (5e-4, 1e-5), strict=True)),
     )
-    precise = Precise(ss.compile(system), {"m1": 5e-4, "m2": 1e-5}, DIGITS)
-    turning = linear_symmetries(precise, np.array([0.3, 0.4, 1.0, -1.0]))[-1]
+    flow = DiscreteFlow(ss.compile(system), {"m1": 5e-4, "m2": 1e-5}, DIGITS)
+    turning = linear_symmetries(flow, np.array([0.3, 0.4, 1.0, -1.0]))[-1]
     assert turning.name == "p_x*y - 50*p_y*x"
-    with precise.context.workdps(DIGITS):
-        ratio = precise.context.mpf(5e-4) / precise.context.mpf(1e-5)
+    with flow.context.workdps(DIGITS):
+        ratio = flow.context.mpf(5e-4) / flow.context.mpf(1e-5)
         assert abs(ratio / 50 - 1) > 1e-18
         assert abs(turning.exact[1, 0] / turning.exact[0, 1] / ratio + 1) < 1e-27
 
 
 def test_what_many_digits_do_not_confirm_is_no_symmetry():
     matrix = np.array([[1, -1], [1, -1 + 1e-13]], dtype=object) * mpmath.mpf(1)
-    with pytest.raises(ArithmeticError, match="it is none in many digits"):
-        _refined(np.array([1.0, 1.0]), matrix, mpmath.mp)
+    with pytest.raises(ArithmeticError, match="it does not hold in many digits"):
+        _refine_row(np.array([1.0, 1.0]), matrix, mpmath.mp)
 
 
 @pytest.mark.slow

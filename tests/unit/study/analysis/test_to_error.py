@@ -22,7 +22,9 @@ def choices(monkeypatch, tmp_path):
         return select(*asked, strict=strict)
 
     monkeypatch.setattr(choosing, "select", choose)
-    monkeypatch.setattr("symsimpson.study.analysis.candidates.SCOUT", 0)  # no run of many steps
+    monkeypatch.setattr(
+        "symsimpson.study.analysis.candidates.SCOUT_STEPS", 0
+    )  # no run of many steps
     monkeypatch.setattr("symsimpson.program.cache.cache_folder", lambda: tmp_path)
     return made
 

@@ -81,17 +81,19 @@ def test_chaos_is_no_success(tmp_path):
     chaotic = ss.systems.double_pendulum()
     given = {"q0": [2.5, 2.9], "v0": [0, 0], "t_end": 30.0, "schemes": "gauss8"}
     for _ in range(2):  # also where the choice is known
-        with pytest.warns(ss.ResolutionWarning, match=r"fails from t = 1?\d\.?\d* on") as told:
+        with pytest.warns(ss.ResolutionWarning, match=r"exceeds it from t = 1?\d\.?\d* on") as told:
             run = ss.integrate(chaotic, **given, error=1e-6, every=None)
     assert len(told) == 1
     assert told[0].filename == __file__
-    assert re.match(r"\w+: the error is \S+, 1.0e-06 is asked for. The bound", str(told[0].message))
+    assert re.match(
+        r"\w+: The error is \S+; the tolerance is 1.0e-06. The error", str(told[0].message)
+    )
     assert (run.success, run.status) == (False, ss.Status.TOLERANCE_NOT_MET)
     assert run.error_estimate > 1e-6
     run.save(tmp_path / "run.nc")
     again = ss.open_trajectory(tmp_path / "run.nc")
     assert (again.status, again.error_estimate) == (run.status, run.error_estimate)
-    with pytest.raises(ss.InputError, match=r"too sensitive|no scheme that was tried"):
+    with pytest.raises(ss.InputError, match=r"too sensitive|no scheme reaches error=1e-06"):
         ss.choose(chaotic, **given, error=1e-6)
 
 
@@ -134,9 +136,9 @@ def test_inputs_are_functions_of_time_or_arrays():
             z = value + (z - value) * np.exp(10j)
         assert run.q[-1, 0] == pytest.approx(z.real, abs=1e-8)
     for wrong in (None, {u: np.ones((3, 2))}):
-        with pytest.raises(ss.InputError, match="pass a number, a function of t, or"):
+        with pytest.raises(ss.InputError, match=r"Pass a number or a function of t\. Or"):
             ss.integrate(cart, **given, inputs=wrong)
-    with pytest.raises(ss.InputError, match="no whole number of periods"):
+    with pytest.raises(ss.InputError, match="not a whole number of periods"):
         ss.integrate(cart, **given, inputs={u: ss.samples(values, period=7.0)})
 
 

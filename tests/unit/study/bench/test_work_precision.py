@@ -15,11 +15,11 @@ from symsimpson.study.bench import work_precision
 from symsimpson.study.bench.contenders import (
     PROGRAMS,
     Contender,
-    Outcome,
-    in_heyoka,
+    FinalState,
+    make_peer_contenders,
     make_problem,
-    ours,
-    peers,
+    make_scheme_contender,
+    to_heyoka,
 )
 from symsimpson.study.bench.work_precision import WorkPrecision
 
@@ -72,7 +72,7 @@ def test_errors_are_relative_to_the_motion_in_any_units():
 def test_a_peer_solves_the_problem(problem, name):
     if name != "runge-kutta":
         pytest.importorskip(name)
-    for contender in peers(problem, name):
+    for contender in make_peer_contenders(problem, name):
         choices = [c for c in contender.choices if contender.what == "tolerance" or c < 20_000]
         errors = []
         for choice in (choices[len(choices) // 2], choices[-1]):
@@ -87,7 +87,7 @@ def test_a_peer_solves_the_problem(problem, name):
 
 @pytest.mark.slow
 def test_our_schemes_take_part(problem):
-    contender = ours(problem, "simpson")
+    contender = make_scheme_contender(problem, "simpson")
     run, read = contender.make(400)
     outcome = read(run())
     assert problem.error(outcome.q, outcome.p) < 1e-5
@@ -141,7 +141,7 @@ def test_files_that_are_no_records(record, tmp_path):
     other = tmp_path / "other.json"
     for content in ("", "{}", "[]", '{"format": 1}', json.dumps({"format": 2})):
         other.write_text(content)
-        with pytest.raises(ss.StorageError, match="no record of run times"):
+        with pytest.raises(ss.StorageError, match="not a record of run times"):
             WorkPrecision.load(other)
     with pytest.raises(ss.StorageError, match=r"cannot be read: .*\n.*symsimpson bench"):
         WorkPrecision.load(tmp_path / "missing.json")
@@ -149,12 +149,12 @@ def test_files_that_are_no_records(record, tmp_path):
         record.save(tmp_path / "no" / "folder.json")
     long = json.loads(record.save(tmp_path / "a.json").read_text()) | {"t_end": 3.0}
     other.write_text(json.dumps(long))
-    with pytest.raises(ss.InputError, match="two problems"):
+    with pytest.raises(ss.InputError, match="different problems"):
         record.compare(WorkPrecision.load(other))
 
 
 WRONG = {
-    "peer": ({"peers": ["matlab"]}, "no peer 'matlab'"),
+    "peer": ({"peers": ["matlab"]}, "peers contains 'matlab'"),
     "errors": ({"errors": []}, "errors are"),
     "level": ({"errors": [2.0]}, "errors are"),
     "no level": ({"errors": "fine"}, "errors is 'fine', not real numbers"),
@@ -163,7 +163,7 @@ WRONG = {
     "no time": ({"t_end": None}, "t_end is None, not a finite"),
     "repeats": ({"repeats": 0}, "repeats is 0"),
     "part of a repeat": ({"repeats": 1.5}, "repeats is 1.5, not a whole number"),
-    "no peer": ({"peers": None}, r"no peer None.*\n.*\(\) is none"),
+    "no peer": ({"peers": None}, r"peers contains None.*\n.*\(\) for no other"),
     "a pair": ({"state": ([1.0], [0.0])}, "state is .*, not a mapping"),
 }
 
@@ -186,10 +186,10 @@ def test_the_time_of_a_compiler_is_no_time_of_a_run(monkeypatch):
             compiled.add(steps)
             return steps
 
-        return run, lambda steps: Outcome(np.array([steps**-4]), np.zeros(1), steps)
+        return run, lambda steps: FinalState(np.array([steps**-4]), np.zeros(1), steps)
 
     problem = SimpleNamespace(error=lambda q, p: q[0])
-    entries = work_precision._sweep(Contender("a", "steps", (4, 8, 16), make), problem, 1e-9)
+    entries = work_precision._run_choices(Contender("a", "steps", (4, 8, 16), make), problem, 1e-9)
     assert [entry.times[0] for entry in entries] == pytest.approx([4e-4, 8e-4, 16e-4])
 
 
@@ -203,8 +203,8 @@ def test_a_peer_that_is_not_installed(problem, monkeypatch):
     for module in ("heyoka", "scipy", "scipy.integrate", "numbalsoda", "diffrax"):
         monkeypatch.setitem(__import__("sys").modules, module, None)
     with pytest.raises(ss.InputError, match="not installed"):
-        list(peers(problem, "heyoka"))
-    assert {one.name for one in peers(problem)} <= {"rk4", "dop853"}
+        list(make_peer_contenders(problem, "heyoka"))
+    assert {one.name for one in make_peer_contenders(problem)} <= {"rk4", "dop853"}
 
 
 @pytest.mark.slow
@@ -243,7 +243,7 @@ def test_the_command(tmp_path, capsys):
 def test_heyoka_reads_fractions_that_are_not_binary():
     heyoka = pytest.importorskip("heyoka")
     equations = second_order(ss.systems.puma560(2))
-    written = in_heyoka(heyoka, equations)
+    written = to_heyoka(heyoka, equations)
     unknowns, rates = zip(*written, strict=True)
     at = [0.3, -0.7, 0.2, 0.5]
     found = heyoka.cfunc(list(rates), vars=list(unknowns))(np.array(at))
@@ -262,7 +262,7 @@ def test_time_is_an_unknown_where_something_depends_on_it():
     assert len(problem.canonical.unknowns) == 3
     run = ss.compile(system, "gauss16").integrate(**system.reference_state, h=0.1, steps=20)
     assert problem.error(run.q[-1], run.p[-1]) < 1e-13
-    for contender in peers(problem, ("runge-kutta", "scipy")):
+    for contender in make_peer_contenders(problem, ("runge-kutta", "scipy")):
         run, read = contender.make(1e-10 if contender.what == "tolerance" else 2000)
         outcome = read(run())
         assert problem.error(outcome.q, outcome.p) < 1e-6

@@ -10,7 +10,7 @@ from support.control import check_derivatives
 
 import symsimpson as ss
 from symsimpson.study.control import solution
-from symsimpson.study.control.constraint_rows import resolved
+from symsimpson.study.control.constraint_rows import follows_constraints
 
 pytest.importorskip("casadi")
 
@@ -112,8 +112,8 @@ def test_a_pendulum_in_the_plane_costs_what_its_angle_costs(scheme, order):
 def test_the_motion_is_a_run_of_the_scheme(problem, scheme):
     found = problem().solve(scheme, steps=12)
     assert found.success, found.message
-    given = {name: found.input_values[..., j] for j, name in enumerate(found.layout.read.inputs)}
-    run = ss.compile(found.layout.read.system, scheme).integrate(
+    given = {name: found.input_values[..., j] for j, name in enumerate(found.layout.problem.inputs)}
+    run = ss.compile(found.layout.problem.system, scheme).integrate(
         found.q[0], p0=found.p[0], h=found.duration / 12, steps=12, inputs=given
     )
     assert np.abs(run.q - found.q).max() < 1e-11
@@ -265,12 +265,14 @@ def test_a_guess_is_put_on_the_constraints():
 def test_paths_that_jump_between_control_points_are_no_solutions(monkeypatch):
     """A straight line from below leads through the axis, where the rod determines nothing."""
     up = swing(start=(0, 0), end=(np.pi, 0), duration=1.0)
-    monkeypatch.setattr(solution, "bent", lambda layout, x: [])  # as if there were no way aside
+    monkeypatch.setattr(
+        solution, "curve_guess", lambda layout, x: []
+    )  # as if there were no way aside
     right = swing(plane=False, start=(0, 0), end=(np.pi, 0), duration=1.0)
     least = right.solve("gauss6", steps=40).cost
     for scheme, steps in (("gauss6", 12), ("simpson", 12), ("simpson", 41)):
         begun = up.solve(scheme, steps=steps, most_iterations=0)
-        assert not resolved(begun.layout, begun.x)
+        assert not follows_constraints(begun.layout, begun.x)
         found = up.solve(scheme, steps=steps)
         if found.status is ss.ControlStatus.NOT_RESOLVED:
             assert "jumps to another branch" in found.message

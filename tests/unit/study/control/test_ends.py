@@ -66,12 +66,21 @@ def test_a_length_that_is_found_stands_in_what_follows(start):
 @pytest.mark.parametrize(
     ("more", "told"),
     [
-        ({"end": {x: 1, v_y: 0}}, r"end touches the constraint 'circle'.*\nGive y = 0 at the end"),
-        ({"end": {x - y: sp.sqrt(2)}}, r"end touches .*\nGive x = 0.707, y = -0.707 at the end"),
-        ({"end": {y: -l}, "unknowns": {l: (0.5, 2)}}, r"end touches .*\nGive x = 0 at the end"),
+        (
+            {"end": {x: 1, v_y: 0}},
+            r"end is tangent to the constraint 'circle'.*\nAdd y = 0 to the end",
+        ),
+        (
+            {"end": {x - y: sp.sqrt(2)}},
+            r"end is tangent to .*\nAdd x = 0.707, y = -0.707 to the end",
+        ),
+        (
+            {"end": {y: -l}, "unknowns": {l: (0.5, 2)}},
+            r"end is tangent to .*\nAdd x = 0 to the end",
+        ),
         (
             {"conditions": {y: y - 1}, "start": {y: 0}, "end": {v_x: 0}},
-            r"\nGive x = 0, y = -1 at the end",
+            r"\nAdd x = 0, y = -1 to the end",
         ),
     ],
 )

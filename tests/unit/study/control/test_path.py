@@ -47,5 +47,5 @@ def test_relations_on_the_path_are_rows():
     assert (above.q[:, 1] >= above.q[:, 0] ** 2 + above.q[:, 0] / 2 - 0.5 - 1e-9).all()
 
     for entry in (sp.And(a < 2, a > -2), sp.Ne(a, 2), sp.true, (-1, sp.Eq(a, b), 1)):
-        with pytest.raises(ss.InputError, match="neither an expression nor one relation of two"):
+        with pytest.raises(ss.InputError, match="which is not an expression or a single relation"):
             solved(entry)

@@ -11,7 +11,7 @@ from support.control import check_derivatives
 
 import symsimpson as ss
 from symsimpson.study.control.problem_parts import Grid
-from symsimpson.study.control.uses import labels_of
+from symsimpson.study.control.uses import label_bounds
 
 pytest.importorskip("casadi")
 
@@ -139,7 +139,7 @@ def test_an_arc_that_is_not_there_is_as_short_as_it_may_be(scheme):
     ],
 )
 def test_inputs_at_bounds(part, labels):
-    assert labels_of(np.array(part)).tolist() == labels
+    assert label_bounds(np.array(part)).tolist() == labels
 
 
 def test_derivatives_are_exact():
@@ -219,12 +219,12 @@ def test_steps_are_divided_among_phases_and_doubled_in_each():
 @pytest.mark.parametrize(
     ("phases", "message"),
     [
-        ({u: 1}, "phases is .*no list"),
+        ({u: 1}, "phases is .*, which is not a list"),
         ([u], r"phases\[0\] is Symbol, not a mapping"),
-        ([{th: 1}], r"phases\[0\] names 'theta', which is no input"),
-        ([{}, {"v": 1}], r"phases\[1\] names 'v'"),
+        ([{th: 1}], r"phases\[0\] contains 'theta', but the system has no input of this name"),
+        ([{}, {"v": 1}], r"phases\[1\] contains 'v'"),
         ([{u: 2}], r"phases\[0\] has u = 2, outside of its bounds"),
-        ([{u: (1, -1)}], r"phases\[0\]\[u\] is \(1, -1\): low is not below high"),
+        ([{u: (1, -1)}], r"phases\[0\]\[u\] is \(1, -1\): low is above high"),
     ],
 )
 def test_what_makes_no_sense_is_refused(phases, message):

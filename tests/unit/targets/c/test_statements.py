@@ -7,7 +7,7 @@ import pytest
 from support.in_c import COMPILER, build
 
 from symsimpson.targets.c.kinds import REAL, Functions, Kinds, Source
-from symsimpson.targets.c.statements import HELPERS, Expressions, written_function
+from symsimpson.targets.c.statements import HELPERS, Expressions, write_function
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no compiler of C")
 
@@ -77,9 +77,7 @@ def test_numbers_are_those_of_python(name, tmp_path):
     kinds.follow(name, [REAL] * 3)
     write = Expressions(kinds, {x: x for x in functions})
     lines = [
-        x
-        for one in reversed(kinds.signatures)
-        for x in written_function(kinds.functions[one], write)
+        x for one in reversed(kinds.signatures) for x in write_function(kinds.functions[one], write)
     ]
     head = """#include <math.h>
 static const int ORDER[3] = {2, 0, 1};

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import symsimpson as ss
-from symsimpson.study.analysis.precise import Precise
+from symsimpson.study.analysis.discrete_flow import DiscreteFlow
 
 
 @pytest.mark.parametrize("arithmetic", ["mpmath", "arb"])
@@ -20,5 +20,5 @@ def test_a_state_that_constraints_allow_is_placed_where_it_is(arithmetic, monkey
     start = system.reference_state
     run = stepper.integrate(**start, h=0.1, steps=0)
     z = np.concatenate([run.q[0], run.p[0]])
-    placed = Precise(stepper, stepper.program.free_values(None), 50).placed(z)
+    placed = DiscreteFlow(stepper, stepper.program.free_values(None), 50).project(z)
     assert np.abs(placed.astype(float) - z).max() < 1e-15
