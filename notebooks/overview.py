@@ -1,5 +1,6 @@
 """Draw overview.png, the figure of the README: python overview.py."""
 
+import re
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -44,6 +45,17 @@ def main() -> None:
     right.set(xlim=(-4, 4), ylim=(-4, 4), aspect="equal", xlabel="x", ylabel="y",
               title=f"three bodies meet, {met.steps} steps")  # fmt: skip
     figure.savefig(HERE / "overview.png")
+    draw_ten_lines()
+
+
+def draw_ten_lines() -> None:
+    """Draw the figure of the first example of the book: run it as it is printed there."""
+    page = (HERE / "index.md").read_text("utf-8")
+    code = re.search(r"```python\n(.*?)```", page, re.DOTALL)
+    assert code is not None
+    names: dict[str, object] = {}
+    exec(code[1], names)
+    plt.gcf().savefig(HERE / "ten_lines.png")
 
 
 if __name__ == "__main__":

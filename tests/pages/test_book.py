@@ -14,7 +14,7 @@ from support.places import ROOT
 NOTEBOOKS = ROOT / "notebooks"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("chrome")
 OUTPUT = Path(__file__).parent / "output"
-PAGES = ["index", "guide/adaptive", "gallery/figure_eight", "reference/steppers", "coming_from"]
+PAGES = ["index", "guide/adaptive", "gallery/figure_eight", "reference/stepper", "coming_from"]
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +122,14 @@ def test_nothing_is_wider_than_the_screen(book, browser):
 #: What people look for, and the page that should be among the first six.
 SOUGHT = {
     "step size": "guide/choose",
-    "energy drift": "guide/trust",
+    "energy drift": "guide/round_off",
+    "tolerance": "how_do_i",
+    "initial conditions": "how_do_i",
+    "robot": "how_do_i",
+    "quadrotor": "how_do_i",
+    "contact": "how_do_i",
+    "save": "how_do_i",
+    "plot": "how_do_i",
     "Poincare": "guide/run",
     "licence": "index",
     "license": "index",

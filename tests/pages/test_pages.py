@@ -13,8 +13,16 @@ from support.places import ROOT
 import symsimpson as ss
 
 GUIDE = sorted(f"notebooks/guide/{path.name}" for path in (ROOT / "notebooks/guide").glob("*.md"))
+TOPICS = sorted(
+    f"notebooks/topics/{path.name}" for path in (ROOT / "notebooks/topics").glob("*.md")
+)
 PAGES = [
     *GUIDE,
+    *TOPICS,
+    "notebooks/tutorial.md",
+    "notebooks/how_do_i.md",
+    "notebooks/index.md",
+    "notebooks/versions.md",
     "README.md",
     "notebooks/README.md",
     "notebooks/coming_from.md",
@@ -29,12 +37,30 @@ PAGES = [
 #: Pages of prose and commands.
 WITHOUT_CODE = [
     f"notebooks/guide/{name}.md"
-    for name in ("command_line", "limits", "method", "paper", "safety", "speed")
+    for name in (
+        "command_line",
+        "control_details",
+        "event_steps",
+        "limits",
+        "method",
+        "paper",
+        "safety",
+        "speed",
+    )
 ]
 
 
 @pytest.mark.parametrize(
-    "page", sweep(["README.md", "symsimpson/lower/PARTS.md", "notebooks/coming_from.md", *GUIDE])
+    "page",
+    sweep(
+        [
+            "README.md",
+            "symsimpson/lower/PARTS.md",
+            "notebooks/coming_from.md",
+            "notebooks/tutorial.md",
+            *GUIDE,
+        ]
+    ),
 )
 @pytest.mark.filterwarnings("ignore::symsimpson.StabilityWarning")
 def test_python_on_a_page_runs(page, tmp_path, monkeypatch, caplog):
@@ -50,9 +76,15 @@ def test_python_on_a_page_runs(page, tmp_path, monkeypatch, caplog):
 #: Pages whose output is the same on each machine.
 PRINTED = [
     "README.md",
+    "notebooks/tutorial.md",
+    "notebooks/guide/constraints.md",
     "notebooks/guide/digits.md",
-    "notebooks/guide/skips.md",
+    "notebooks/guide/events.md",
+    "notebooks/guide/impacts.md",
     "notebooks/guide/legs.md",
+    "notebooks/guide/rolling.md",
+    "notebooks/guide/skips.md",
+    "notebooks/guide/status.md",
 ]
 
 
