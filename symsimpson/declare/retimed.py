@@ -381,8 +381,9 @@ def _without_pole(term: sp.Expr, coordinates: Set[sp.Expr]) -> bool:
 def extend_by_energy(
     system: RetimedSystem, varied: Sequence[sp.Symbol]
 ) -> tuple[MechanicalSystem, tuple[str, ...]]:
-    """Return a retimed system with E0 as its last coordinate, and names of its derivatives.
+    """Return a retimed system with E0 as its last coordinate, and names of parameters.
 
+    The steps of the new system are differentiated by the parameters with these names.
     L = T/g - g (V - e) + M e'^2/2 has so large an M that e is constant. Then p_e' = g, and each
     scheme sums up the time as in the retimed system. The invariants are derivatives by the
     initial state and the varied parameters: of H, of the rate, and of p at constant velocities.

@@ -168,7 +168,7 @@ class TracedStages:
         return low.statements(stores, STATE)
 
     def _extrapolate(self) -> Function:
-        """Trace the extrapolation to the nodes of the next step."""
+        """Trace the extrapolation of velocities to the nodes of the next step."""
         self._run("stage_ahead", 0, self._node)
         moves = self._stores("STAGE_Q", "dq_{}_ahead", range(self._low.n), "extrapolation")
         moves = [Store(Row("STAGE_V", store.row.index), store.value) for store in moves]

@@ -407,6 +407,7 @@ class States(Quantities, Tabular, Plottable):
         }
 
     def _point_arguments(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """Return t, q and the parameter values, to evaluate declared positions."""
         return self.t, self.q, self.parameter_values
 
     def _evaluate_rows(

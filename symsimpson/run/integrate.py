@@ -114,7 +114,7 @@ def _set_initial_state(program: Program, run: Run, spec: RunSpec) -> None:
 
 
 def _set_initial_variations(program: Program, run: Run, tangents: Reals, *, velocity: bool) -> None:
-    """Set the initial variations: ``tangents``, then those by parameters.
+    """Set the initial variations: ``tangents``, as (dq0, dp0), then those by parameters.
 
     A parameter changes neither q0 nor the given p0 or v0. With v0, the momentum
     p0 = L_v(q0, v0) changes with the parameter.

@@ -86,7 +86,7 @@ IMPORTS = {"math": _MATH, "numba": frozenset(["carray", "njit"]), "numpy": froze
 BUILTINS = frozenset(
     ["abs", "enumerate", "float", "int", "len", "max", "min", "range", "sum", "tuple", "zip"]
 )
-#: What the compiler is fixed_part; another value might have Python run the kernels.
+#: Options of the compiler, which are fixed: with others Python might run the kernels.
 SETTINGS = {"SIGNATURE": SIGNATURE, "OPTIONS": ast.literal_eval(OPTIONS)}
 NODES = (
     ast.Module,

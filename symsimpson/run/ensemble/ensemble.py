@@ -167,6 +167,7 @@ class Ensemble(Quantities, StateDerivatives, Savable):
         return evaluate(program, kernel, block, count, (t, q, p), values)
 
     def _point_arguments(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """Return t, q and the parameter values, to evaluate declared positions."""
         values = self.parameter_values
         return self.t, np.asarray(self.q), values[:, None] if self.q.ndim == 3 else values
 

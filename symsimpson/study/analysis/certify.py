@@ -167,7 +167,7 @@ def _choose_step(stepper: Stepper, q: Floats, p: Floats, values: Mapping[str, fl
 def _reject_large_step(
     stepper: Stepper, begin: Mapping[str, Any], h: float
 ) -> ArithmeticError | ConvergenceError | None:
-    """Return an error if steps of size h fail, or if the exact motion takes too many steps."""
+    """Return an error if h is far too large: steps of h to h/4 fail, or finer ones do not help."""
     if not follows_motion(stepper, begin, SHORT, h / TOO_LARGE):
         return ArithmeticError(
             f"the exact solution over {STEPS} steps of h={h:g} needs more than {MAX_STEPS} steps. "

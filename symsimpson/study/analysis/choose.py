@@ -328,7 +328,7 @@ def _read_error(
 def _transform_time(
     system: MechanicalSystem, schemes: Sequence[str | Scheme] | None
 ) -> tuple[RetimedSystem | None, Sequence[str | Scheme]]:
-    """Return the time-transformed system and the schemes to try for it; None, () without one."""
+    """Return the retimed system, if there is one or V attracts, and its schemes; else None, ()."""
     if isinstance(system, RetimedSystem):
         return system, RETIMED_CANDIDATES if schemes is None else schemes
     if schemes is None and not retiming_obstacle(system) and attracts(system):
@@ -445,7 +445,7 @@ def integrate(
 
 
 def _run_arguments(choice: Choice, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments of the chosen run except for its initial state."""
+    """Return step size, length, parameters, inputs and events of the chosen run."""
     t0, duration = float(arguments["t0"]), float(arguments["t_end"]) - float(arguments["t0"])
     motion = Motion(arguments["parameters"], t0, duration, 0.0, "", arguments["events"])
     motion = motion.with_inputs(choice.stepper.program, arguments["inputs"])

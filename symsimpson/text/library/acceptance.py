@@ -34,7 +34,7 @@ def check_convergence(W, lane):
 
 @compiled
 def rounding_of_q(W, lane):
-    """Bound the squared increments that rounding of positions causes."""
+    """Return the squared increments, weighted by the diagonal of M, of rounded positions."""
     size = 0.0
     for a in range(DIMENSION):
         size += W[MASS_DIAGONAL + a, lane] * W[POSITION + a, lane] ** 2
@@ -50,7 +50,7 @@ def expect_rounding(W, lane):
 
 @compiled
 def check_rounding(W, lane):
-    """Accept the step if phi = 0 holds as well as rounded positions allow.
+    """End the iteration if corrections no longer shrink and are below the rounding of q.
 
     The increments do not matter: near rest they may be as small as rounding.
     """
@@ -63,7 +63,7 @@ def check_rounding(W, lane):
 
 @compiled
 def check_drift(W, lane):
-    """Set RELATIVE to 0 if a drift ends on the constraints up to round-off."""
+    """Set RELATIVE to the size of the last correction, or to 0 if it is rounding."""
     before, size = W[RELATIVE, lane], W[INCREMENT_SQUARED, lane]
     now = W[CORRECTION_SQUARED, lane] / (size if size != 0 else 1.0)
     done = (now == 0) | ((now <= ROUNDED) & (now >= 0.25 * before))

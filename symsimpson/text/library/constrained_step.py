@@ -201,7 +201,7 @@ def weigh_constraints(W, lane):
 
 @compiled
 def factor_held(W, lane):
-    """Factorise the bordered matrix; MASS_PIVOT < 0 if M is not positive definite.
+    """Factorise the bordered matrix; MASS_PIVOT is twice the sum of negative pivots.
 
     Each constraint follows its coordinates. If M is definite, pivots of coordinates are positive,
     and pivots of constraints negative. INDEPENDENCE is the smallest ratio of such a pivot to its
@@ -257,7 +257,7 @@ def solve_held(W, lane):
 
 @compiled
 def take_momentum(W, lane):
-    """Subtract the impulse of the constraints from p."""
+    """Subtract Phi^T nu from p1 - p0, in the rows of the residual."""
     constraint_forces(W, lane)
     for a in range(DIMENSION):
         W[RESIDUAL + a, lane] -= W[CONSTRAINT_FORCE + a, lane]

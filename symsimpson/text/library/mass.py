@@ -3,7 +3,7 @@
 
 @compiled
 def factor_mass(W, lane):
-    """Factorise M = L D L^T in its place; MASS_PIVOT < 0 if M is not positive definite."""
+    """Factorise M = L D L^T in its place; MASS_PIVOT is twice the sum of negative pivots."""
     first = NODE_L_VV + NODE_OFFSET
     for i in range(DIMENSION):
         W[MASS_DIAGONAL + COORDINATE[i], lane] = W[first + i * NODE_STRIDE + i, lane]

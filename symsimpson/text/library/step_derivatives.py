@@ -51,7 +51,7 @@ def differentiate_node(W, h, t, node, lane):
 
 @compiled
 def differentiate_state(W, h, place, lane):
-    """Evaluate the derivatives of F and P by parameters at the start of a step or at its end."""
+    """Evaluate the derivatives of F and P by parameters at the start (0) or end (1) of a step."""
     if SIZED:
         go_to_place(W, h, real(place), real(0), lane)
     parameter_slopes(W, lane)

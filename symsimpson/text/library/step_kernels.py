@@ -166,7 +166,7 @@ def find_straight_path(W, h, t, lane):
 
 @compiled
 def correct(W, h, t, lane):
-    """Solve for the negative of a correction, which replaces the residual."""
+    """Assemble the equations and solve for the negative correction, in place of the residual."""
     if SEPARABLE:
         constant_mass_equations(W, h, t, lane)
     elif CYCLIC:
