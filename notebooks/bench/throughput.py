@@ -16,7 +16,7 @@ import symsimpson as ss
 from symsimpson.study.bench.contenders import Contender, alternate
 from symsimpson.study.bench.contenders import to_heyoka
 from symsimpson.run.ensemble.lanes import run_blocks
-from symsimpson.run.ensemble.members import read_task
+from symsimpson.run.ensemble.members import read_ensemble_spec
 from symsimpson.run.ensemble.lanes import with_fastest_lanes
 from symsimpson.program.configuration import available_threads, lanes_for
 from symsimpson.reference import canonical
@@ -47,7 +47,7 @@ def report(members: int = MEMBERS) -> Iterator[str]:
     def ours(scheme: str, steps: int, lanes: int | None = None, threads: int = threads) -> Run:
         program = ss.compile(system, scheme).program
         request = Request(angles, p0=[0, 0], h=T_END / steps, steps=steps)
-        task = read_task(program, request, threads, False, on_disk=False)
+        task = read_ensemble_spec(program, request, threads, False, on_disk=False)
         task = replace(task, lanes=lanes) if lanes else with_fastest_lanes(program, task)
         return lambda: run_blocks(program, task, lambda done: None)[0].q
 

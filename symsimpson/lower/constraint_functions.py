@@ -62,7 +62,7 @@ def constraint_stores(
 
     count, plain = range(held.count), low.equations.plain
     stores = _stores_of_phi(entry, entry_row, low.n, count)
-    pushes = (Store(Row("RESIDUAL", s), entry("push", a)) for s, a in enumerate(places))
+    pushes = (Store(Row("RESIDUAL", s), entry("push", a)) for a, s in enumerate(places))
     stores["pushes"] = chain(pushes, stores.pop("curves"))
     rolling = range(len(plain.constraints), held.count)
     if rolling:

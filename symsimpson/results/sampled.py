@@ -87,8 +87,6 @@ class Sampled(EventRecords, States):
         Outcome of the run; ``Status.SUCCESS`` is 0.
     message : str
         Outcome of the run, as text.
-    success : bool
-        True if the run reached its end.
     tau : ndarray, shape (N,), or None
         Transformed time of the states of an ensemble member, if the system has a time
         transformation.

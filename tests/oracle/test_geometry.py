@@ -117,7 +117,7 @@ def printed_simpson_residual(system, z, q0, p0, h, parameters):
 
     q = sp.symbols("u:2", real=True)
     M = system.plain.mass.xreplace(dict(zip(system.plain.q, q, strict=True)))
-    V = system.plain.potential.xreplace(dict(zip(system.plain.q, q, strict=True)))
+    V = system.plain.to_sympy(system.plain.V).xreplace(dict(zip(system.plain.q, q, strict=True)))
     values = dict(zip(system.plain.parameters, parameters, strict=True))
     M, V = M.xreplace(values), V.xreplace(values)
     dM = [sp.lambdify(q, M.diff(x)) for x in q]

@@ -103,7 +103,9 @@ def test_a_file_that_exits_is_run(tmp_path, capsys):
 @pytest.mark.slow
 def test_a_step_that_does_not_divide_the_time(capsys):
     assert main(["run", "pendulum", "--h", "0.3", "--t-end", "1"]) == 0
-    assert "The step is h=0.25, not 0.3: t_end is 4 steps from t0." in capsys.readouterr().out
+    assert (
+        "The step size is h=0.25, not 0.3, so that 4 steps end at t_end." in capsys.readouterr().out
+    )
 
 
 @pytest.mark.parametrize(

@@ -227,7 +227,7 @@ def test_members_that_fail_have_the_derivative_of_their_last_state(pendulum):
     assert np.isnan(many.q[1]).all()  # it did not begin: its energy is not finite
     assert np.isnan(many.tangent[1]).all()
     assert np.isfinite(many.tangent[0]).all()
-    with pytest.raises(ss.InputError, match="do not go with"):
+    with pytest.raises(ss.InputError, match="cannot be combined with"):
         pendulum.ensemble([[1.0]], v0=[0.5], h=H, steps=30, tangents=1, reduce={"l": "lyapunov"})
 
 

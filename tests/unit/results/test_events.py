@@ -195,8 +195,8 @@ def test_interrupted_and_failed_sections_keep_what_they_found(monkeypatch):
             raise KeyboardInterrupt
         return original(*arguments, **options)
 
-    original = chosen.zeros
-    monkeypatch.setattr(chosen, "zeros", stop)
+    original = chosen.find_zeros
+    monkeypatch.setattr(chosen, "find_zeros", stop)
     monkeypatch.setattr(chosen, "PIECE", 500)
     with pytest.raises(ss.Interrupted, match="interrupted at t=") as caught:
         stepper.poincare("x", [0.0, 0.1], v0=[0.4, 0.0], h=0.1, steps=5000)

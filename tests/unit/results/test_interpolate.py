@@ -166,9 +166,9 @@ def test_where_the_motion_is_hardly_resolved_parts_are_divided(monkeypatch):
     from symsimpson.results.interpolate import DenseOutput
 
     divided = []
-    original = DenseOutput._robustly
+    original = DenseOutput._take_robust_steps
     monkeypatch.setattr(
-        DenseOutput, "_robustly", lambda *given: divided.append(1) or original(*given)
+        DenseOutput, "_take_robust_steps", lambda *given: divided.append(1) or original(*given)
     )
     system = ss.systems.rigid_body()
     coarse, fine = (

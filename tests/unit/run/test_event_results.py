@@ -61,7 +61,7 @@ def test_a_run_that_was_cut_off_is_resumed(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.plain
-@pytest.mark.parametrize("place", ["acted", "allowed", "rates"])
+@pytest.mark.parametrize("place", ["apply", "may_act", "rates"])
 def test_ctrl_c_while_an_event_acts_is_heard_behind_the_step(tmp_path, monkeypatch, place):
     swung = ss.Event(z - 0.5, name="turn", action=ss.Change(velocities={z: z.diff() * 0.9}))
     events, file = [floor(), swung], tmp_path / "run.ckpt"

@@ -319,7 +319,7 @@ def test_checkpoints_and_files_keep_runs_with_inputs(tmp_path):
         **START, h=H, steps=STEPS, store=tmp_path / "some", inputs={"u": np.stack([HELD, -HELD])}
     )
     assert (stored.q[0] == run.q[-1]).all()
-    with pytest.raises(ss.InputError, match="holds"):
+    with pytest.raises(ss.InputError, match="contains another ensemble: inputs differ"):
         made.ensemble(
             **START, h=H, steps=STEPS, store=tmp_path / "some", inputs={"u": np.stack([HELD, HELD])}
         )
