@@ -17,7 +17,7 @@ from symsimpson.study.bench.contenders import Contender, alternate
 from symsimpson.study.bench.contenders import to_heyoka
 from symsimpson.run.ensemble.lanes import run_blocks
 from symsimpson.run.ensemble.members import read_ensemble_spec
-from symsimpson.run.ensemble.lanes import with_fastest_lanes
+from symsimpson.run.ensemble.lanes import choose_lanes
 from symsimpson.program.configuration import available_threads, lanes_for
 from symsimpson.reference import canonical
 from symsimpson.stepping.request import Request
@@ -48,7 +48,7 @@ def report(members: int = MEMBERS) -> Iterator[str]:
         program = ss.compile(system, scheme).program
         request = Request(angles, p0=[0, 0], h=T_END / steps, steps=steps)
         task = read_ensemble_spec(program, request, threads, False, on_disk=False)
-        task = replace(task, lanes=lanes) if lanes else with_fastest_lanes(program, task)
+        task = replace(task, lanes=lanes) if lanes else choose_lanes(program, task)
         return lambda: run_blocks(program, task, lambda done: None)[0].q
 
     yield f"{members} double pendulums, 500 Simpson steps of h = 0.02"
