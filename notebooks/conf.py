@@ -40,6 +40,7 @@ html_show_sourcelink = False
 html_copy_source = False
 html_static_path = ["_static"]
 html_css_files = ["book.css"]
+html_search_scorer = str(Path(__file__).parent / "_static/scorer.js")  # tasks come first
 
 
 def offer_notebook(app, name, source):

@@ -122,7 +122,7 @@ def test_nothing_is_wider_than_the_screen(book, browser):
 #: What people look for, and the page that should be among the first six.
 SOUGHT = {
     "step size": "guide/choose",
-    "energy drift": "guide/round_off",
+    "energy drift": "how_do_i",
     "tolerance": "how_do_i",
     "initial conditions": "how_do_i",
     "robot": "how_do_i",
