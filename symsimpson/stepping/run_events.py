@@ -329,7 +329,7 @@ def _read_changes(program: Program, event: Event, place: Any) -> tuple[tuple[str
             if (block, number) in {change[:2] for change in changes}:
                 reject(
                     f"Change sets the {what} of {names.shown[number]} twice.",
-                    remedy="Set each value once.",
+                    remedy="Give it once.",
                 )
             changes.append((block, number, place(expression)))
     return tuple(changes)
