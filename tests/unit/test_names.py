@@ -124,7 +124,5 @@ def test_what_is_given_by_name_and_by_symbol_is_refused_by_all_readers():
         lambda: ss.MechanicalSystem("twice", **about, units={x: "m", "x": "mm"}),
     )
     for ask in asked:
-        with pytest.raises(
-            (ss.InputError, ss.ModelError), match=r"twice.*\nGive it once"
-        ):
+        with pytest.raises((ss.InputError, ss.ModelError), match=r"twice.*\nGive it once"):
             ask()
