@@ -148,8 +148,9 @@ def check_mass_matrix(system: str, M: Mapping[tuple[int, int], Value], symbols: 
                 f"the kinetic energy does not depend on {velocity}, so the mass matrix has a "
                 "zero row. A variational step needs an invertible mass matrix.",
                 f"Give {name} a mass (T += m*{velocity}**2/2), or remove {name} from the "
-                "coordinates. A derivative by another symbol t, with other assumptions, is 0: "
-                f"write {name}.diff(), or {name}.diff(symsimpson.time).",
+                "coordinates. Write the velocity as "
+                f"{name}.diff() or {name}.diff(symsimpson.time). The derivative by any other "
+                "symbol is 0, even if its name is t.",
             )
         if symbols.signs(M.get((i, i), ZERO)) == (-1, True):
             reject_here(

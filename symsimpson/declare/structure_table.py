@@ -36,7 +36,7 @@ def rows(structure: Any) -> list[Row]:
         here = ", ".join(word for word in (mass, "depends on q") if word)
         add(
             "mass matrix",
-            here + (f", but for {rows_of}" if some_rows else ""),
+            here + (f", except in the rows of {rows_of}" if some_rows else ""),
             "these rows of M contain no coordinate" if some_rows else "",
             "their part of dM/dq" if some_rows else "",
         )
@@ -61,18 +61,18 @@ def rows(structure: Any) -> list[Row]:
         add(
             "damping",
             "f = -2 gamma p",
-            "all forces are in proportion to the momenta",
-            "nothing, but for exploit=('all', 'conformal'): weights that grow in time",
+            "all forces are proportional to the momenta",
+            "nothing by default; exploit=('all', 'conformal') uses it",
         )
     if not structure.autonomous:
-        add("time", "yes", "t stands in L or in a force")
+        add("time", "yes", "L or a force contains t")
     if structure.separable:
         energies = "L = T(v) - V(q)" if structure.autonomous else "L = T(v) - V(t, q)"
         why = "M is constant and L has no terms a(q).v"
         add(
             "separable",
             energies,
-            f"{why}, nor forces with v" if structure.forced else why,
+            f"{why}, and no force contains v" if structure.forced else why,
             ""
             if structure.system.plain.constraint_names  # they need the end of the path
             else "the end of the path from Newton's unknowns",
@@ -96,7 +96,7 @@ def rows(structure: Any) -> list[Row]:
         add(
             "cyclic",
             _list_names(structure.cyclic),
-            "neither L nor a force contains them, or acts on them"
+            "L and the forces do not contain them, and no force acts on them"
             if structure.forced
             else "L does not contain them",
             "them from Newton's unknowns; their momenta are constants",
@@ -120,12 +120,12 @@ def rows(structure: Any) -> list[Row]:
         "zeros",
         zeros,
         "these derivatives vanish identically",
-        "their terms, and fill in elimination",
+        "their terms, and the entries that elimination would fill in",
     )
     for question in structure.undecided:
-        add("undecided", question, "zero at every sample, not proved", "nothing")
+        add("undecided", question, "zero at every sample, but not proved", "nothing")
     for question in structure.nearly:
-        why = "by less than 1e-12: floats are taken for the numbers that they are"
+        why = "by less than 1e-12, because floats count with their exact values"
         add("nearly not", question, why, "nothing")
     return table
 
@@ -138,7 +138,7 @@ def as_text(structure: Any) -> str:
     for name, here, because, removes in table:
         lines.append(f"{name:<{width}}{here}")
         if because:
-            removed = f"; removes {removes}" if removes else ""
+            removed = f"; this removes {removes}" if removes else ""
             lines += textwrap.wrap(
                 f"because {because}{removed}",
                 78,

@@ -12,7 +12,7 @@ from symsimpson.support import markup
 from symsimpson.support.names import as_tuple
 from symsimpson.targets.counting import Cost, cost
 
-HEAD = ("without > with reductions", "unknowns", "operations an iteration", "at its end")
+HEAD = ("without > with reductions", "unknowns", "operations per iteration", "to close the step")
 
 
 @dataclass(frozen=True)
