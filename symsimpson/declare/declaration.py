@@ -28,7 +28,9 @@ from symsimpson.declare.plain import Plain, Symbols
 from symsimpson.declare.quadratic import (
     QuadraticInVelocities,
     check_degenerate,
+    check_homogeneous,
     check_mass_matrix,
+    is_indefinite,
     quadratic_form,
     split_by_velocities,
 )
@@ -42,7 +44,15 @@ from symsimpson.text.quantity import SCALARS
 def split_lagrangian(
     lagrangian: sp.Expr, parts: QuadraticInVelocities, symbols: Symbols
 ) -> tuple[sp.Expr, sp.Expr, sp.Expr]:
-    """Return T, a.v and V of a Lagrangian, without expanding an M of more than LARGE nodes."""
+    """Return T, a.v and V of a Lagrangian, without expanding an M of more than LARGE nodes.
+
+    If the Lagrangian is not quadratic in the velocities, T has all terms that contain a velocity.
+    """
+    if not parts.quadratic:
+        velocities = {symbols.back[x] for x in symbols.v}
+        terms = sp.Add.make_args(lagrangian)
+        still = sp.Add(*(x for x in terms if not x.atoms(sp.Derivative) & velocities))
+        return lagrangian - still, sp.S.Zero, -still
     graph, to_user = symbols.graph, symbols.to_user
     linear = to_user(graph.add(graph.products(parts.a, symbols.numbers(symbols.v))))
     potential: sp.Expr = -to_user(parts.rest)
@@ -78,7 +88,7 @@ def read_energies(
     potential = read("potential", given.potential, (s.t,))
     linear = read_timed("gyroscopic term", given.gyroscopic)
     parts = split_by_velocities(name, "kinetic energy", kinetic, s)
-    left = [*parts.a, parts.rest]
+    left = [*parts.a, parts.rest] if parts.quadratic else []
     prescribed = any(s.graph.symbol(s.t.name)[1] in s.graph.nodes[n].symbols for _, n in left)
     if prescribed:  # a prescribed motion adds terms to T that belong to a and to V
         kinetic = quadratic_form(s.graph, parts.M, s.numbers(s.v))
@@ -108,6 +118,17 @@ def read_energies(
     def read_moving(what: str, expression: Any) -> Value:
         return read(what, expression, s.v, (s.t,), s.u)
 
+    a, lagrangian = gyroscopic.a, None
+    if not parts.quadratic:
+        lagrangian = s.graph.add([kinetic, linear, scale(-1, potential)])
+        parts = split_by_velocities(name, "Lagrangian", lagrangian, s)
+        kinetic, a, potential = (
+            quadratic_form(s.graph, parts.M, s.numbers(s.v)),
+            parts.a,
+            scale(-1, parts.rest),
+        )
+        check_homogeneous(name, lagrangian, s)
+
     rolling = read_velocity_constraints(
         name, given.velocity_constraints, constraints, s, read_moving
     )
@@ -116,12 +137,25 @@ def read_energies(
     rows |= {key: list(row[:-1]) for key, row in rolling.items()}
     check_number(name, rows, s, driven=any(row[-1][0] for row in rolling.values()))
     warn_of_integrable(name, rolling, of_positions, s)
+    defaults = [*parameters.values()]
+    definite = not is_indefinite(s, parts.M, defaults)
     if rows:
+        if not definite or lagrangian is not None:
+            reject_here(
+                "it has constraints, and its "
+                + (
+                    "mass matrix is indefinite."
+                    if lagrangian is None
+                    else "Lagrangian is not quadratic in the velocities."
+                )
+                + " Steps with constraints need a positive definite mass matrix M(q).",
+                "Use coordinates that need no constraints.",
+            )
         check_constrained_mass(name, parts.M, list(rows.values()), s)
     else:
-        check_degenerate(name, QuadraticInVelocities(parts.M, gyroscopic.a, ZERO), s)
+        check_degenerate(name, QuadraticInVelocities(parts.M, a, ZERO), s)
         if not given.mass_checked:
-            check_mass_matrix(name, parts.M, s)
+            check_mass_matrix(name, parts.M, s, None if given.indefinite else defaults)
     if gyroscopic.M or not IdentityTest(s.graph, [gyroscopic.rest]).vanishes(gyroscopic.rest):
         reject_here(
             f"the gyroscopic term {spell(given.gyroscopic)} is not linear in the velocities.",
@@ -160,8 +194,10 @@ def read_energies(
         parameters=s.a,
         T=kinetic,
         M=dict(parts.M),
-        a=gyroscopic.a,
+        a=a,
         V=potential,
+        lagrangian=lagrangian,
+        definite=definite,
         invariants=MappingProxyType(values),
         t=s.t,
         forces=forces,

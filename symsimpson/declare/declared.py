@@ -39,6 +39,7 @@ class Declared:
     positions: Positions | None = field(kw_only=True, default=None)
     invariants: Mapping[str, sp.Expr] | None = field(kw_only=True, default=None)
     gyroscopic: sp.Expr = field(kw_only=True, default=sp.S.Zero)
+    indefinite: bool = field(kw_only=True, default=False)
     forces: Mapping[Any, Any] | None = field(kw_only=True, default=None)
     dissipation: sp.Expr | None = field(kw_only=True, default=None)
     inputs: tuple[sp.Expr, ...] = field(kw_only=True, default=())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from random import Random
 from typing import Any, NamedTuple, TypeAlias
@@ -56,6 +56,9 @@ class ConstraintRows(NamedTuple):
 class Plain:
     """A system in a graph: L = T + a(q).v - V(q), T = v.M(q).v/2, and forces f(t, q, v, u).
 
+    A ``lagrangian`` that is not quadratic in the velocities is a value of its own. Then M = L_vv,
+    a = L_v - M v and V = v.L_v - L - T depend on v, and L = T + a.v - V holds at each v.
+
     ``q``, ``v``, ``p``, ``t``, ``u`` and ``parameters`` are real symbols with plain names, and
     are symbols of the graph, too. ``M`` has the nonzero entries on and below the diagonal. M, a
     and V may depend on t as well. ``forces`` has the components of each named force, and ``u``
@@ -84,6 +87,13 @@ class Plain:
     rate: Value | None = None
     rates: tuple[Value, ...] = ()
     acting: tuple[Value, ...] | None = None
+    lagrangian: Value | None = None
+    definite: bool = True  #: False if M has eigenvalues of both signs.
+
+    @property
+    def quadratic(self) -> bool:
+        """Whether L is quadratic in the velocities."""
+        return self.lagrangian is None
 
     @property
     def symbols(self) -> tuple[sp.Symbol, ...]:
@@ -141,8 +151,24 @@ class Plain:
     @property
     def L(self) -> Value:
         """The Lagrangian."""
+        if self.lagrangian is not None:
+            return self.lagrangian
         linear = self.graph.products(self.a, self.numbers(self.v))
         return self.graph.add([self.T, *linear, scale(-1, self.V)])
+
+    @cached_property
+    def resting(self) -> Plain:
+        """The system with M, a and V at v = 0, where L is not quadratic; zero if undefined there."""
+        if self.quadratic:
+            return self
+        try:
+            values = rebuild(self.graph, self.energies, dict.fromkeys(self.numbers(self.v), ZERO))
+        except ZeroDivisionError:
+            values = [ZERO] * len(self.energies)
+        *values, V = values
+        M, a = values[: len(self.M)], values[len(self.M) :]
+        of_places = dict(zip(self.M, M, strict=True))
+        return replace(self, lagrangian=None, M=of_places, a=tuple(a), V=V)
 
     @property
     def linear(self) -> Value:

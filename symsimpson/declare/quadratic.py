@@ -18,21 +18,28 @@ from symsimpson.graph.derive import Derivatives, gradient
 from symsimpson.graph.evaluate import evaluate_doubles
 from symsimpson.graph.field import Element, PrimeField
 from symsimpson.graph.findings import IdentityTest
-from symsimpson.graph.nodes import ZERO, Graph, Value
+from symsimpson.graph.nodes import ZERO, Graph, Value, scale
 from symsimpson.graph.read import SympyConverter, tree_size
 from symsimpson.graph.rebuild import fix_symbols, rebuild
 
 #: Second derivatives with more nodes than this are neither simplified nor shown.
 TOO_LONG = 400
+#: Eigenvalues of M, scaled to rows of size 1, have no sign if they are smaller than this.
+SMALL_EIGENVALUE = 1e-8
 
 
 @dataclass(frozen=True)
 class QuadraticInVelocities:
-    """An energy v.M(q).v/2 + a(q).v + rest(q), with the nonzero entries M_ij, i >= j."""
+    """An energy v.M.v/2 + a.v + rest, with the nonzero entries M_ij, i >= j.
+
+    If the energy is not ``quadratic`` in the velocities, M, a and the rest depend on them, too. M
+    then is the matrix of second derivatives by the velocities, and M v + a are the first ones.
+    """
 
     M: Mapping[tuple[int, int], Value]
     a: tuple[Value, ...]
     rest: Value
+    quadratic: bool = True
 
 
 def quadratic_form(graph: Graph, M: Mapping[tuple[int, int], Value], v: Sequence[int]) -> Value:
@@ -49,7 +56,7 @@ def split_by_velocities(
 ) -> QuadraticInVelocities:
     """Split an energy by its powers of the velocities.
 
-    Reject an energy that is not quadratic in the velocities, or that has no value at rest.
+    Reject an energy that divides by zero everywhere.
     """
     graph, v = symbols.graph, symbols.numbers(symbols.v)
     momenta = gradient(graph, energy, v)
@@ -64,6 +71,7 @@ def split_by_velocities(
     derivatives = Derivatives(graph)
     affine = findings.affine(momenta, v)
     entries: dict[tuple[int, int], Value] = {}
+    quadratic = True
     for i, momentum in enumerate(momenta):
         for j in range(i + 1):
             if v[j] not in graph.nodes[momentum[1]].symbols:
@@ -73,43 +81,43 @@ def split_by_velocities(
             if moving and affine[i]:
                 entry = fix_symbols(graph, entry, moving) or entry
             elif moving:
-                entry = _remove_velocities(system, what, entry, (i, j), symbols)
+                without = _remove_velocities(entry, symbols)
+                quadratic = quadratic and without is not None
+                entry = without or entry
             entries[i, j] = entry
     if entries:
         findings = IdentityTest(graph, list(entries.values()))
         entries = {place: entry for place, entry in entries.items() if not findings.vanishes(entry)}
-    try:
-        *a, constant = rebuild(graph, [*momenta, energy], dict.fromkeys(v, ZERO))
-    except ZeroDivisionError:
-        reject_model(
-            system,
-            f"the {what} has no value at rest, because it divides by velocities. Newton's "
-            "equations follow from L = v.M(q).v/2 + a(q).v - V(q).",
-            "Write a polynomial of degree two in the velocities.",
-        )
-    return QuadraticInVelocities(entries, tuple(a), constant)
+    if quadratic:
+        try:
+            *a, constant = rebuild(graph, [*momenta, energy], dict.fromkeys(v, ZERO))
+            return QuadraticInVelocities(entries, tuple(a), constant)
+        except ZeroDivisionError:  # it divides by velocities, and has no value at rest
+            pass
+    a = linear_terms(graph, momenta, entries, v)
+    terms = [quadratic_form(graph, entries, v), *graph.products(a, v)]
+    constant = graph.add([energy, *(scale(-1, term) for term in terms)])
+    return QuadraticInVelocities(entries, tuple(a), constant, quadratic=False)
 
 
-def _remove_velocities(
-    system: str, what: str, entry: Value, place: tuple[int, int], symbols: Symbols
-) -> Value:
-    """Remove velocities that cancel in a second derivative, with SymPy; reject others."""
+def linear_terms(
+    graph: Graph, momenta: Sequence[Value], M: Mapping[tuple[int, int], Value], v: Sequence[int]
+) -> list[Value]:
+    """Return a = L_v - M v."""
+    rows: list[list[Value]] = [[momentum] for momentum in momenta]
+    for (i, j), entry in M.items():
+        for row, column in {(i, j), (j, i)}:
+            rows[row].append(graph.multiply([scale(-1, entry), (1, v[column])]))
+    return [graph.add(row) for row in rows]
+
+
+def _remove_velocities(entry: Value, symbols: Symbols) -> Value | None:
+    """Remove velocities that cancel in a second derivative, with SymPy; None if they do not."""
     graph, moving = symbols.graph, set(symbols.numbers(symbols.v))
-    short = tree_size(graph, entry) <= TOO_LONG
-    rest = sp.simplify(symbols.to_user(entry)) if short else None
-    if rest is not None:
-        value = SympyConverter(graph, symbols.known)(rest)
-        if graph.nodes[value[1]].symbols.isdisjoint(moving):
-            return value
-    first, second = (spell(symbols.back[symbols.v[k]]) for k in sorted(place))
-    shown = f" is {spell(rest)}" if rest is not None else " depends on velocities"
-    reject_model(
-        system,
-        f"the {what} is not quadratic in the velocities: its second derivative by "
-        f"{first} and {second}{shown}. Newton's equations follow from "
-        "L = v.M(q).v/2 + a(q).v - V(q).",
-        "Write a polynomial of degree two in the velocities, without roots or functions of them.",
-    )
+    if tree_size(graph, entry) > TOO_LONG:
+        return None
+    value = SympyConverter(graph, symbols.known)(sp.simplify(symbols.to_user(entry)))
+    return value if graph.nodes[value[1]].symbols.isdisjoint(moving) else None
 
 
 def check_degenerate(system: str, lagrangian: QuadraticInVelocities, symbols: Symbols) -> None:
@@ -128,16 +136,59 @@ def check_degenerate(system: str, lagrangian: QuadraticInVelocities, symbols: Sy
                 system,
                 f"the Lagrangian is degenerate: it has no term quadratic in {name}', only terms "
                 "linear in the velocities. Its equations of motion are of first order (point "
-                "vortices, Lotka-Volterra equations, guiding centres), which need another kind of "
-                "step.",
-                f"If {name} has a mass, add its kinetic energy.",
+                "vortices, Lotka-Volterra equations, guiding centres), so the Lagrangian is singular.",
+                f"If {name} has a mass, add its kinetic energy. Otherwise give H(q, p): "
+                "symsimpson.HamiltonianSystem.",
             )
 
 
-def check_mass_matrix(system: str, M: Mapping[tuple[int, int], Value], symbols: Symbols) -> None:
-    """Reject a mass matrix that is singular for all q, or has a negative entry M_ii.
+def check_homogeneous(system: str, energy: Value, symbols: Symbols) -> None:
+    """Reject a Lagrangian of degree one in the velocities: v.L_v = L, so L_vv v = 0."""
+    graph, v = symbols.graph, symbols.numbers(symbols.v)
+    moved = graph.add(graph.products(gradient(graph, energy, v), v))
+    if energy[0] and IdentityTest(graph, [energy, moved]).equal(energy, moved):
+        reject_model(
+            system,
+            "the Lagrangian F is of degree one in the velocities, so its second derivatives by the "
+            "velocities form a singular matrix. The motion then has no unique time.",
+            "Use F**2/2, whose motion has the same orbits, or a symsimpson.HamiltonianSystem.",
+        )
 
-    A run checks at its initial state whether M is positive definite, because that depends on q.
+
+def is_indefinite(
+    symbols: Symbols, M: Mapping[tuple[int, int], Value], parameters: Iterable[float]
+) -> bool:
+    """Return whether M has eigenvalues of both signs at all random points that were tried."""
+    known = dict(zip(symbols.numbers(symbols.a), map(float, parameters), strict=True))
+    values, n = list(M.values()), len(symbols.q)
+    if not values:
+        return False
+    for point in symbols.points:
+        matrix = np.zeros((n, n))
+        for (i, j), value in zip(
+            M, evaluate_doubles(symbols.graph, values, point | known), strict=True
+        ):
+            matrix[i, j] = matrix[j, i] = value
+        size = 1 / np.sqrt(abs(matrix).sum(axis=1))  # independent of units
+        matrix = size[:, None] * matrix * size
+        if not np.isfinite(matrix).all():
+            continue
+        signs = np.linalg.eigvalsh(matrix)
+        if signs[0] >= -SMALL_EIGENVALUE or signs[-1] <= SMALL_EIGENVALUE:
+            return False
+    return True
+
+
+def check_mass_matrix(
+    system: str,
+    M: Mapping[tuple[int, int], Value],
+    symbols: Symbols,
+    parameters: Sequence[float] | None = None,
+) -> None:
+    """Reject a mass matrix that is singular for all q, or has a negative constant entry M_ii.
+
+    Entries may be negative if ``parameters`` is None. A run checks M at its initial state, because
+    it depends on q.
     """
     reject_here = partial(reject_model, system)
     massive = {i for place in M for i in place}
@@ -152,11 +203,13 @@ def check_mass_matrix(system: str, M: Mapping[tuple[int, int], Value], symbols: 
                 f"{name}.diff() or {name}.diff(symsimpson.time). The derivative by any other "
                 "symbol is 0, even if its name is t.",
             )
-        if symbols.signs(M.get((i, i), ZERO)) == (-1, True):
+        entry = M.get((i, i), ZERO)
+        if parameters is not None and _is_negative(symbols, entry, parameters):
             reject_here(
                 f"the kinetic energy is negative for every {velocity}, so M is not positive "
                 "definite. Masses are positive.",
-                "Check the sign of that term in T, and the declared sign of its symbols.",
+                "Check the sign of that term in T, and the declared sign of its symbols. If M has "
+                "to be indefinite, as for geodesics of space-time, pass indefinite=True.",
             )
     blocks = connected_groups(len(symbols.q), M)
     if all(has_full_rank(symbols, mass_rows(M, block)) for block in blocks):
@@ -168,6 +221,17 @@ def check_mass_matrix(system: str, M: Mapping[tuple[int, int], Value], symbols: 
         "A variational step needs an invertible mass matrix. Give each body its own kinetic "
         "energy, or use fewer coordinates.",
     )
+
+
+def _is_negative(symbols: Symbols, entry: Value, parameters: Sequence[float]) -> bool:
+    """Return whether an entry of M is negative for all q."""
+    known = symbols.numbers(symbols.a)
+    if symbols.signs(entry) == (-1, True):
+        return True
+    if not entry[0] or not symbols.graph.nodes[entry[1]].symbols.issubset(known):
+        return False
+    point = dict(zip(known, map(float, parameters), strict=True))
+    return evaluate_doubles(symbols.graph, [entry], point)[0] < 0
 
 
 def mass_rows(M: Mapping[tuple[int, int], Value], block: Sequence[int]) -> list[list[Value]]:

@@ -32,9 +32,9 @@ def damping_rate(plain: Plain) -> Value | None:
     and M. Perlmutter, J. Geom. Phys. 39 (2001) 276).
     """
     graph, v = plain.graph, plain.numbers(plain.v)
-    if not all(c for c, _ in plain.f):
-        return None
     mass = plain.entry(0, 0)
+    if not all(c for c, _ in plain.f) or not mass[0] or not plain.quadratic:
+        return None
     slope = Derivatives(graph)(plain.f[0], v[0])
     if not slope[0]:
         return None
@@ -208,7 +208,10 @@ def analyse(system: Declared) -> Structure:
         else:
             plain, tests = split, split_tests
     subsystems = tuple(tests.subsystem(group) for group in groups)
-    moving = {i for place, value in plain.M.items() if tests.count_moving(value) for i in place}
+    states = (*tests.q, *tests.v)
+    moving = {
+        i for place, value in plain.M.items() if tests.count_moving(value, states) for i in place
+    }
     triangle = {place: 1 + (place[0] != place[1]) for place in plain.M}
     return Structure(
         n=n,
@@ -294,7 +297,8 @@ class _LagrangianTests:
         plain, vanishes = self._plain, self._findings.vanishes
         inside = set(group)
         entries = [value for (i, _), value in plain.M.items() if i in inside]
-        constant = not any(self.count_moving(x) or self._contains_time(x) for x in entries)
+        moving = (*self.q, *self.v)
+        constant = not any(self.count_moving(x, moving) or self._contains_time(x) for x in entries)
         undamped = not any(self.count_moving(plain.f[i], self.v) for i in group)
         nodes, own_q = plain.graph.nodes, {self.q[i] for i in group}
         pulled = {i for row in plain.velocity_constraints.values() for i in group if row[i][0]}
@@ -347,7 +351,7 @@ def _remove_idle_symbols(
     Return the system, the questions by answer, and the findings about the original energies.
     """
     graph, q = given.graph, given.numbers(given.q)
-    findings = IdentityTest(graph, [given.T, *given.energies])
+    findings = IdentityTest(graph, [given.T, given.L, *given.energies])
     questions: dict[Dependence, list[str]] = {kind: [] for kind in Dependence}
     slope, samples = Derivatives(graph), SlopeSamples(given)
 
@@ -376,6 +380,7 @@ def _remove_idle_symbols(
     plain = replace(
         given,
         T=findings.drop_symbols(given.T, q),
+        lagrangian=given.lagrangian and findings.drop_symbols(given.lagrangian, q),
         M={place: value for place, value in M.items() if value[0]},
         a=tuple(remove_idle(f"a_{name}", a) for name, a in zip(names, given.a, strict=True)),
         V=remove_idle("V", given.V),
@@ -387,7 +392,7 @@ def _remove_idle_symbols(
 def _separate(plain: Plain, groups: Sequence[Sequence[int]]) -> Plain | None:
     """Write V as a sum over uncoupled groups; None if V is undefined at all points tried."""
     graph, q = plain.graph, plain.numbers(plain.q)
-    for number in NUMBERS:
+    for number in NUMBERS if plain.quadratic else ():
         parts: list[Value] = []
         try:
             (constant,) = rebuild(graph, [plain.V], dict.fromkeys(q, (number, 0)))

@@ -59,7 +59,8 @@ class MechanicalSystem(Described):
     coordinates : sequence of functions of time
         The n coordinates, from :func:`symsimpson.coordinates`. Their velocities are ``.diff()``.
     kinetic : sympy expression
-        The kinetic energy T = v.M(q).v/2, quadratic in the velocities, with any M(q).
+        The kinetic energy T, usually v.M(q).v/2. T may be any function of the velocities whose
+        second derivatives by them form a regular matrix M.
     potential : sympy expression
         The potential energy V(q), without velocities.
     parameters : mapping from symbol to number, optional
@@ -74,6 +75,9 @@ class MechanicalSystem(Described):
     gyroscopic : sympy expression, optional
         Terms a(q).v of L that are linear in the velocities, for example of a magnetic field or
         a rotating frame. The default is 0.
+    indefinite : bool, default False
+        Whether constant diagonal entries of M may be negative, as for geodesics of space-time.
+        ``from_lagrangian`` always allows this.
     forces : mapping, optional
         Generalised forces f(t, q, v, u) by coordinate, ``{q: -c*q.diff()}``. Or forces with
         names: ``{"motor": {q1: ...}, "drag": {q1: ..., q2: ...}}``. The power of a force is f.v.
@@ -176,7 +180,8 @@ class MechanicalSystem(Described):
         name, coordinates, parameters, positions, invariants, forces, dissipation, inputs, units
             See :class:`MechanicalSystem`.
         lagrangian : sympy expression
-            The Lagrangian, quadratic in the velocities. It may contain linear terms.
+            The Lagrangian L(q, v, t). The second derivatives of L by the velocities must form a
+            regular matrix M = L_vv. L may be any function of the velocities. M may be indefinite.
         constraints, velocity_constraints
             See :class:`MechanicalSystem`.
 
@@ -187,7 +192,7 @@ class MechanicalSystem(Described):
         Raises
         ------
         ModelError
-            If L is not a polynomial of degree two in the velocities, or the declaration is invalid.
+            If L_vv is singular everywhere, or the declaration is invalid.
 
         Examples
         --------
@@ -221,6 +226,7 @@ class MechanicalSystem(Described):
             positions=positions,
             invariants=invariants,
             gyroscopic=gyroscopic,
+            indefinite=True,
             forces=forces,
             dissipation=dissipation,
             inputs=tuple(given),

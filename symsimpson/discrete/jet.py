@@ -15,7 +15,7 @@ import sympy as sp
 
 from symsimpson.declare.constraints import accelerations
 from symsimpson.declare.plain import Plain
-from symsimpson.declare.quadratic import quadratic_form
+from symsimpson.declare.quadratic import linear_terms, quadratic_form
 from symsimpson.declare.retimed import TimeTransformation
 from symsimpson.discrete.angles import halve_angles, split_sums
 from symsimpson.graph.derive import Derivatives, gradient
@@ -97,7 +97,7 @@ def derive_jet(
     jets: list[Jet] = []
     by_mass = quadratic_form(plain.graph, plain.M, plain.numbers(plain.v))
     of_mass, of_written = (len(plain.graph.descendants([n])) for _, n in (by_mass, plain.T))
-    both = by_mass != plain.T and of_mass <= LONGER * of_written
+    both = plain.quadratic and by_mass != plain.T and of_mass <= LONGER * of_written
     for strategies in (FIRST, OTHERS):
         for strategy in strategies:
             T = by_mass if strategy.by_mass else plain.T
@@ -127,15 +127,17 @@ def _derive_by(
     graph, n = Graph(factored=strategy.factored), len(plain.q)
     places = graph.numbers(symbol.name for symbol in plain.symbols)
     q, v = places[:n], places[n : 2 * n]
-    given: dict[Key, Value] = {**more, ("V",): plain.V}
-    given |= {("a", i): a for i, a in enumerate(plain.a)}
+    given: dict[Key, Value] = {**more}
+    if plain.quadratic:
+        given |= {("V",): plain.V, **{("a", i): a for i, a in enumerate(plain.a)}}
     given |= {("invariant", name): value for name, value in plain.invariants.items()}
     given |= {("power", name): value for name, value in plain.powers.items()}
     given |= {("f", i): f for i, f in enumerate(plain.f) if f[0]}
-    T, *values = rebuild(plain.graph, [T, *given.values()], {}, graph)
+    L, *values = rebuild(plain.graph, [plain.lagrangian or T, *given.values()], {}, graph)
     outputs: dict[Key, Value] = dict(zip(given, values, strict=True))
-    linear = graph.products([outputs["a", i] for i in range(n)], v)
-    L = graph.add([T, *linear, scale(-1, outputs["V",])])
+    if plain.quadratic:
+        linear = graph.products([outputs["a", i] for i in range(n)], v)
+        L = graph.add([L, *linear, scale(-1, outputs["V",])])
     derivatives = Derivatives(graph)
     f = {i: outputs.pop(("f", i)) for i, (c, _) in enumerate(plain.f) if c}
     drag: dict[Key, Value] = {
@@ -159,6 +161,13 @@ def _derive_by(
         for j in range(n):
             outputs["F_q", i, j], outputs["F_v", i, j] = of_force[j], of_force[n + j]
             outputs["P_q", i, j], outputs["M", i, j] = of_momentum[j], of_momentum[n + j]
+    if not plain.quadratic:
+        M = {(i, j): outputs["M", i, j] for i in range(n) for j in range(i + 1)}
+        M = {place: entry for place, entry in M.items() if entry[0]}
+        a, P = linear_terms(graph, first[n:], M, v), graph.products(first[n:], v)
+        outputs |= {("a", i): value for i, value in enumerate(a)}
+        rest = (scale(-1, value) for value in (L, quadratic_form(graph, M, v)))
+        outputs["V",] = graph.add([*P, *rest])
     return to_jet(plain, graph, outputs, half_angles)
 
 

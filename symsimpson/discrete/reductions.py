@@ -343,10 +343,12 @@ def _part(subsystem: Subsystem, plain: Plain, scheme: Scheme, exploit: frozenset
 
 
 def _routh_applies(plain: Plain, cyclic: Sequence[int]) -> bool:
-    """Return whether no force depends on cyclic velocities, and no cyclic row of M depends on t.
+    """Return whether no force depends on cyclic velocities, and no cyclic row of M on t or v.
 
     Otherwise the elimination of the cyclic velocities is not valid.
     """
+    if not plain.quadratic:
+        return False
     nodes = plain.graph.nodes
     v = set(plain.numbers(plain.v[i] for i in cyclic))
     masses = [plain.entry(i, j) for i in cyclic for j in range(len(plain.q))]

@@ -72,7 +72,7 @@ def docstring(equations: DiscreteEquations, module: Module) -> str:
     symbols = (*plain.q, *plain.v, plain.t, *plain.u, *plain.parameters)
     labels = (*names.coordinates, *velocities, "t", *names.inputs, *names.parameters)
     shown = {symbol.name: name for symbol, name in zip(symbols, labels, strict=True)}
-    formulas = {"T": plain.T, "a": linear, "V": plain.V}
+    formulas = {"T": plain.T, "a": linear, "V": plain.V} if plain.quadratic else {"L": plain.L}
     forces = zip(names.coordinates, replace(plain, acting=None).f, strict=True)
     formulas |= {f"f_{q}": value for q, value in forces if value[0]}
     lines = [
@@ -80,6 +80,8 @@ def docstring(equations: DiscreteEquations, module: Module) -> str:
         "",
         "    L(q, q') = T + a - V" if linear[0] else "    L(q, q') = T - V",
     ]
+    if not plain.quadratic:
+        lines[-1] = "    L(q, q')"
     if not plain.autonomous:
         lines[-1] = lines[-1].replace("L(q", "L(t, q")
     if plain.forces:
@@ -165,6 +167,14 @@ _DRIFT_THRESHOLDS = f"""\
 INFINITE = real("inf")
 {_HELD_THRESHOLDS}MOST_CORRECTIONS = 100
 """
+#: Whether M is singular, where it is indefinite.
+_SINGULAR_THRESHOLD = """\
+SINGULAR = 2.0**-40  # the least determinant of M with rows of size 1
+"""
+_LEGENDRE_THRESHOLDS = """\
+CLOSE = 2.0**-60  # squared errors of a momentum below this part of it are found in whole corrections
+MOST_HALVINGS, MOST_SOUGHT = 50, 200  # of a correction, and corrections
+"""
 #: Beyond degree two truncation is so small that what is left unsolved, which adds up, would show.
 _NEGLIGIBLE = [f"2.0**-{k}  # the next correction would be lost in rounding" for k in (106, 110)]
 _STAGE_THRESHOLDS = """\
@@ -183,8 +193,11 @@ TURN = 2.0**-14  # by so much, squared, they are turned exactly
 
 def thresholds(equations: DiscreteEquations, module: Module) -> str:
     """Return the definitions of the thresholds that the library functions of a module use."""
+    plain = equations.plain
+    of_mass = _SINGULAR_THRESHOLD if not plain.definite else ""
+    of_mass += "" if plain.quadratic else _LEGENDRE_THRESHOLDS
     if not module.newton_unknowns:
-        return _DRIFT_THRESHOLDS if module.names.constraints else ""
+        return (_DRIFT_THRESHOLDS if module.names.constraints else "") + of_mass
     # a straight path leaves rest with the velocity it ends with
     lines = _THRESHOLDS.format(
         negligible=_NEGLIGIBLE[equations.scheme.degree > 2],
@@ -192,7 +205,7 @@ def thresholds(equations: DiscreteEquations, module: Module) -> str:
     )
     lines += _HELD_THRESHOLDS if module.names.constraints else ""
     lines += _STAGE_THRESHOLDS if "STRIDE" in module.tables else ""
-    return lines + (_TURN_THRESHOLDS if "STAGE_TURNED" in module.layout else "")
+    return lines + of_mass + (_TURN_THRESHOLDS if "STAGE_TURNED" in module.layout else "")
 
 
 #: Loads and stores on a line, and the width of a line; longer tuples compile slowly.
@@ -293,6 +306,8 @@ def _facts(equations: DiscreteEquations, module: Module) -> dict[str, object]:
         "real_everywhere": plain.signs.real_everywhere(n for _, n in plain.energies),
     }
     others = {
+        "indefinite": not plain.definite,
+        "general": not plain.quadratic,
         "invariants": names.invariants,
         "forces": names.forces if plain.forces else (),
         "inputs": names.inputs,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from symsimpson.declare.constraints import regular_mass
+from symsimpson.declare.quadratic import connected_groups
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.reductions import Affine, Composed, Coupled, Linear, Part, Routh
 
@@ -23,6 +24,8 @@ WRITTEN_UNKNOWNS = 4
 def is_unrolled(equations: DiscreteEquations) -> bool:
     """Return whether kernels are written as straight-line code instead of loops."""
     plain, few = equations.plain, all(_size(x) <= UNROLLED_UNKNOWNS for x in equations.parts)
+    if not plain.definite and max(map(len, connected_groups(len(plain.q), plain.M))) > 2:
+        return False  # an elimination exchanges rows
     if plain.velocity_constraints and not regular_mass(plain, equations.system.parameters.values()):
         return False  # an elimination exchanges rows
     if plain.constraint_names:  # drifts of these are loops

@@ -84,8 +84,11 @@ class _ModuleWriter:
             # here no velocity follows from p, so that nodes need definitions of their own
             written = step_equations(low.with_jet(equations.jet), tuple(Level))
         self.functions = [] if written is None else [written]
+        if not equations.plain.quadratic:  # velocities are found by loops
+            self.functions += terms_of_l.unrolled_functions(low, ("mass",))
+            self.tables |= self.storage.node_constants() | {"MASS_BAND": low.n - 1}
         if equations.rows:
-            self._add_equations()
+            self._add_equations(written)
         self.unknowns = sum(part_unknowns(part) for part in equations.parts)
         self.unknowns += equations.unknowns.others_size
         works = bool(equations.rows and equations.plain.powers)
@@ -106,10 +109,10 @@ class _ModuleWriter:
         names = {"multipliers": held, "equations": equations.rows, PIVOTED: self.unknowns}
         self._write(*(name for name, needed in (names | {"work": works}).items() if needed))
 
-    def _add_equations(self) -> None:
+    def _add_equations(self, written: Function | None) -> None:
         """Add the functions and tables for loops over the equations of a step."""
         low, equations, held = self.low, self.equations, self.held
-        if not self.functions or equations.varied is not None:
+        if written is None or equations.varied is not None:
             names = ("jet", "mass") if held else ("jet",)
             self.functions += terms_of_l.unrolled_functions(low, names)
         if held:
@@ -123,7 +126,7 @@ class _ModuleWriter:
         low, equations, plain = self.low, self.equations, self.equations.plain
         storage, held = self.storage, self.held
         terms, kicked = find_families(plain), has_drifts(equations)
-        if "sparse" in equations.exploit:
+        if "sparse" in equations.exploit and plain.definite and plain.quadratic:
             # an explicit step solves with M alone
             both = [family for family in terms if family.plain.M or not kicked]
             met, degree = find_constraint_families(plain), equations.scheme.degree
@@ -176,7 +179,8 @@ class _ModuleWriter:
             names = ("jet", *(("forces",) if constant and not kicked else ()), *names)
         if structure.constant_mass and structure.gyroscopic and equations.scheme.by_stages:
             names = (*names, "gyroscopic")
-        if not (self.storage.banded or _are_large(terms)):
+        large = _are_large(terms) and equations.plain.quadratic
+        if not (self.storage.banded or large):
             self.functions = terms_of_l.unrolled_functions(low, names, places)
             return {}
         self.functions, tables = terms_of_l.family_functions(low, terms, places, names)

@@ -26,7 +26,12 @@ from symsimpson.lower.lower import Lowering
 from symsimpson.lower.specialise import kernel_from_text
 from symsimpson.lower.storage import node_stride
 from symsimpson.lower.terms_of_l import split_loads
-from symsimpson.lower.traced_kernels import STATE, store_first_pivots, store_least_pivot
+from symsimpson.lower.traced_kernels import (
+    STATE,
+    seek_velocity,
+    store_first_pivots,
+    store_least_pivot,
+)
 from symsimpson.lower.traced_parts import TracedPart
 
 #: An iteration with more operations a node than this is not written out.
@@ -107,6 +112,8 @@ class TracedStages:
         self._low, self._known, self._scales = low, {**known}, len(low.scales)
         self._stride = node_stride(low.equations.scheme)
         self._forced = low.template.forced_coordinates
+        if not low.equations.plain.quadratic:
+            self._forced = tuple(range(low.n))
         self._node = _Node(low.equations.scheme.stages)
         self._order = [a for part in low.equations.parts for a in part.mass_order]
         facts = {"TRACED": True, "CONSTANT_MASS": False, "GYROSCOPIC": False, "PIVOTS": False}
@@ -164,8 +171,10 @@ class TracedStages:
             if at_start or a not in self._forced
         ]
         if at_start:
-            stores += store_first_pivots(low, self._pivots(), "velocity", self._scales)
-        return low.statements(stores, STATE)
+            definite = low.equations.plain.definite
+            deficit = None if definite else self._part.row("MASS_PIVOT")
+            stores += store_first_pivots(low, self._pivots(), "velocity", self._scales, deficit)
+        return (*(seek_velocity(low) if at_start else ()), *low.statements(stores, STATE))
 
     def _extrapolate(self) -> Function:
         """Trace the extrapolation of velocities to the nodes of the next step."""
@@ -241,8 +250,7 @@ class TracedStages:
 
     def _pivots(self) -> list[Expression]:
         """Return the pivots of M at the current point."""
-        n = self._low.n
-        return [self._part.row("NODE_L_VV", s * n + s) for s in range(n)]
+        return self._part.mass_pivots()
 
     def _turn_angles(
         self, body: Iterable[Statement]

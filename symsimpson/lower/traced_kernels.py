@@ -81,8 +81,9 @@ class TracedState:
         """Return the velocities at (q, p), or at the ``end`` of a step, which other parts have."""
         part, low = self.part, self._low
         part.begin()
+        rows = ("POSITION", "MOMENTUM", *(() if low.equations.plain.quadratic else ("VELOCITY",)))
         for other in (others := [*end]):
-            part.copy_rows(other, ("POSITION", "MOMENTUM"))
+            part.copy_rows(other, rows)
         part.run("go_to_start", low.t + low.h if others else low.t)
         part.trace.place = "end" if others else low.start_point().suffix
         for text in ("mass", "factor", "solve_velocity"):
@@ -95,7 +96,7 @@ class TracedState:
         """Return the pivots of M that were found with the velocity."""
         part, low, n = self.part, self._low, self._low.n
         if part.held is None:
-            return part.diagonal("NODE_L_VV", n)
+            return part.mass_pivots()
         if not (low.singular_mass or low.equations.system.structure.constant_mass):
             part.run("find_pivots")
         return part.diagonal("HELD", n + part.held.count)[:n]
@@ -105,6 +106,10 @@ class TracedState:
         self.part.begin()
         self.part.run_step("energy")
         return self.part.stores(("ENERGY", "KINETIC", "VELOCITY"), "_value", "energy")
+
+    def deficit(self) -> Expression | None:
+        """Return a negative number where an indefinite M is singular; None for a definite M."""
+        return None if self._low.equations.plain.definite else self.part.row("MASS_PIVOT")
 
     def legendre(self) -> Kernel:
         """Return the momentum of a velocity."""
@@ -117,12 +122,22 @@ class TracedState:
 
 
 def store_first_pivots(
-    low: Lowering, pivots: Sequence[Expression], section: str, first: int = 0
+    low: Lowering,
+    pivots: Sequence[Expression],
+    section: str,
+    first: int = 0,
+    deficit: Expression | None = None,
 ) -> list[Store]:
-    """Store the deficit of the pivots at the start of a run, and the scales of pivots."""
-    define, signed = low.graph.define, [d for d in pivots if not low.graph.is_positive(d)]
-    deficits = [define("deficit", d - low.graph.apply("abs", d), section) for d in signed]
-    deficit = define("deficit", low.graph.total(deficits), section)
+    """Store the deficit of the pivots at the start of a run, and the scales of pivots.
+
+    The default deficit is the sum of negative pivots.
+    """
+    define = low.graph.define
+    if deficit is None:
+        signed = [d for d in pivots if not low.graph.is_positive(d)]
+        deficits = [define("deficit", d - low.graph.apply("abs", d), section) for d in signed]
+        deficit = low.graph.total(deficits)
+    deficit = define("deficit", deficit, section)
     scales = [define("scale", 1 / d, section) for d in _varying_pivots(low, pivots)]
     rows = [Store(Row("PIVOT_SCALE", i), scale) for i, scale in enumerate(scales, first)]
     return [Store(Row("MASS_PIVOT", 0), deficit), *rows]
@@ -146,6 +161,13 @@ def store_least_pivot(
 def _varying_pivots(low: Lowering, pivots: Sequence[Expression]) -> list[Expression]:
     """Return the pivots that change along a motion."""
     return [d for d in pivots if low.graph.level(d) > Level.RUN]
+
+
+def seek_velocity(low: Lowering) -> tuple[Statement, ...]:
+    """Return the call that finds the velocity of p, if L is not quadratic in the velocities."""
+    if low.equations.plain.quadratic:
+        return ()
+    return (Call("invert_momentum", ("W", "t", "lane")),)
 
 
 def observation_kernels(low: Lowering, state: TracedState | None) -> list[Kernel]:
@@ -178,7 +200,7 @@ def _observed_point(
         point = Point("state", low.q, low.v, low.t, low.inputs(0))
         return low.observed, point, (Call("find_velocity", ("W", "t", "lane")),)
     start, v = low.start_point(), tuple(state.velocity())
-    return low.template, replace(start, suffix=f"{start.suffix}_state", v=v), ()
+    return low.template, replace(start, suffix=f"{start.suffix}_state", v=v), seek_velocity(low)
 
 
 def add_user_time(
@@ -209,14 +231,15 @@ def add_user_time(
     here = Store(Row("RATE", 0), rate(Point("state", low.q)) / first_rate)
     total, kinetic, *velocity = state.energy()
     doc = "The Hamiltonian at (q, p), its kinetic part, dq/dt, and dt/dtau."
-    changed["energy"] = state_kernel(low, "energy", doc, [total, kinetic, *velocity, here])
+    seek = seek_velocity(low)
+    changed["energy"] = state_kernel(low, "energy", doc, [total, kinetic, *velocity, here], seek)
     in_tau = [
         Store(total.row, here.value * (total.value - start_energy)),
         Store(kinetic.row, here.value * kinetic.value),
         here,
     ]
     doc = "K = (H - E0) dt/dtau, the Hamiltonian of tau, its kinetic part, and dt/dtau."
-    energy_in_tau = state_kernel(low, "energy_in_tau", doc, in_tau)
+    energy_in_tau = state_kernel(low, "energy_in_tau", doc, in_tau, seek)
     begun = zip(places, (total.value, rate(Point("begin", low.q), total.value)), strict=True)
     begun_stores = [Store(Row("PARAMETER", place), value) for place, value in begun]
     doc = "E0 and the rate at (q, p), where a run begins."
@@ -286,7 +309,9 @@ class TracedKernels:
         # they come last, because they reuse values of the left node that steps store
         start, legendre = self._start(), self.state.legendre()
         doc = "The Hamiltonian at (q, p), its kinetic part, and the velocities."
-        energy = state_kernel(self._low, "energy", doc, self.state.energy())
+        energy = state_kernel(
+            self._low, "energy", doc, self.state.energy(), seek_velocity(self._low)
+        )
         return [start, legendre, *newton, advance, energy]
 
     def _newton(self, body: Sequence[Statement], *, straight: bool = False) -> Kernel:
@@ -336,10 +361,10 @@ class TracedKernels:
         unknowns = (*self.increments, *multipliers)
         begun = state.part.stores(blocks, "_first", "increments", unknowns)
         stores += [replace(store, moving=False) for store in begun]
-        stores += store_first_pivots(low, state.pivots(), "velocity")
+        stores += store_first_pivots(low, state.pivots(), "velocity", deficit=state.deficit())
         more = ", and increments of constant velocity" if self.increments else ""
         doc = f"Begin at (q, p): what depends on q alone{more}."
-        return state_kernel(low, "start", doc, stores)
+        return state_kernel(low, "start", doc, stores, seek_velocity(low))
 
     def _advance(self) -> Kernel:
         """Close a step and predict the next one."""
@@ -378,6 +403,8 @@ class TracedKernels:
             (part,) = solved
             pivots = part.pivots()
         else:
+            for part in () if low.equations.plain.quadratic else self._parts:
+                part.traced.run("end_slope", low.h)
             state.velocity(end=[part.traced for part in self._parts])
             pivots = state.pivots()
         stores: list[Store] = []

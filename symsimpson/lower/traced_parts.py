@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from bisect import bisect
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
+from fractions import Fraction
+from functools import cached_property, partial
 from typing import Any
 
+from symsimpson.declare.quadratic import connected_groups
 from symsimpson.discrete.reductions import Routh
 from symsimpson.lower.constraint_functions import constraint_stores
 from symsimpson.lower.expression import Expression
@@ -117,6 +119,7 @@ class TracedPart:
         storage = Storage.dense(self._n)
         self._routh, self._cyclic = routh, routh.cyclic if routh is not None else ()
         kinds = ("assembled", "constant_mass", "dragged", "timed", "damped", "decaying", "retimed")
+        facts = {**facts, "PAIRED": self._pairs is not None}
         size = scheme.degree * self._n + unknowns.others_size
         large: dict[str, Any] = {  # large enough for all texts
             "n": self._n,
@@ -138,6 +141,7 @@ class TracedPart:
             **storage.node_constants(),
             **equation_constants(storage, scheme.degree, held),
             "MASS_BAND": max(self._n - 1, 0),
+            **self._mass_tables(),
             "DIMENSION": self._n,
             "DEGREE": scheme.degree,
             "NODES": scheme.stages,
@@ -162,6 +166,30 @@ class TracedPart:
         texts = collect_called(functions, {**library_sources(), **kernel_sources()}, facts).values()
         known = self._first | names | evaluations
         self.trace = Trace(low.graph, texts, known, self._row_name, self._spell_index, SECTIONS)
+
+    @cached_property
+    def _pairs(self) -> tuple[tuple[int, ...], ...] | None:
+        """The places of two coordinates that M couples with no other; None if M has other blocks.
+
+        If M is definite, only two coordinates are a pair, because L D L^T suits all others.
+        """
+        plain, place = self.low.equations.plain, {a: s for s, a in enumerate(self.coordinates)}
+        if plain.definite:
+            return ((0, 1),) if self._n == 2 else None
+        inside = [(place[i], place[j]) for i, j in plain.M if i in place and j in place]
+        blocks = connected_groups(self._n, inside)
+        return tuple(tuple(block) for block in blocks if len(block) == 2)
+
+    def _mass_tables(self) -> dict[str, Any]:
+        """Return the tables of pairs and of single coordinates for solutions with M."""
+        pairs = self._pairs or ()
+        paired = {s for pair in pairs for s in pair}
+        small = {"SINGULAR": Fraction(1, 2**40)}
+        return {
+            **small,
+            "PAIRS": pairs,
+            "ALONE": tuple(s for s in range(self._n) if s not in paired),
+        }
 
     # -- rows
 
@@ -227,6 +255,12 @@ class TracedPart:
             for s, a in enumerate(other.coordinates):
                 if a in self.coordinates:
                     self.set_row(block, self.coordinates.index(a), other.row(block, s))
+
+    def mass_pivots(self) -> list[Expression]:
+        """Return the pivots of M, with names; if M is indefinite, the determinants of its blocks."""
+        pivots = self.diagonal("NODE_L_VV", self._n)
+        first = {i for i, _ in self._pairs or ()} if not self.low.equations.plain.definite else ()
+        return [pivot for i, pivot in enumerate(pivots) if i not in first]
 
     def diagonal(self, block: str, count: int) -> list[Expression]:
         """Return the diagonal of a matrix, with names."""
@@ -327,7 +361,8 @@ class TracedPart:
     def _evaluate(self, parts: Sequence[str], W: Any, lane: int) -> None:
         """Set rows to entries of the jet at the point that the rows of the node describe."""
         low, n = self.low, self._n
-        point = self.point(moving=not RESTING.issuperset(parts))
+        moving = not RESTING.issuperset(parts) or not low.equations.plain.quadratic
+        point = self.point(moving=moving)
         section, place = self.trace.section, self.coordinates
         rows = self.trace.rows.values
         dragged = low.equations.plain.dragged

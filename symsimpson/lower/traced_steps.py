@@ -43,7 +43,7 @@ def traced_facts(low: Lowering, part: Part, held: Border | None = None) -> dict[
 #: Texts that a trace begins with.
 FUNCTIONS = """
     correct update_increments solve_linear_step find_straight_path find_impulse find_cyclic_impulse
-    find_allowed_impulse measure_prediction close_step predict factor_at_start find_pivots
+    find_allowed_impulse measure_prediction close_step predict factor_at_start find_pivots end_slope
 """
 
 

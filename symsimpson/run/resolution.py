@@ -126,6 +126,9 @@ def sample_energies(
     about = select_states(run, stored, steps, places), run.parameters
     energies = evaluate(program, "energy", "ENERGY", 2, *about)
     total, kinetic = np.asarray(energies, dtype=np.float64).T
+    if program.header.indefinite or program.header.general:  # v.M.v may vanish or be negative
+        velocities = np.asarray(evaluate(program, "energy", "VELOCITY", program.n, *about), float)
+        kinetic = abs(np.asarray(about[0][2], float) * velocities).sum(axis=1) / 2
     standing = np.zeros(len(total), dtype=np.bool_)
     if run.header.retimed:
         rate = np.asarray(evaluate(program, "energy", "RATE", 1, *about), float)[:, 0]
@@ -247,7 +250,7 @@ def _evaluate_precisely(
     if run.W.dtype != np.float64 or run.header.retimed:
         return samples.total
     states = select_states(run, stored, trajectory.steps, samples.places)
-    if tools is None or system is None:
+    if tools is None or system is None or program.header.general:
         changes = _energies_in_python(program, states, values)
     else:
         changes = tools.changes_of_potential(system, *states[:2], values.tolist())

@@ -59,6 +59,9 @@ class Header:
     autonomous: bool = True
     conformal: bool = False
     retimed: bool = False
+    #: Whether M has eigenvalues of both signs, and whether L is not quadratic in the velocities.
+    indefinite: bool = False
+    general: bool = False
     #: What steps are differentiated by, besides the state.
     varied_by: tuple[str, ...] | None = None
 

@@ -46,6 +46,9 @@ class Sizes:
     carried: bool = False
     drifting: bool = False
     retimed: bool = False
+    #: Whether M has eigenvalues of both signs, and whether L is not quadratic in the velocities.
+    indefinite: bool = False
+    inverted: bool = False
     #: Coordinates, the last ones, that are solved for by their momenta, and multipliers of these.
     cyclic: int = 0
     cyclic_multipliers: int = 0
@@ -144,7 +147,7 @@ TABLE = (
     Block("CYCLIC_MASS_CHANGE", "relative change of M of cyclic coordinates over the step"),
     Block(
         "MASS_PIVOT",
-        "at the start below 0 if M is not positive definite, then the smallest pivot of M",
+        "at the start below 0 if M is singular or should be definite, then its smallest pivot",
         for_driver=True,
     ),
     Block("ENERGY", "the Hamiltonian", for_driver=True),
@@ -186,8 +189,19 @@ TABLE = (
     scratch("NODE_L_QQ", "F_q at a node", entries),
     scratch("NODE_L_QV", "F_v at a node", entries),
     part("NODE_L_VV", "M at a node", entries),
+    part("MASS_EXCHANGE", "rows of M that elimination has exchanged", lambda s: s.indefinite * s.n),
+    scratch(
+        "SOUGHT",
+        "of a velocity that is sought: weights and size of p, the velocity before, its change",
+        lambda s: s.inverted * (3 * s.n + 1),
+    ),
     Block("MASS", "a constant M", lambda s: s.constant_mass * s.entries),
-    Block("MASS_DIAGONAL", "diagonal of M(q0)", coordinates, for_driver=True),
+    Block(
+        "MASS_DIAGONAL",
+        "diagonal of M(q0), or sums of abs(M_ij) if M is indefinite",
+        coordinates,
+        for_driver=True,
+    ),
     part("COEFFICIENT", "factors of the terms of L", lambda s: s.coefficients),
     scratch(
         "NODE_F_V", "derivatives of the forces by v at a node", lambda s: s.dragged * s.entries

@@ -3,20 +3,49 @@
 
 @compiled
 def factor_mass(W, lane):
-    """Factorise M = L D L^T in its place; MASS_PIVOT is twice the sum of negative pivots."""
+    """Factorise M in its place: M = L D L^T, or P M = L U if M is indefinite.
+
+    MASS_PIVOT is twice the sum of negative pivots. If M is indefinite, it is negative where M is
+    singular.
+    """
     first = NODE_L_VV + NODE_OFFSET
     for i in range(DIMENSION):
-        W[MASS_DIAGONAL + COORDINATE[i], lane] = W[first + i * NODE_STRIDE + i, lane]
-    if TRACED and DIMENSION == 2:  # [[a, b], [d, a d - b^2]]: one division solves then
-        a, b, d = W[first, lane], W[first + 1, lane], W[first + NODE_STRIDE + 1, lane]
-        W[first + NODE_STRIDE, lane] = d
-        W[first + NODE_STRIDE + 1, lane] = a * d - b**2
-    else:
+        if DEFINITE:
+            W[MASS_DIAGONAL + COORDINATE[i], lane] = W[first + i * NODE_STRIDE + i, lane]
+        else:
+            size = real(0)
+            for j in range(DIMENSION):
+                size += abs(W[first + i * NODE_STRIDE + j, lane])
+            W[MASS_DIAGONAL + COORDINATE[i], lane] = size
+    if PAIRED:
+        for k in range(len(PAIRS)):  # [[a, b], [d, a d - b^2]]: one division solves then
+            i, j = PAIRS[k, 0], PAIRS[k, 1]
+            upper, lower = first + i * NODE_STRIDE, first + j * NODE_STRIDE
+            a, b, d = W[upper + i, lane], W[upper + j, lane], W[lower + j, lane]
+            W[lower + i, lane] = d
+            W[lower + j, lane] = a * d - b**2
+    elif DEFINITE:
         factor_symmetric(W, first, DIMENSION, MASS_BAND, NODE_STRIDE, lane)
+    else:
+        whole = DIMENSION - 1
+        factor_rows(W, first, MASS_EXCHANGE, DIMENSION, whole, whole, NODE_STRIDE, lane)
     deficit = real(0)
-    for i in range(DIMENSION):
-        pivot = W[first + i * NODE_STRIDE + i, lane]
-        deficit += pivot - abs(pivot)
+    if DEFINITE:
+        for i in range(DIMENSION):
+            pivot = W[first + i * NODE_STRIDE + i, lane]
+            deficit += pivot - abs(pivot)
+    elif PAIRED:
+        for k in range(len(PAIRS)):
+            i, j = PAIRS[k, 0], PAIRS[k, 1]
+            rows = W[MASS_DIAGONAL + COORDINATE[i], lane] * W[MASS_DIAGONAL + COORDINATE[j], lane]
+            pivot = W[first + j * NODE_STRIDE + j, lane]
+            deficit = min(deficit, abs(pivot) - SINGULAR * rows)
+    else:
+        volume = real(1)  # the determinant of M with rows of size 1
+        for i in range(DIMENSION):
+            pivot = W[first + i * NODE_STRIDE + i, lane]
+            volume *= pivot / W[MASS_DIAGONAL + COORDINATE[i], lane]
+        deficit = min(deficit, abs(volume) - SINGULAR)
     W[MASS_PIVOT, lane] = deficit
 
 
@@ -26,30 +55,56 @@ def scale_pivots(W, lane):
     first = HELD if HELD else NODE_L_VV
     for i in range(DIMENSION):
         W[PIVOT_SCALE + i, lane] = 1 / W[first + PIVOT_AT[i], lane]
+    if not DEFINITE:
+        W[PIVOT_SCALE, lane] *= sign_of_exchanges(W, lane)
 
 
 @compiled
 def least_pivot(W, lane):
-    """Return the smallest ratio of a pivot of M to its value at the start."""
+    """Return the smallest ratio of a pivot of M to its value at the start.
+
+    If M is indefinite, this is the ratio of the determinants.
+    """
     first = HELD if HELD else NODE_L_VV
     least = W[first + PIVOT_AT[0], lane] * W[PIVOT_SCALE, lane]
     for i in range(1, DIMENSION):
-        least = min(least, W[first + PIVOT_AT[i], lane] * W[PIVOT_SCALE + i, lane])
+        ratio = W[first + PIVOT_AT[i], lane] * W[PIVOT_SCALE + i, lane]
+        least = min(least, ratio) if DEFINITE else least * ratio
+    if not DEFINITE:
+        least *= sign_of_exchanges(W, lane)
     return least
+
+
+@compiled
+def sign_of_exchanges(W, lane):
+    """Return the sign of the permutation of the rows of M."""
+    sign = real(1)
+    for i in range(DIMENSION):
+        sign = sign if W[MASS_EXCHANGE + i, lane] == i else -sign
+    return sign
 
 
 @compiled
 def solve_with_mass(W, lane):
     """Solve M v = right in place, in the rows of a node's velocity, with the factors of M."""
     first = NODE_L_VV + NODE_OFFSET
-    if TRACED and DIMENSION == 2:
-        a, b, d = W[first, lane], W[first + 1, lane], W[first + NODE_STRIDE, lane]
-        scale = 1 / W[first + NODE_STRIDE + 1, lane]
-        x, y = W[NODE_VELOCITY, lane], W[NODE_VELOCITY + 1, lane]
-        W[NODE_VELOCITY, lane] = scale * (d * x - b * y)
-        W[NODE_VELOCITY + 1, lane] = scale * (a * y - b * x)
-    else:
+    if PAIRED:
+        for k in range(len(PAIRS)):
+            i, j = PAIRS[k, 0], PAIRS[k, 1]
+            upper, lower = first + i * NODE_STRIDE, first + j * NODE_STRIDE
+            a, b, d = W[upper + i, lane], W[upper + j, lane], W[lower + i, lane]
+            scale = 1 / W[lower + j, lane]
+            x, y = W[NODE_VELOCITY + i, lane], W[NODE_VELOCITY + j, lane]
+            W[NODE_VELOCITY + i, lane] = scale * (d * x - b * y)
+            W[NODE_VELOCITY + j, lane] = scale * (a * y - b * x)
+        for k in range(len(ALONE)):
+            i = ALONE[k]
+            W[NODE_VELOCITY + i, lane] /= W[first + i * NODE_STRIDE + i, lane]
+    elif DEFINITE:
         solve_symmetric(W, first, NODE_VELOCITY, DIMENSION, MASS_BAND, NODE_STRIDE, lane)
+    else:
+        whole, right = DIMENSION - 1, NODE_VELOCITY
+        solve_rows(W, first, MASS_EXCHANGE, right, DIMENSION, whole, whole, NODE_STRIDE, lane)
 
 
 @compiled

@@ -31,6 +31,16 @@ def straight_path(W, h, lane):
 
 
 @compiled
+def end_slope(W, h, lane):
+    """Set the velocity to that of the path at its end, where M is evaluated next."""
+    for a in range(DIMENSION):
+        moved = real(0)
+        for j in range(DEGREE):
+            moved += END_SLOPE[j] * W[INCREMENT + j * DIMENSION + a, lane]
+        W[VELOCITY + a, lane] = moved / h
+
+
+@compiled
 def predict(W, h, lane):
     """Extrapolate the last path, and correct it to start with the velocity v."""
     velocity_jump_squared = real(0)

@@ -158,24 +158,30 @@ def factor_equations(W, lane):
     """Factorise the matrix of all unknowns, P S = L U, in its place; EXCHANGE has P."""
     if HELD:
         join_equations(W, lane)
-    first = JACOBIAN + TANGENT_OFFSET
-    for k in range(TANGENT_UNKNOWNS):
-        last = min(TANGENT_UNKNOWNS, k + TANGENT_LOWER + 1)
-        end = min(TANGENT_UNKNOWNS, k + TANGENT_UPPER + 1)
-        row_k = first + k * TANGENT_STRIDE
+    first, count, stride = JACOBIAN + TANGENT_OFFSET, TANGENT_UNKNOWNS, TANGENT_STRIDE
+    factor_rows(W, first, EXCHANGE, count, TANGENT_LOWER, TANGENT_UPPER, stride, lane)
+
+
+@compiled
+def factor_rows(W, first, exchanges, count, lower, upper, stride, lane):
+    """Factorise P A = L U in place, with the larger pivots first; ``exchanges`` has P."""
+    for k in range(count):
+        last = min(count, k + lower + 1)
+        end = min(count, k + upper + 1)
+        row_k = first + k * stride
         pivot = k
         largest = abs(W[row_k + k, lane])
         for i in range(k + 1, last):
-            here = abs(W[first + i * TANGENT_STRIDE + k, lane])
+            here = abs(W[first + i * stride + k, lane])
             if here > largest:
                 largest = here
                 pivot = i
-        W[EXCHANGE + k, lane] = pivot
+        W[exchanges + k, lane] = pivot
         if pivot != k:
-            exchange(W, row_k + k, first + pivot * TANGENT_STRIDE + k, end - k, lane)
+            exchange(W, row_k + k, first + pivot * stride + k, end - k, lane)
         inverse = 1 / W[row_k + k, lane]
         for i in range(k + 1, last):
-            row_i = first + i * TANGENT_STRIDE
+            row_i = first + i * stride
             factor = W[row_i + k, lane] * inverse
             W[row_i + k, lane] = factor
             for j in range(k + 1, end):
@@ -218,23 +224,29 @@ def solve_factored(W, right, lane):
     """Solve S x = b with these factors; x replaces b."""
     if HELD:
         reorder_rows(W, right, 0, lane)
-    first = JACOBIAN + TANGENT_OFFSET
-    for k in range(TANGENT_UNKNOWNS):
-        pivot = int(W[EXCHANGE + k, lane])
+    first, count, stride = JACOBIAN + TANGENT_OFFSET, TANGENT_UNKNOWNS, TANGENT_STRIDE
+    solve_rows(W, first, EXCHANGE, right, count, TANGENT_LOWER, TANGENT_UPPER, stride, lane)
+    if HELD:
+        reorder_rows(W, right, 1, lane)
+
+
+@compiled
+def solve_rows(W, first, exchanges, right, count, lower, upper, stride, lane):
+    """Solve A x = b with the factors of P A = L U; x replaces b."""
+    for k in range(count):
+        pivot = int(W[exchanges + k, lane])
         x = W[right + pivot, lane]
         W[right + pivot, lane] = W[right + k, lane]
         W[right + k, lane] = x
-        for i in range(k + 1, min(TANGENT_UNKNOWNS, k + TANGENT_LOWER + 1)):
-            W[right + i, lane] -= W[first + i * TANGENT_STRIDE + k, lane] * x
-    for back in range(TANGENT_UNKNOWNS):
-        k = TANGENT_UNKNOWNS - 1 - back
-        row_k = first + k * TANGENT_STRIDE
+        for i in range(k + 1, min(count, k + lower + 1)):
+            W[right + i, lane] -= W[first + i * stride + k, lane] * x
+    for back in range(count):
+        k = count - 1 - back
+        row_k = first + k * stride
         x = W[right + k, lane]
-        for j in range(k + 1, min(TANGENT_UNKNOWNS, k + TANGENT_UPPER + 1)):
+        for j in range(k + 1, min(count, k + upper + 1)):
             x -= W[row_k + j, lane] * W[right + j, lane]
         W[right + k, lane] = x / W[row_k + k, lane]
-    if HELD:
-        reorder_rows(W, right, 1, lane)
 
 
 @compiled

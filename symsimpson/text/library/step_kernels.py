@@ -91,6 +91,8 @@ def solve_allowed(W, lane):
 @compiled
 def find_velocity(W, t, lane):
     """Find the velocity at a state."""
+    if not QUADRATIC and not TRACED:
+        invert_momentum(W, t, lane)
     factor_at_start(W, t, lane)
     solve_velocity(W, lane)
 
@@ -299,6 +301,8 @@ def find_multipliers(W, lane):
 @kernel
 def start(W, h, t, lane):
     """Begin at (q, p) with increments of constant velocity, or with the force there."""
+    if not QUADRATIC and not TRACED:
+        invert_momentum(W, t, lane)
     factor_at_start(W, t, lane)
     if PIVOTS:
         scale_pivots(W, lane)
@@ -380,6 +384,8 @@ def advance(W, h, t, lane):
             find_impulse(W, h, t, lane)
         keep_step(W, lane)
         close_step(W, lane)
+        if not QUADRATIC:
+            end_slope(W, h, lane)
         if not SEPARABLE and not HELD:
             factor_at_start(W, t + h, lane)
         if PIVOTS:

@@ -73,7 +73,7 @@ def fastest_rotation(
 @lru_cache(maxsize=64)
 def _gyroscopic_function(system: MechanicalSystem) -> Callable[..., Any]:
     """Return a function of q, v, parameters, inputs and t for K, A^T - A + D and M."""
-    plain, n = system.plain, system.n
+    plain, n = system.plain.resting, system.n
     graph, derivatives = plain.graph, Derivatives(plain.graph)
     q, v = plain.numbers(plain.q), plain.numbers(plain.v)
     slopes = [[derivatives(a, x) for x in q] for a in plain.a]
@@ -90,7 +90,7 @@ def _gyroscopic_function(system: MechanicalSystem) -> Callable[..., Any]:
 @lru_cache(maxsize=64)
 def _stiffness_function(system: MechanicalSystem) -> Callable[..., Any]:
     """Return a function of q, parameters, inputs and t for K, V_q, Phi, Hess phi and M."""
-    plain, n = system.plain, system.n
+    plain, n = system.plain.resting, system.n
     derivatives, q = Derivatives(plain.graph), plain.numbers(plain.q)
     energies = [plain.V, *plain.constraints.values()]
     slopes = [[derivatives(energy, x) for x in q] for energy in energies]
@@ -161,7 +161,7 @@ def _function(
 
     It returns an array of each of the ``shapes``, M as the last one.
     """
-    plain, size = system.plain, range(system.n)
+    plain, size = system.plain.resting, range(system.n)
     entries["M"] = [plain.entry(i, j) for i in size for j in size]
     outputs: dict[tuple[Hashable, ...], Value] = {
         (name, k): x for name, values in entries.items() for k, x in enumerate(values)

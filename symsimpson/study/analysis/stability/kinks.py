@@ -115,7 +115,7 @@ def kink_passed(
 def _find_singularities(system: MechanicalSystem) -> tuple[Plain, tuple[_Singularity, ...]]:
     """Return the graph of V and the forces, with their roots of sums of squares and atan2 cuts."""
     retiming = system.retiming
-    plain = system.plain if retiming is None else retiming.plain
+    plain = (system.plain if retiming is None else retiming.plain).resting
     graph, moving = plain.graph, {*plain.numbers(plain.q), plain.time}
     back = dict(Symbols(system.coordinates, system.parameters, system.inputs).back)
     bases: dict[int, None] = {}

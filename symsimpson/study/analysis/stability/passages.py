@@ -61,9 +61,12 @@ _examining: ContextVar[bool] = ContextVar("_examining", default=False)
 def _mass_function(system: MechanicalSystem) -> tuple[Callable[..., Any] | None, tuple[int, ...]]:
     """Return a function of q, values and t for the entries of M, and the coordinates in M.
 
-    The function is None if M is constant, or if the system is too large or has constraints.
+    The function is None if M is constant, depends on velocities or is indefinite, or if the system
+    is too large or has constraints.
     """
     plain, n = system.plain, system.n
+    if not (plain.quadratic and plain.definite):
+        return None, ()
     entries: dict[tuple[Hashable, ...], Value] = {
         ("M", i, j): plain.entry(i, j) for i in range(n) for j in range(n)
     }
