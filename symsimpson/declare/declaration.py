@@ -164,7 +164,7 @@ def read_energies(
 
     forces = read_forces(name, coordinates, given.forces, given.dissipation, s, read_moving)
     check_used(name, given.inputs, s, forces)
-    positions = _read_positions(name, given, s, read)
+    positions = read_positions(name, given, s, read)
     pairs = zip(momenta(*coordinates), s.p, strict=True)
     of_momenta = {user: s.graph.symbol(symbol.name) for user, symbol in pairs}
     for both in s.known.keys() & of_momenta.keys() if given.invariants is not None else ():
@@ -176,7 +176,7 @@ def read_energies(
     watch = s.known | of_momenta
     invariants: dict[str, sp.Expr] = {}
     values: dict[str, Value] = {}
-    for key, quantity in _read_mapping(name, "invariants", given.invariants, "{'J': x**2}").items():
+    for key, quantity in read_mapping(name, "invariants", given.invariants, "{'J': x**2}").items():
         if not isinstance(key, str):
             reject_here(
                 f"the invariant's name {key!r} is not a string.",
@@ -237,7 +237,7 @@ def _explicit_momenta(plain: Plain, names: Sequence[str]) -> set[str]:
     return keys
 
 
-def _read_mapping(name: str, what: str, given: Any, example: str) -> Mapping[Any, Any]:
+def read_mapping(name: str, what: str, given: Any, example: str) -> Mapping[Any, Any]:
     """Return a mapping as it is, and an empty one for None."""
     if given is not None and not isinstance(given, Mapping):
         reject_model(
@@ -248,12 +248,12 @@ def _read_mapping(name: str, what: str, given: Any, example: str) -> Mapping[Any
     return given or {}
 
 
-def _read_positions(
+def read_positions(
     name: str, given: Declared, symbols: Symbols, read: Callable[..., Value]
 ) -> dict[str, tuple[Any, ...]]:
     """Check the positions to draw: a point is a tuple, a body a tuple of corners."""
     positions: dict[str, tuple[Any, ...]] = {}
-    for key, point in _read_mapping(name, "positions", given.positions, "{'bob': (x, y)}").items():
+    for key, point in read_mapping(name, "positions", given.positions, "{'bob': (x, y)}").items():
         nested = isinstance(point, (tuple, list))
         body = nested and all(isinstance(x, (tuple, list, sp.MatrixBase)) for x in point)
         corners = point if body else [point]

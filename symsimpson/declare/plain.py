@@ -89,6 +89,8 @@ class Plain:
     acting: tuple[Value, ...] | None = None
     lagrangian: Value | None = None
     definite: bool = True  #: False if M has eigenvalues of both signs.
+    #: H(q, p) of a system that has no Lagrangian; the symbols v then stand for the momenta.
+    hamiltonian: Value | None = None
 
     @property
     def quadratic(self) -> bool:
@@ -153,8 +155,17 @@ class Plain:
         """The Lagrangian."""
         if self.lagrangian is not None:
             return self.lagrangian
+        if self.hamiltonian is not None:  # p.v - H
+            pairs = self.graph.products(self.velocities, self.numbers(self.v))
+            return self.graph.add([*pairs, scale(-1, self.hamiltonian)])
         linear = self.graph.products(self.a, self.numbers(self.v))
         return self.graph.add([self.T, *linear, scale(-1, self.V)])
+
+    @cached_property
+    def velocities(self) -> tuple[Value, ...]:
+        """The velocities H_p of a Hamiltonian, by coordinate."""
+        assert self.hamiltonian is not None
+        return tuple(gradient(self.graph, self.hamiltonian, self.numbers(self.v)))
 
     @cached_property
     def resting(self) -> Plain:
@@ -177,7 +188,9 @@ class Plain:
 
     @property
     def energies(self) -> tuple[Value, ...]:
-        """The entries of M and a, and V."""
+        """The entries of M and a, and V; or H."""
+        if self.hamiltonian is not None:
+            return (self.hamiltonian,)
         return (*self.M.values(), *self.a, self.V)
 
     @cached_property
@@ -191,7 +204,10 @@ class Plain:
     @cached_property
     def right_sides(self) -> tuple[Value, ...]:
         """dL/dq + f, the right sides of Lagrange's equations, by coordinate."""
-        slopes = gradient(self.graph, self.L, self.numbers(self.q))
+        if self.hamiltonian is not None:
+            slopes = [scale(-1, x) for x in gradient(self.graph, self.hamiltonian, self.numbers(self.q))]
+        else:
+            slopes = gradient(self.graph, self.L, self.numbers(self.q))
         return tuple(map(self.graph.add, zip(slopes, self.f, strict=True)))
 
     @cached_property
@@ -229,12 +245,18 @@ class Plain:
         """
         graph, v = self.graph, self.numbers(self.v)
         powers = {
-            f"of {name}": graph.add(graph.products(force, v)) for name, force in self.forces.items()
+            f"of {name}": graph.add(
+                graph.products(force, v)
+                if self.hamiltonian is None
+                else (graph.multiply(pair) for pair in zip(force, self.velocities, strict=True))
+            )
+            for name, force in self.forces.items()
         }
         if self.carried:
             powers["of constraints"] = ZERO
         if not self.autonomous:
-            (powers["dL_dt"],) = gradient(graph, self.L, [self.time])
+            minus_H = None if self.hamiltonian is None else scale(-1, self.hamiltonian)
+            (powers["dL_dt"],) = gradient(graph, minus_H or self.L, [self.time])
         return powers
 
     def entry(self, i: int, j: int) -> Value:

@@ -218,10 +218,14 @@ def retime(system: MechanicalSystem, rate: Any) -> RetimedSystem:
         key: sp.sympify(value).xreplace(velocities)
         for key, value in (system.invariants or {}).items()
     }
+    kinetic = system.kinetic / pace
+    if not system.plain.quadratic:
+        kinetic = pace * system.kinetic.xreplace(velocities)
     return RetimedSystem(
         f"{name[:56]}_retimed",
         coordinates=system.coordinates,
-        kinetic=system.kinetic / pace,
+        kinetic=kinetic,
+        indefinite=True,
         potential=pace * (system.potential - energy),
         gyroscopic=system.gyroscopic,
         parameters=parameters,

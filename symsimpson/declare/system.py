@@ -35,7 +35,7 @@ Constraints = Mapping[str, sp.Expr] | Sequence[sp.Expr]
 
 
 @contextmanager
-def _stage(stage: str, name: str) -> Iterator[dict[str, float]]:
+def stage(stage: str, name: str) -> Iterator[dict[str, float]]:
     """Show the progress of a stage of a system's derivation, and collect its seconds."""
     with (
         announce(f"{stage}: {name}"),
@@ -138,7 +138,7 @@ class MechanicalSystem(Described):
         rolling = name_constraints(name, self.velocity_constraints, tuple(constraints))
         object.__setattr__(self, "constraints", MappingProxyType(constraints))
         object.__setattr__(self, "velocity_constraints", MappingProxyType(rolling))
-        with _stage("reading", name) as seconds:
+        with stage("reading", name) as seconds:
             plain, positions, invariants = read_energies(name, coordinates, parameters, self)
         others = [*parameters, *inputs, *invariants, *positions]
         for key, value in {
@@ -395,7 +395,7 @@ class MechanicalSystem(Described):
     @cached_property
     def structure(self) -> Structure:
         """The structure of L and the forces that the generator exploits."""
-        with _stage("structure", self.name) as seconds:
+        with stage("structure", self.name) as seconds:
             structure = analyse(self)
         self.seconds.update(seconds)
         return structure

@@ -28,6 +28,7 @@ from symsimpson.discrete.reductions import (
     reduce,
 )
 from symsimpson.errors import SchemeError, reject
+from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import ZERO, Value
 from symsimpson.graph.read import SympyConverter
 from symsimpson.graph.rebuild import rebuild
@@ -158,6 +159,8 @@ class DiscreteEquations:
         """The unknowns of the equations without reductions."""
         constraints = len(self.plain.constraint_names)
         others = (constraints,) * self.scheme.degree if constraints else ()
+        if self.plain.hamiltonian is not None:  # the rates of momenta at the nodes
+            others = (len(self.plain.q),) * self.scheme.degree
         return Unknowns(self.scheme.degree, len(self.plain.q), others)
 
     def as_single_part(
@@ -204,6 +207,8 @@ def discretise(
     structure = system.structure
     plain = structure.plain if wanted else system.plain
     _check_explicit(system, scheme)
+    if plain.hamiltonian is not None:
+        _check_canonical(system, scheme, second=second)
     if varied is not None:
         check_differentiable(scheme)
     if second and plain.velocity_constraints:
@@ -237,6 +242,40 @@ def discretise(
     h = sp.Symbol("h", positive=True)
     return DiscreteEquations(
         system, scheme, wanted, plain, h, rows, columns, parts, varied, cost, second
+    )
+
+
+def _check_canonical(system: MechanicalSystem, scheme: Scheme, *, second: bool) -> None:
+    """Raise SchemeError if a scheme cannot integrate a Hamiltonian."""
+    if second:
+        reject(
+            "second derivatives of steps of a HamiltonianSystem are not implemented.",
+            where=system.name,
+            remedy="Use differences of first derivatives, for example of stepper.gradient.",
+            error=SchemeError,
+        )
+    if isinstance(scheme, Composition) or scheme.degree == scheme.stages:
+        return
+    plain, n = system.plain, system.n
+    curves = [gradient(plain.graph, x, plain.numbers(plain.v)) for x in plain.velocities]
+    singular = system.structure.momentum_rank != n
+    flat = [
+        str(p)
+        for p, row in zip(getattr(system, "momenta", ()), curves, strict=True)
+        if not any(c for c, _ in row)
+    ]
+    why = "It needs as many nodes as degrees."
+    if singular:
+        which = f" H is linear in {', '.join(flat)}." if flat else ""
+        why = f"Its steps need a regular matrix H_pp, which has rank {system.structure.momentum_rank} of {n}.{which}"
+    same = {4: "gauss4 or lobatto_3_3", 6: "gauss6 or lobatto_4_4"}
+    named = same.get(scheme.order, f"gauss{scheme.order}")
+    reject(
+        f"{scheme.name} does not integrate a HamiltonianSystem.",
+        where=system.name,
+        why=why,
+        remedy=f"Choose {named}, of the same order.",
+        error=SchemeError,
     )
 
 

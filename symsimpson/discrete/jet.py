@@ -94,6 +94,8 @@ def derive_jet(
     ``more`` has further outputs. The sine and cosine of the coordinates ``half_angles`` are
     expressed by half angles, which avoids cancellation.
     """
+    if plain.hamiltonian is not None:
+        return _derive_phase_jet(plain)
     jets: list[Jet] = []
     by_mass = quadratic_form(plain.graph, plain.M, plain.numbers(plain.v))
     of_mass, of_written = (len(plain.graph.descendants([n])) for _, n in (by_mass, plain.T))
@@ -171,6 +173,36 @@ def _derive_by(
     return to_jet(plain, graph, outputs, half_angles)
 
 
+def _derive_phase_jet(plain: Plain) -> Jet:
+    """Derive F = f - H_q, the velocity H_p as "P", and their derivatives; "V" is H."""
+    jets = []
+    for reverse in (True, False):
+        graph, n = Graph(factored=not reverse), len(plain.q)
+        places = graph.numbers(symbol.name for symbol in plain.symbols)
+        states = places[: 2 * n]
+        given: dict[Key, Value] = {("V",): plain.hamiltonian or ZERO}
+        given |= {("invariant", name): value for name, value in plain.invariants.items()}
+        given |= {("power", name): value for name, value in plain.powers.items()}
+        given |= {("f", i): f for i, f in enumerate(plain.f)}
+        values = rebuild(plain.graph, [*given.values()], {}, graph)
+        outputs: dict[Key, Value] = dict(zip(given, values, strict=True))
+        H, derivatives = outputs["V",], Derivatives(graph)
+        first = gradient(graph, H, states) if reverse else [derivatives(H, x) for x in states]
+        slopes = [graph.add([outputs.pop(("f", i)), scale(-1, first[i])]) for i in range(n)]
+        for i, (F, P) in enumerate(zip(slopes, first[n:], strict=True)):
+            outputs["F", i], outputs["P", i] = F, P
+            for j, x in enumerate(states):
+                by_q, k = j < n, j % n
+                outputs["F_q" if by_q else "F_v", i, k] = derivatives(F, x)
+                outputs["P_q" if by_q else "M", i, k] = derivatives(P, x)
+        M = {(i, j): outputs["M", i, j] for i in range(n) for j in range(i + 1)}
+        M = {place: entry for place, entry in M.items() if entry[0]}
+        a = linear_terms(graph, first[n:], M, states[n:])
+        outputs |= {("a", i): value for i, value in enumerate(a)}
+        jets.append(to_jet(plain, graph, outputs))
+    return min(jets, key=lambda jet: jet.operations)
+
+
 def to_jet(
     plain: Plain, graph: Graph, outputs: Mapping[Key, Value], half_angles: Sequence[int] = ()
 ) -> Jet:
@@ -211,7 +243,10 @@ def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
     graph, n = Graph(), len(plain.q)
     places = graph.numbers(symbol.name for symbol in plain.symbols)
     moving = places[: 2 * n]
-    L, *f = rebuild(plain.graph, [plain.L, *plain.f], {}, graph)
+    whole = plain.L if plain.hamiltonian is None else scale(-1, plain.hamiltonian)
+    L, *f = rebuild(plain.graph, [whole, *plain.f], {}, graph)
+    # -H has the derivatives F by q, and minus the velocity by p
+    sign = 1 if plain.hamiltonian is None else -1
     held = plain.write_constraints(graph)
     m, multipliers = len(held.phi), graph.numbers(symbol.name for symbol in plain.multipliers)
     phi = [*held.phi, *(ZERO for _ in held.rows)]
@@ -226,7 +261,11 @@ def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
             L_gradient = gradient(graph, L, moving)
             forces = [graph.add([L_gradient[i], f[i]]) for i in range(n)]
             outputs |= {("F_a", i, name): by_size(F, integrated=True) for i, F in enumerate(forces)}
-            outputs |= {("P_a", i, name): by_size(P) for i, P in enumerate(L_gradient[n:])}
+            momenta = [scale(sign, P) for P in L_gradient[n:]]
+            integrated = plain.hamiltonian is not None
+            outputs |= {
+                ("P_a", i, name): by_size(P, integrated=integrated) for i, P in enumerate(momenta)
+            }
             outputs |= {("phi_a", c, name): ZERO for c in range(len(phi))}
             outputs |= {(f"{what}_a", c, name): by_size(x) for (what, c), x in moved.items()}
             for i, pull in enumerate(pulls):
@@ -236,7 +275,7 @@ def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
         slopes = gradient(graph, derivatives(L, x), moving)
         for i in range(n):
             outputs["F_a", i, name] = graph.add([slopes[i], derivatives(f[i], x)])
-            outputs["P_a", i, name] = slopes[n + i]
+            outputs["P_a", i, name] = scale(sign, slopes[n + i])
         outputs |= {("phi_a", c, name): derivatives(value, x) for c, value in enumerate(phi)}
         outputs |= {(f"{what}_a", c, name): derivatives(y, x) for (what, c), y in moved.items()}
         outputs |= {("pull_a", i, name): derivatives(y, x) for i, y in enumerate(pulls)}
@@ -252,7 +291,9 @@ class _BySize:
 
     def __init__(self, graph: Graph, plain: Plain, derivatives: Derivatives) -> None:
         self._graph, self._derivatives = graph, derivatives
-        self._v = graph.numbers(s.name for s in plain.v)
+        # momenta at the nodes of a Hamiltonian do not depend on h
+        moving = plain.v if plain.hamiltonian is None else ()
+        self._v = graph.numbers(s.name for s in moving)
         self._h, self._place, self._moving = graph.numbers(s.name for s in plain.step)
         (self._t,) = graph.numbers([plain.t.name])
 

@@ -155,6 +155,14 @@ class Coupled(BasePart):
 
 
 @dataclass(frozen=True)
+class Canonical(BasePart):
+    """All coordinates of a Hamiltonian; the unknowns are rates of q and p at the nodes."""
+
+    coordinates: tuple[int, ...]
+    columns: tuple[int, ...]
+
+
+@dataclass(frozen=True)
 class Separable(BasePart):
     """Coordinates with a constant M. The equations are the combinations ``tests`` of the D_k L_d.
 
@@ -268,7 +276,7 @@ class Composed(BasePart):
     drifts: tuple[sp.Expr, ...]
 
 
-Part = Coupled | Separable | Routh | Linear | Affine | Constrained | Composed
+Part = Canonical | Coupled | Separable | Routh | Linear | Affine | Constrained | Composed
 
 
 def read_exploit(exploit: str | Iterable[str]) -> frozenset[str]:
@@ -295,8 +303,10 @@ def reduce(structure: Structure, scheme: Scheme, exploit: frozenset[str]) -> tup
 
     ``exploit`` has the names of the properties that the reduction may use.
     """
+    every = tuple(range(structure.n))
+    if structure.plain.hamiltonian is not None and not isinstance(scheme, Composition):
+        return (Canonical(every, tuple(range(1, scheme.degree + 1))),)
     if structure.plain.constraint_names:
-        every = tuple(range(structure.n))
         if isinstance(scheme, Composition):
             return (Composed(every, scheme.kicks, scheme.drifts),)
         return (Constrained(every, *elimination_order(scheme.degree)),)

@@ -160,6 +160,17 @@ class _TracedEnd:
 
 def _kernels(facts: Mapping[str, object]) -> Iterable[Kernel]:
     """Yield the kernels of tangent and adjoint, of a running cost, and of second derivatives."""
+    if facts["CANONICAL"]:
+        names = ["tangent", "adjoint"]
+        if facts["REGULAR"] and facts["VARIED_BY"]:
+            names.append("momentum_slopes")
+        if facts["REGULAR"]:
+            names.append("start_adjoint")
+        for name in names:
+            yield replace(kernel_from_text(f"phase_{name}", facts), name=name)
+        others = ["record", *(("step_cost", "running_cost") if facts["COSTED"] else ())]
+        yield from (kernel_from_text(name, facts) for name in others)
+        return
     tangent = kernel_from_text("tangent", facts)
     if facts["BY_COLUMNS"]:
         yield replace(tangent, straight=True)
@@ -243,6 +254,9 @@ def _tables(low: Lowering, storage: Storage, held: Border | None) -> dict[str, o
     """Return the tables that the loops over derivatives read."""
     whole, degree = held.storage if held else storage, low.equations.scheme.degree
     constants = {**whole.constants("TANGENT", degree), **whole.bounds("TANGENT", degree)}
+    if low.equations.plain.hamiltonian is not None:
+        whole, degree = Storage.dense(low.n), 2 * degree  # y and g at all nodes
+        constants = {**whole.constants("TANGENT", degree), **whole.bounds("TANGENT", degree)}
     tables = {
         "VARIED": len(low.varied),
         **{key: constants[key] for key in constants if not key.endswith("_STEP")},

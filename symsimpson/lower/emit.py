@@ -73,6 +73,9 @@ def docstring(equations: DiscreteEquations, module: Module) -> str:
     labels = (*names.coordinates, *velocities, "t", *names.inputs, *names.parameters)
     shown = {symbol.name: name for symbol, name in zip(symbols, labels, strict=True)}
     formulas = {"T": plain.T, "a": linear, "V": plain.V} if plain.quadratic else {"L": plain.L}
+    if plain.hamiltonian is not None:
+        formulas = {"H": plain.hamiltonian}
+        shown |= {v.name: f"p_{q}" for v, q in zip(plain.v, names.coordinates, strict=True)}
     forces = zip(names.coordinates, replace(plain, acting=None).f, strict=True)
     formulas |= {f"f_{q}": value for q, value in forces if value[0]}
     lines = [
@@ -80,12 +83,12 @@ def docstring(equations: DiscreteEquations, module: Module) -> str:
         "",
         "    L(q, q') = T + a - V" if linear[0] else "    L(q, q') = T - V",
     ]
-    if not plain.quadratic:
-        lines[-1] = "    L(q, q')"
-    if not plain.autonomous:
+    if not plain.quadratic or plain.hamiltonian is not None:
+        lines.pop()
+    if not plain.autonomous and formulas.keys() >= {"T"}:
         lines[-1] = lines[-1].replace("L(q", "L(t, q")
     if plain.forces:
-        lines[-1] += ", with forces f: L_q + f stands wherever L_q does"
+        lines[-1] += ", with forces f: L_q + f stands wherever L_q does" if "T" in formulas else ""
         if plain.rates:
             lines.append("    what is linear in v damps p in each kick, as its own motion does")
         if plain.rate is not None:
@@ -175,6 +178,9 @@ _LEGENDRE_THRESHOLDS = """\
 CLOSE = 2.0**-60  # squared errors of a momentum below this part of it are found in whole corrections
 MOST_HALVINGS, MOST_SOUGHT = 50, 200  # of a correction, and corrections
 """
+_PHASE_THRESHOLD = """\
+SMALL_MOVE = 2.0**-44  # moves of a coordinate count at least as this part of it
+"""
 #: Beyond degree two truncation is so small that what is left unsolved, which adds up, would show.
 _NEGLIGIBLE = [f"2.0**-{k}  # the next correction would be lost in rounding" for k in (106, 110)]
 _STAGE_THRESHOLDS = """\
@@ -194,8 +200,10 @@ TURN = 2.0**-14  # by so much, squared, they are turned exactly
 def thresholds(equations: DiscreteEquations, module: Module) -> str:
     """Return the definitions of the thresholds that the library functions of a module use."""
     plain = equations.plain
-    of_mass = _SINGULAR_THRESHOLD if not plain.definite else ""
-    of_mass += "" if plain.quadratic else _LEGENDRE_THRESHOLDS
+    canonical = plain.hamiltonian is not None
+    of_mass = _SINGULAR_THRESHOLD if canonical or not plain.definite else ""
+    of_mass += _LEGENDRE_THRESHOLDS if canonical or not plain.quadratic else ""
+    of_mass += _PHASE_THRESHOLD if canonical else ""
     if not module.newton_unknowns:
         return (_DRIFT_THRESHOLDS if module.names.constraints else "") + of_mass
     # a straight path leaves rest with the velocity it ends with
@@ -308,6 +316,7 @@ def _facts(equations: DiscreteEquations, module: Module) -> dict[str, object]:
     others = {
         "indefinite": not plain.definite,
         "general": not plain.quadratic,
+        "canonical": plain.hamiltonian is not None,
         "invariants": names.invariants,
         "forces": names.forces if plain.forces else (),
         "inputs": names.inputs,
@@ -396,7 +405,7 @@ def _computed_tables(equations: DiscreteEquations, module: Module) -> str:
         lines.append(f'STAGE_TABLE = stage_table("{kind}", {s})')
         if module.tables["UNFORCED"]:
             lines.append(f'STAGE_END = end_table("{kind}", {s})')
-        if equations.needs_path:
+        if equations.needs_path and equations.plain.hamiltonian is None:
             lines.append(f'REACHED_BY_MOVES = reach_table("{kind}", {s})')
     return "\n".join(["DIGITS = 40", "ONE = 10**DIGITS", *lines, ""]) if lines else ""
 

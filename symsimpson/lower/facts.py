@@ -48,8 +48,9 @@ def facts(low: Lowering, part: Part, storage: Storage, held: Border | None) -> d
         "FOLLOWING": False,
         "TRACED": False,
         "PAIRED": False,
+        "CANONICAL": plain.hamiltonian is not None,
         "QUADRATIC": plain.quadratic,
-        "DEFINITE": plain.definite,
+        "DEFINITE": plain.definite and plain.hamiltonian is None,
         "HELD": held is not None,
         "ROLLING": held is not None and held.velocities > 0,
         "CONSTANT_MASS": False,
@@ -205,7 +206,7 @@ def common_sizes(low: Lowering, held: Border | None, routh: Routh | None) -> dic
         "rolling": held.velocities if held else 0,
         "constrained": held is not None,
         "carried": equations.plain.carried,
-        "stride": node_stride(equations.scheme),
+        "stride": node_stride(equations),
         "cyclic": len(routh.cyclic) if routh else 0,
         "cyclic_multipliers": routh.multipliers if routh else 0,
     }
@@ -225,6 +226,9 @@ def sizes(
     retimed = low.equations.system.retiming is not None
     bordered = () if held is None else (held.storage,)
     jacobian = [part.size(unknowns.control_points) for part in (storage, *bordered)]
+    canonical = plain.hamiltonian is not None
+    if canonical:
+        jacobian = [unknowns.size**2]
     return Sizes(
         n=low.n,
         invariants=len(low.names.invariants),
@@ -245,7 +249,8 @@ def sizes(
         drifting=has_drifts(low.equations),
         retimed=retimed,
         indefinite=not plain.definite,
-        inverted=not plain.quadratic,
+        inverted=canonical or not plain.quadratic,
+        canonical=canonical,
         **common_sizes(low, held, routh),
         **more,
     )

@@ -207,7 +207,7 @@ class Lowering:
     def inputs(self, node: int) -> tuple[Expression, ...]:
         """Return the inputs at a node; the first node also serves as the start of the step."""
         if node not in self._inputs:
-            stride, names = node_stride(self.equations.scheme), self.names.inputs
+            stride, names = node_stride(self.equations), self.names.inputs
             self._inputs[node] = tuple(
                 self._base([f"{u}_{node}"], "INPUT", first=k * stride + node)[0]
                 for k, u in enumerate(names)

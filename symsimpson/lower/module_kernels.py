@@ -47,7 +47,9 @@ STAGE_COORDINATES = 24
 def lower(equations: DiscreteEquations) -> Module:
     """Lower the equations of a step to the kernels of a module."""
     writer = _ModuleWriter(equations)
-    if is_unrolled(equations):
+    if equations.plain.hamiltonian is not None:
+        writer.write_canonical()
+    elif is_unrolled(equations):
         writer.trace_kernels()
     else:
         writer.write_loops()
@@ -120,6 +122,31 @@ class _ModuleWriter:
             self.tables |= solve_tables(equations.parts[0], equations.scheme)
         self.tables |= self.storage.node_constants()
         self.tables |= equation_constants(self.storage, equations.scheme.degree, held)
+
+    def write_canonical(self) -> None:
+        """Write the kernels of a system that is declared by its Hamiltonian."""
+        low, equations, n = self.low, self.equations, self.low.n
+        regular = equations.system.structure.momentum_rank == n
+        (part,) = equations.parts
+        names = ("phase_jet", "gradient", "velocity", "potential", *(("mass",) if regular else ()))
+        self.functions = terms_of_l.unrolled_functions(low, names)
+        self.known = facts(low, part, self.storage, None)
+        self.known |= {"REGULAR": regular, "PIVOTS": False}
+        texts = {"start": "start_phase", "newton": "newton_phase", "advance": "advance_phase"}
+        texts |= {"energy": "phase_energy"} | ({"legendre": "phase_momentum"} if regular else {})
+        if equations.plain.powers:
+            self.functions.append(terms_of_l.power_function(low, low.template))
+            texts["work"] = "phase_work"
+        for name, text in texts.items():
+            self.kernels.append(replace(kernel_from_text(text, self.known), name=name))
+        self.kernels += observation_kernels(low, None)
+        storage, points = Storage.dense(n), 2 * equations.scheme.degree
+        columns = tuple(range(1, points + 1))
+        self.tables = storage.node_constants() | {"MASS_BAND": n - 1}
+        self.tables |= {"SOLVE_COLUMNS": columns, "SOLVE_UNKNOWNS": n * points}
+        self.tables |= storage.constants("SOLVE", points) | storage.bounds("SOLVE", points)
+        self.tables |= {"STRIDE": node_stride(equations), "UNFORCED": ()}
+        self.unknowns = equations.unknowns.size
 
     def write_loops(self) -> None:
         """Write the kernels of a large system as loops."""
@@ -231,6 +258,7 @@ class _ModuleWriter:
         """
         low, plain, storage, held = self.low, self.equations.plain, self.storage, self.held
         differentiated = self.equations.varied is not None and is_unrolled(self.equations)
+        differentiated = differentiated and plain.hamiltonian is None
         by_columns = differentiated and traces_end(low)
         self.known["BY_COLUMNS"] = by_columns
         functions, kernels, tables = derivative_kernels(low, storage, held, self.known)
@@ -242,15 +270,20 @@ class _ModuleWriter:
             self.tables["NODE_POWERS"] = len(plain.powers)
         if low.names.inputs:
             self.tables["INPUTS"] = len(low.names.inputs)
-            self.tables["INPUT_STRIDE"] = node_stride(self.equations.scheme)
+            self.tables["INPUT_STRIDE"] = node_stride(self.equations)
         prepare = self._prepare(stages)
         more_sizes = {**stages.sizes, **differential_sizes(low, by_columns=by_columns)}
+        blocks, rows = layout(sizes(low, self.known, storage, held, self.routh, **more_sizes))
+        if "SOUGHT" in blocks:
+            found, given = ("MOMENTUM", "VELOCITY") if plain.hamiltonian else ("VELOCITY", "MOMENTUM")
+            self.tables |= {"GIVEN": blocks[given], "FOUND": blocks[found]}
         return Module(
             low.names,
             (*self.functions, *stages.functions),
             (prepare, *self.kernels, *stages.kernels),
             low.graph.constants,
-            *layout(sizes(low, self.known, storage, held, self.routh, **more_sizes)),
+            blocks,
+            rows,
             self.unknowns,
             self.tables,
             self.known | stages.facts,
@@ -275,10 +308,12 @@ class _ModuleWriter:
 
 def _stage_kernels(low: Lowering, known: Mapping[str, object], *, by_loops: bool) -> Stages | None:
     """Return the kernels that iterate on velocities and forces at the nodes, or None."""
-    if not low.equations.scheme.by_stages or low.equations.plain.rate is not None or known["HELD"]:
+    canonical = low.equations.plain.hamiltonian is not None
+    possible = canonical or low.equations.scheme.by_stages
+    if not possible or low.equations.plain.rate is not None or known["HELD"]:
         return None
     traced = TracedStages(low, known).stages() if low.n <= STAGE_COORDINATES else None
-    pays = by_loops and known["CONSTANT_MASS"]
+    pays = canonical or (by_loops and known["CONSTANT_MASS"])
     return looped_stages(low, known) if traced is None and pays else traced
 
 

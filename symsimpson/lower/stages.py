@@ -39,6 +39,7 @@ MOST_OPERATIONS = 3000
 KERNELS = ("start_stages", "iterate", "advance_stages")
 #: Functions that are traced, and what computes the first half of an iteration.
 TRACED = ("start_velocity", "end_velocity", "stage_force", "stage_velocity", "stage_ahead")
+PHASE_TRACED = ("stage_force", "stage_rate")
 FIRST = (Level.STEP, Level.ITERATION)
 #: Rows of a node that these read, and tables with a row for each node, by names of their values.
 READ = {"STAGE_STEP": "h_b", "STAGE_RATE": "rate", "STAGE_PLACE": "c_j"}
@@ -85,7 +86,7 @@ def _complete_stages(
     **sizes: Any,
 ) -> Stages:
     """Return the kernels of a system in which forces act on the ``forced`` coordinates."""
-    timed, stride = not low.equations.plain.autonomous, node_stride(low.equations.scheme)
+    timed, stride = not low.equations.plain.autonomous, node_stride(low.equations)
     unforced = tuple(a for a in range(low.n) if a not in forced)
     facts |= {"UNFORCED": bool(unforced)}
     return Stages(
@@ -110,22 +111,26 @@ class TracedStages:
 
     def __init__(self, low: Lowering, known: Mapping[str, object]) -> None:
         self._low, self._known, self._scales = low, {**known}, len(low.scales)
-        self._stride = node_stride(low.equations.scheme)
+        self._stride = node_stride(low.equations)
         self._forced = low.template.forced_coordinates
         if not low.equations.plain.quadratic:
             self._forced = tuple(range(low.n))
         self._node = _Node(low.equations.scheme.stages)
         self._order = [a for part in low.equations.parts for a in part.mass_order]
         facts = {"TRACED": True, "CONSTANT_MASS": False, "GYROSCOPIC": False, "PIVOTS": False}
+        self._canonical = low.equations.plain.hamiltonian is not None
         stride = self._node + 1
         tables = {"STRIDE": stride, "INPUT_STRIDE": stride}
         blocks = {"staged": stride, "stride": stride, "staged_times": True}
-        self._part = TracedPart(low, self._order, TRACED, {**known, **facts}, tables, blocks)
+        names = PHASE_TRACED if self._canonical else TRACED
+        self._part = TracedPart(low, self._order, names, {**known, **facts}, tables, blocks)
         self._rows = self._symbols()
 
     def stages(self) -> Stages | None:
         """Return the kernels of a small system; None if a node has too many operations."""
         low, h, t = self._low, self._low.h, self._low.t
+        if self._canonical:
+            return self._phase_stages()
         start, end = self._velocity("start_velocity", t), self._velocity("end_velocity", h, t)
         self._run("stage_force", h, t, self._node)
         forces = self._stores("STAGE_F", "dp_{}_j", self._forced, "forces")
@@ -159,6 +164,31 @@ class TracedStages:
         sizes = {"staged_values": between, "angles": angles}
         known = {**self._known, **facts}
         return _complete_stages(low, self._forced, known, tuple(functions), **sizes)
+
+    def _phase_stages(self) -> Stages | None:
+        """Return the kernels of a Hamiltonian: forces, then momenta and velocities."""
+        low, h, t = self._low, self._low.h, self._low.t
+        self._run("stage_force", h, t, self._node)
+        forces = self._stores("STAGE_F", "dp_{}_j", range(low.n), "forces")
+        self._trace("stage_rate", h, t, self._node)
+        moves = self._stores("STAGE_V", "dq_{}_new", range(low.n), "velocities")
+        moves += self._stores("STAGE_KICK", "kick_{}_new", range(low.n), "velocities")
+        for block, name in (("STAGE_CORRECTION", "correction"), ("STAGE_SIZE", "size")):
+            value = low.graph.define(name, self._part.row(block, self._node), "velocities")
+            moves.append(Store(self._row(block), value))
+        needed = low.find_needed([*forces, *moves], tuple(Level))
+        reached = [d for s, d in low.graph.definitions.items() if s in needed]
+        if sum(definition.operations for definition in reached) > MOST_OPERATIONS:
+            return None
+        row = partial(self._row, "STAGE_HELD")
+        opening, closing, between = low.split_statements(forces, moves, row)
+        functions = (
+            _node_function("stage_forces", "Find forces at all nodes.", opening),
+            _node_function("stage_velocities", "Find velocities at all nodes.", closing),
+        )
+        known = {**self._known, "TURNED": False}
+        every = range(low.n)
+        return _complete_stages(low, every, known, functions, staged_values=between)
 
     def _velocity(self, function: str, *times: Expression) -> tuple[Statement, ...]:
         """Find the velocity at the start of a run, or at q1 for cyclic coordinates."""
@@ -214,11 +244,22 @@ class TracedStages:
         for block, hint in TABLES.items():
             rows[block] = at_hand(block, [hint.format(j) for j in range(self._node)])
         rows["INPUT"] = at_hand("INPUT", [f"{u}_j" for u in names.inputs])
+        if self._canonical:
+            hints = [f"kick_{names.coordinates[a]}" for a in order]
+            values = [self._symbol("STAGE_KICK", a, hint, self._node) for a, hint in zip(order, hints, strict=True)]
+            rows["STAGE_KICK"] = [x for value in values for x in (*others, value)]
+            rows["MOMENTUM_WEIGHT"] = [self._weight(a) for a in order]
         return {
             **rows,
             "STAGE_V": of_all("STAGE_V", "dq_{}"),
             "STAGE_F": of_all("STAGE_F", "dp_{}"),
         }
+
+    def _weight(self, a: int) -> Any:
+        """Return the symbol of the weight of a momentum."""
+        symbol = self._low.graph.fresh(f"mass_p_{self._low.names.coordinates[a]}", Level.STEP)
+        self._low.rows[symbol] = Row("MOMENTUM_WEIGHT", a)
+        return symbol
 
     def _symbol(self, block: str, k: int, hint: str, node: int) -> Any:
         """Return a new symbol for the kth value of a node in a block; 0 where there is no force."""

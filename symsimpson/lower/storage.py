@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from symsimpson.discrete.bandwidth import band_of, list_neighbours, order_coordinates
 from symsimpson.discrete.families import Family
-from symsimpson.schemes.scheme import Scheme
+from symsimpson.discrete.equations import DiscreteEquations
 
 #: Nodes are filled up to a multiple of this: a vector register of the widest machines.
 REGISTER = 8
@@ -101,11 +101,12 @@ class Storage:
         return blocks * (self.band + 1) - 1
 
 
-def node_stride(scheme: Scheme) -> int:
+def node_stride(equations: DiscreteEquations) -> int:
     """Return the rows of a value of all nodes; nodes that are lanes fill vector registers."""
+    scheme, canonical = equations.scheme, equations.plain.hamiltonian is not None
     register = REGISTER // 2 if scheme.stages <= REGISTER // 2 else REGISTER
     full = -(-scheme.stages // register) * register
-    return full if scheme.by_stages else scheme.stages
+    return full if canonical or scheme.by_stages else scheme.stages
 
 
 @dataclass(frozen=True)

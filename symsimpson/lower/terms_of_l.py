@@ -41,6 +41,8 @@ FUNCTIONS = {
     "mass": ("M and a at a node.", ("a", "M")),
     "gyroscopic": ("a at a node.", ("a",)),
     "potential": ("Add V to the energy.", ("V",)),
+    "velocity": ("The velocity H_p.", ("P",)),
+    "phase_jet": ("F, H_p and their derivatives at a node.", ("F", "P", "F_q", "F_v", "P_q", "M")),
 }
 _CLEARED = "W[{} + row, lane] = real(0)"
 #: Terms of more nodes are not shown.
@@ -53,6 +55,7 @@ BLOCKS = {
     "F_v": "NODE_L_QV",
     "f_v": "NODE_F_V",
     "M": "NODE_L_VV",
+    "P_q": "NODE_P_Q",
     "V": "ENERGY",
 }
 
@@ -93,7 +96,8 @@ def unrolled_functions(
     With forces most entries of a large system are zero. Loops clear them all first.
     """
     sparse = not low.equations.plain.conservative
-    dragged = low.equations.plain.dragged
+    plain = low.equations.plain
+    dragged = plain.dragged and plain.hamiltonian is None
     functions = []
     for name in names:
         doc, parts = FUNCTIONS[name]

@@ -197,7 +197,8 @@ def _observed_point(
 ) -> tuple[JetTemplate, Point, tuple[Statement, ...]]:
     """Return the template and point of a state, and the call that finds its velocities."""
     if state is None:
-        point = Point("state", low.q, low.v, low.t, low.inputs(0))
+        moving = low.v if low.equations.plain.hamiltonian is None else low.p
+        point = Point("state", low.q, moving, low.t, low.inputs(0))
         return low.observed, point, (Call("find_velocity", ("W", "t", "lane")),)
     start, v = low.start_point(), tuple(state.velocity())
     return low.template, replace(start, suffix=f"{start.suffix}_state", v=v), seek_velocity(low)

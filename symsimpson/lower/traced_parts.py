@@ -130,6 +130,7 @@ class TracedPart:
             "pivots": self._n,
         }
         large |= common_sizes(low, held, routh) | dict.fromkeys(kinds, True)
+        large["canonical"] = low.equations.plain.hamiltonian is not None
         sizes = Sizes(**{**large, **(blocks or {})})
         self._first, _ = layout(sizes)
         self._count = {x.name: int(x.size(sizes)) for x in TABLE}
@@ -147,7 +148,7 @@ class TracedPart:
             "NODES": scheme.stages,
             "UNKNOWNS": size,
             "INPUTS": len(low.names.inputs),
-            "INPUT_STRIDE": node_stride(scheme),
+            "INPUT_STRIDE": node_stride(eqs),
             "ROW_ORDER": eqs.rows,
             "COLUMN_ORDER": eqs.columns,
             **tables,

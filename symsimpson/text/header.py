@@ -62,6 +62,7 @@ class Header:
     #: Whether M has eigenvalues of both signs, and whether L is not quadratic in the velocities.
     indefinite: bool = False
     general: bool = False
+    canonical: bool = False  #: Whether the system is declared by its Hamiltonian.
     #: What steps are differentiated by, besides the state.
     varied_by: tuple[str, ...] | None = None
 

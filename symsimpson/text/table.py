@@ -49,6 +49,7 @@ class Sizes:
     #: Whether M has eigenvalues of both signs, and whether L is not quadratic in the velocities.
     indefinite: bool = False
     inverted: bool = False
+    canonical: bool = False  #: Whether the system is declared by H, and p are unknowns, too.
     #: Coordinates, the last ones, that are solved for by their momenta, and multipliers of these.
     cyclic: int = 0
     cyclic_multipliers: int = 0
@@ -189,7 +190,10 @@ TABLE = (
     scratch("NODE_L_QQ", "F_q at a node", entries),
     scratch("NODE_L_QV", "F_v at a node", entries),
     part("NODE_L_VV", "M at a node", entries),
-    part("MASS_EXCHANGE", "rows of M that elimination has exchanged", lambda s: s.indefinite * s.n),
+    scratch("NODE_P_Q", "derivatives of the velocity by q", lambda s: s.canonical * s.entries),
+    part("PHASE_SIZE", "sizes of the last moves of q and p", lambda s: 2 * s.canonical * s.n),
+    part("MOMENTUM_WEIGHT", "weights of increments of p", lambda s: s.canonical * s.n),
+    part("MASS_EXCHANGE", "rows of M that elimination has exchanged", lambda s: (s.indefinite or s.canonical) * s.n),
     scratch(
         "SOUGHT",
         "of a velocity that is sought: weights and size of p, the velocity before, its change",
@@ -226,6 +230,7 @@ TABLE = (
     part("STAGE_V", "h b_i v_i", lambda s: s.n * s.staged),
     part("STAGE_F", "h b_i F_i", lambda s: s.n * s.staged),
     scratch("STAGE_Q", "positions at the nodes, less q", lambda s: s.n * s.staged),
+    part("STAGE_KICK", "momenta there, less p", lambda s: s.canonical * s.n * s.staged),
     part("STAGE_STEP", "h b_i", lambda s: s.staged),
     part("STAGE_RATE", "1 / (h b_i)", lambda s: s.staged),
     part("STAGE_PLACE", "c_i", lambda s: s.staged_times * s.staged),
@@ -363,6 +368,11 @@ TABLE = (
     scratch("STEP_QV", "F_v at all nodes", lambda s: s.assembled * s.nodes * s.entries),
     scratch("STEP_VV", "M at all nodes", lambda s: s.assembled * s.nodes * s.entries),
     scratch(
+        "STEP_P_Q",
+        "derivatives of velocities by q at all nodes",
+        lambda s: s.canonical * s.assembled * s.nodes * s.entries,
+    ),
+    scratch(
         "STEP_F_V",
         "derivatives of the forces by v at all nodes",
         lambda s: s.assembled * s.dragged * s.nodes * s.entries,
@@ -405,7 +415,7 @@ TABLE = (
     part(
         "ADJOINT_START",
         "derivative of a cost by q at the start of a step, through forces and momenta",
-        lambda s: s.differentiated * s.n,
+        lambda s: s.differentiated * s.n * (1 + s.canonical),
     ),
     part(
         "COST",

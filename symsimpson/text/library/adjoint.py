@@ -97,7 +97,10 @@ def step_cost(W, h, t, lane):
         if FOLLOWING:
             solve_following(W, h, t, lane)
         for node in range(NODES):
-            at_node(W, h, t, node, lane)
+            if CANONICAL:
+                phase_node(W, h, t, node, lane)
+            else:
+                at_node(W, h, t, node, lane)
             cost_at_node(W, h, t, node, lane)
         exchange_steps(W, lane)
 

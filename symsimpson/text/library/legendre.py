@@ -1,4 +1,8 @@
-"""The velocity of a momentum, where L is not quadratic in the velocities."""
+"""The velocity of a momentum, where L is not quadratic in the velocities; of H, the reverse.
+
+GIVEN is the first row of the momenta, and FOUND that of the velocities. With H(q, p), they are
+exchanged: p is sought with H_p = v. Then M is H_pp, and L_v stands for H_p.
+"""
 
 
 @compiled
@@ -15,10 +19,10 @@ def momentum_gap(W, t, lane):
         p = W[NODE_L_V + s, lane]
         for b in range(DIMENSION):
             p += W[NODE_L_VV + s * NODE_STRIDE + b + NODE_OFFSET, lane] * W[NODE_VELOCITY + b, lane]
-        missing = W[MOMENTUM + a, lane] - p
+        missing = W[GIVEN + a, lane] - p
         W[RESIDUAL + s, lane] = missing
         gap += W[SOUGHT + s, lane] * missing**2
-        size += W[SOUGHT + s, lane] * (p**2 + W[MOMENTUM + a, lane] ** 2)
+        size += W[SOUGHT + s, lane] * (p**2 + W[GIVEN + a, lane] ** 2)
     W[SOUGHT + DIMENSION, lane] = size
     return gap
 
@@ -43,7 +47,7 @@ def correct_velocity(W, t, gap, lane):
     """
     for s in range(DIMENSION):
         W[NODE_VELOCITY + s, lane] = W[RESIDUAL + s, lane]
-        W[SOUGHT + DIMENSION + 1 + s, lane] = W[VELOCITY + COORDINATE[s], lane]
+        W[SOUGHT + DIMENSION + 1 + s, lane] = W[FOUND + COORDINATE[s], lane]
     small = gap <= CLOSE * W[SOUGHT + DIMENSION, lane]
     factor_mass(W, lane)
     solve_with_mass(W, lane)
@@ -53,7 +57,7 @@ def correct_velocity(W, t, gap, lane):
     for _ in range(MOST_HALVINGS):
         for s in range(DIMENSION):
             change = part * W[SOUGHT + 2 * DIMENSION + 1 + s, lane]
-            W[VELOCITY + COORDINATE[s], lane] = W[SOUGHT + DIMENSION + 1 + s, lane] + change
+            W[FOUND + COORDINATE[s], lane] = W[SOUGHT + DIMENSION + 1 + s, lane] + change
         smaller = momentum_gap(W, t, lane)
         if smaller < gap:
             return smaller
@@ -61,7 +65,7 @@ def correct_velocity(W, t, gap, lane):
             break
         part /= 2
     for s in range(DIMENSION):
-        W[VELOCITY + COORDINATE[s], lane] = W[SOUGHT + DIMENSION + 1 + s, lane]
+        W[FOUND + COORDINATE[s], lane] = W[SOUGHT + DIMENSION + 1 + s, lane]
     return gap
 
 
@@ -74,8 +78,8 @@ def invert_momentum(W, t, lane):
     for guess in range(3):
         for s in range(DIMENSION):
             a = COORDINATE[s]
-            other = W[MOMENTUM + a, lane] if guess == 2 else real(0)
-            W[VELOCITY + a, lane] = other if guess > 0 else W[VELOCITY + a, lane]
+            other = W[GIVEN + a, lane] if guess == 2 else real(0)
+            W[FOUND + a, lane] = other if guess > 0 else W[FOUND + a, lane]
         weigh_momenta(W, t, lane)
         gap = momentum_gap(W, t, lane)
         for _ in range(MOST_SOUGHT):
@@ -86,4 +90,4 @@ def invert_momentum(W, t, lane):
         if gap <= CLOSE * W[SOUGHT + DIMENSION, lane]:
             return
     for a in range(DIMENSION):
-        W[VELOCITY + a, lane] = INFINITE - INFINITE
+        W[FOUND + a, lane] = INFINITE - INFINITE

@@ -16,7 +16,10 @@ def path_start(W, lane):
     """Position and velocity at the start of the path."""
     for s in range(DIMENSION):
         W[NODE_POSITION + s, lane] = W[POSITION + COORDINATE[s], lane]
-        W[NODE_VELOCITY + s, lane] = W[VELOCITY + COORDINATE[s], lane]
+        if CANONICAL:
+            W[NODE_VELOCITY + s, lane] = W[MOMENTUM + COORDINATE[s], lane]
+        else:
+            W[NODE_VELOCITY + s, lane] = W[VELOCITY + COORDINATE[s], lane]
 
 
 @compiled

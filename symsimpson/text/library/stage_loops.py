@@ -135,7 +135,11 @@ def enter_stage(W, h, t, node, lane):
         first = rate * moved
         lost = moved - share * first
         W[NODE_POSITION + s, lane] = W[POSITION + a, lane] + W[STAGE_Q + a * STRIDE + node, lane]
-        W[NODE_VELOCITY + s, lane] = first + rate * lost
+        if CANONICAL:
+            kicked = W[STAGE_KICK + a * STRIDE + node, lane]
+            W[NODE_VELOCITY + s, lane] = W[MOMENTUM + a, lane] + kicked
+        else:
+            W[NODE_VELOCITY + s, lane] = first + rate * lost
     if not AUTONOMOUS:
         W[NODE_TIME, lane] = t + W[STAGE_PLACE + node, lane] * h
     if DRIVEN:
@@ -195,10 +199,39 @@ def stage_velocity(W, h, t, node, lane):
 
 
 @compiled
+def stage_rate(W, h, t, node, lane):
+    """Find momentum and velocity H_p at a node of a Hamiltonian, and the changes of both."""
+    enter_stage(W, h, t, node, lane)
+    share = W[STAGE_STEP + node, lane]
+    correction, size = real(0), real(0)
+    for s in range(DIMENSION):
+        a = COORDINATE[s]
+        kicked = stage_sum(W, STAGE_NU, STAGE_F + a * STRIDE, node, lane)
+        change = kicked - W[STAGE_KICK + a * STRIDE + node, lane]
+        correction += W[MOMENTUM_WEIGHT + a, lane] * change**2
+        size += W[MOMENTUM_WEIGHT + a, lane] * kicked**2
+        W[STAGE_KICK + a * STRIDE + node, lane] = kicked
+        W[NODE_VELOCITY + s, lane] = W[MOMENTUM + a, lane] + kicked
+    velocity(W, lane)
+    for s in range(DIMENSION):
+        a = COORDINATE[s]
+        new = share * W[NODE_L_V + s, lane]
+        change = new - W[STAGE_V + a * STRIDE + node, lane]
+        correction += W[MASS_DIAGONAL + a, lane] * change**2
+        size += W[MASS_DIAGONAL + a, lane] * new**2
+        W[STAGE_V + a * STRIDE + node, lane] = new
+    W[STAGE_CORRECTION + node, lane] = correction
+    W[STAGE_SIZE + node, lane] = size
+
+
+@compiled
 def stage_velocities(W, h, t, lane):
     """Find momenta and velocities at all nodes."""
     for node in range(STRIDE if LANES == 1 else NODES):
-        stage_velocity(W, h, t, node, lane)
+        if CANONICAL:
+            stage_rate(W, h, t, node, lane)
+        else:
+            stage_velocity(W, h, t, node, lane)
 
 
 @compiled
@@ -231,6 +264,36 @@ def extrapolate_stages(W, smooth, lane):
 
 
 @compiled
+def extrapolate_phase(W, smooth, lane):
+    """Extrapolate velocities, forces and momenta to all nodes of the next step."""
+    for node in range(STRIDE if LANES == 1 else NODES):
+        for a in range(DIMENSION):
+            table, force = STAGE_AHEAD + smooth, STAGE_F + a * STRIDE
+            moved = stage_sum(W, table, STAGE_V + a * STRIDE, node, lane)
+            W[STAGE_Q + a * STRIDE + node, lane] = moved
+            W[STAGE_KICK + a * STRIDE + node, lane] = stage_sum(W, table, force, node, lane)
+    copy(W, STAGE_Q, STAGE_V, DIMENSION * STRIDE, lane)
+    copy(W, STAGE_KICK, STAGE_F, DIMENSION * STRIDE, lane)
+    for node in range(STRIDE if LANES == 1 else NODES):
+        for a in range(DIMENSION):
+            kicked = stage_sum(W, STAGE_NU, STAGE_F + a * STRIDE, node, lane)
+            W[STAGE_KICK + a * STRIDE + node, lane] = kicked
+
+
+@compiled
+def measure_stages(W, h, lane):
+    """Set the weights of increments of q and p from those of the step."""
+    for a in range(DIMENSION):
+        moved, pushed = real(0), real(0)
+        for node in range(NODES):
+            moved += abs(W[STAGE_V + a * STRIDE + node, lane])
+            pushed += abs(W[STAGE_F + a * STRIDE + node, lane])
+        size_of_move(W, PHASE_SIZE + a, moved, POSITION + a, lane)
+        size_of_move(W, PHASE_SIZE + DIMENSION + a, pushed, MOMENTUM + a, lane)
+    weigh_phase(W, h, lane)
+
+
+@compiled
 def start_velocity(W, t, lane):
     """Find the velocity at (q, p), and store the pivots of M there."""
     find_velocity(W, t, lane)
@@ -247,7 +310,19 @@ def end_velocity(W, h, t, lane):
 @kernel
 def start_stages(W, h, t, lane):
     """Begin at (q, p): the same velocity at all nodes."""
-    start_velocity(W, t, lane)
+    if CANONICAL:
+        find_rates(W, t, lane)
+        clear(W, PHASE_SIZE, 2 * DIMENSION, lane)
+        clear(W, STAGE_KICK, DIMENSION * STRIDE, lane)
+        for a in range(DIMENSION):
+            for node in range(STRIDE if LANES == 1 else NODES):
+                share = W[STAGE_STEP + node, lane]
+                W[STAGE_F + a * STRIDE + node, lane] = share * W[NODE_L_Q + a, lane]
+                W[STAGE_V + a * STRIDE + node, lane] = share * W[NODE_L_V + a, lane]
+        measure_stages(W, h, lane)
+        W[MASS_PIVOT, lane] = 0.0
+    else:
+        start_velocity(W, t, lane)
     for a in range(DIMENSION):
         for node in range(STRIDE if LANES == 1 else NODES):
             W[STAGE_V + a * STRIDE + node, lane] = (
@@ -279,7 +354,14 @@ def advance_stages(W, h, t, lane):
     """Close a step by compensated sums, then extrapolate to the nodes of the next."""
     if W[ACTIVE, lane] != 0:
         close_stages(W, lane)
-        if LOOKED_AT:
+        if CANONICAL:
+            for node in range(NODES):
+                for a in range(DIMENSION):
+                    y, g = SOLVED + node * DIMENSION + a, SOLVED + (NODES + node) * DIMENSION + a
+                    W[y, lane] = W[STAGE_V + a * STRIDE + node, lane]
+                    W[g, lane] = W[STAGE_F + a * STRIDE + node, lane]
+            measure_stages(W, h, lane)
+        if LOOKED_AT and not CANONICAL:
             for k in range(DEGREE):  # increments of control points, for derivatives
                 for a in range(DIMENSION):
                     moved = real(0)
@@ -296,7 +378,10 @@ def advance_stages(W, h, t, lane):
                 jump_squared += W[MASS_DIAGONAL + a, lane] * gap**2
             W[CYCLIC_JUMP_SQUARED, lane] = jump_squared
         # steps that take many iterations are long: there a smoother extrapolation is closer
-        if W[STAGE_COUNT, lane] > MANY:
+        smooth = NODES * STRIDE if W[STAGE_COUNT, lane] > MANY else 0
+        if CANONICAL:
+            extrapolate_phase(W, smooth, lane)
+        elif W[STAGE_COUNT, lane] > MANY:
             extrapolate_stages(W, NODES * STRIDE, lane)
         else:
             extrapolate_stages(W, 0, lane)

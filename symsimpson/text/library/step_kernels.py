@@ -91,10 +91,13 @@ def solve_allowed(W, lane):
 @compiled
 def find_velocity(W, t, lane):
     """Find the velocity at a state."""
-    if not QUADRATIC and not TRACED:
-        invert_momentum(W, t, lane)
-    factor_at_start(W, t, lane)
-    solve_velocity(W, lane)
+    if CANONICAL:
+        find_rates(W, t, lane)
+    else:
+        if not QUADRATIC and not TRACED:
+            invert_momentum(W, t, lane)
+        factor_at_start(W, t, lane)
+        solve_velocity(W, lane)
 
 
 @compiled
