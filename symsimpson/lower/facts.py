@@ -49,6 +49,7 @@ def facts(low: Lowering, part: Part, storage: Storage, held: Border | None) -> d
         "TRACED": False,
         "PAIRED": False,
         "CANONICAL": plain.hamiltonian is not None,
+        "ONE_NODE": equations.scheme.stages == 1,
         "QUADRATIC": plain.quadratic,
         "DEFINITE": plain.definite and plain.hamiltonian is None,
         "HELD": held is not None,

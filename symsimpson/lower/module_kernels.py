@@ -133,7 +133,7 @@ class _ModuleWriter:
         self.known = facts(low, part, self.storage, None)
         self.known |= {"REGULAR": regular, "PIVOTS": False}
         texts = {"start": "start_phase", "newton": "newton_phase", "advance": "advance_phase"}
-        texts |= {"energy": "phase_energy"} | ({"legendre": "phase_momentum"} if regular else {})
+        texts |= {"legendre": "phase_momentum", "energy": "phase_energy"}
         if equations.plain.powers:
             self.functions.append(terms_of_l.power_function(low, low.template))
             texts["work"] = "phase_work"

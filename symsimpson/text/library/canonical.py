@@ -192,8 +192,12 @@ def phase_energy(W, h, t, lane):
 
 @kernel
 def phase_momentum(W, h, t, lane):
-    """The momentum with H_p = v, from q and v."""
-    invert_momentum(W, t, lane)
+    """The momentum with H_p = v, from q and v; NaN if H_pp is singular everywhere."""
+    if REGULAR:
+        invert_momentum(W, t, lane)
+    else:
+        for a in range(DIMENSION):
+            W[MOMENTUM + a, lane] = INFINITE - INFINITE
 
 
 @kernel

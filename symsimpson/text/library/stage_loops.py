@@ -24,8 +24,11 @@ def stage_constants(W, h, lane):
     for node in range(1, NODES - 1):
         W[STAGE_STEP + node, lane] = h * WEIGHTS[node]
         inner += h * WEIGHTS[node]
-    W[STAGE_STEP, lane] = (h - inner) / 2
-    W[STAGE_STEP + NODES - 1, lane] = (h - inner) / 2
+    if ONE_NODE:
+        W[STAGE_STEP, lane] = h
+    else:
+        W[STAGE_STEP, lane] = (h - inner) / 2
+        W[STAGE_STEP + NODES - 1, lane] = (h - inner) / 2
     for node in range(NODES):
         W[STAGE_RATE + node, lane] = 1 / W[STAGE_STEP + node, lane]
         if not AUTONOMOUS:
