@@ -17,6 +17,7 @@ from .declare.coordinates import approach as approach
 from .declare.coordinates import coordinates as coordinates
 from .declare.coordinates import momenta as momenta
 from .declare.coordinates import time as time
+from .declare.hamiltonian import HamiltonianSystem as HamiltonianSystem
 from .declare.retimed import RetimedSystem as RetimedSystem
 from .declare.retimed import energy as energy
 from .declare.structure import Structure as Structure

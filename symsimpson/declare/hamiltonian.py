@@ -7,23 +7,33 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 import sympy as sp
+from numpy.typing import ArrayLike, NDArray
 from sympy.core.function import AppliedUndef
 
-from symsimpson.declare.checks import check_names, read_coordinates, read_name, read_parameters
-from symsimpson.declare.checks import reject_model, spell
+from symsimpson.declare.checks import (
+    check_names,
+    read_coordinates,
+    read_name,
+    read_parameters,
+    reject_model,
+    spell,
+)
 from symsimpson.declare.coordinates import time
 from symsimpson.declare.declaration import read_mapping, read_positions, read_units
-from symsimpson.declare.declared import Declared
+from symsimpson.declare.declared import read_values, read_vector
 from symsimpson.declare.expression_checks import read_expression
 from symsimpson.declare.forces import check_used, read_forces, read_inputs
 from symsimpson.declare.plain import Plain, Symbols
 from symsimpson.declare.system import MechanicalSystem, stage
+from symsimpson.errors import reject
 from symsimpson.graph.derive import gradient
+from symsimpson.graph.evaluate import evaluate_doubles
 from symsimpson.graph.nodes import ZERO, Value
 
 
@@ -126,6 +136,95 @@ class HamiltonianSystem(MechanicalSystem):
         }.items():
             object.__setattr__(self, key, value)
 
+    @cached_property
+    def equations(self) -> tuple[sp.Eq, ...]:
+        """Hamilton's equations q' = H_p and p' = f - H_q, in SymPy; p are functions of time.
+
+        Raises
+        ------
+        ModelError
+            If H is too long for SymPy expressions.
+        """
+        if self.too_large_for_sympy:
+            reject_model(
+                self.name,
+                "H is too long for equations in SymPy.",
+                "Evaluate it as numbers with stepper.step.",
+            )
+        moving = {p: sp.Function(p.name)(time) for p in self.momenta}
+        H, n = self.hamiltonian, self.n
+        rates = [sp.diff(H, p) for p in self.momenta]
+        forces: list[sp.Expr] = [sp.S.Zero] * n
+        back = dict(Symbols(self.coordinates, self.parameters, self.inputs).back)
+        back |= dict(zip(self.plain.v, self.momenta, strict=True))
+        for i, force in enumerate(self.plain.f):
+            forces[i] = self.plain.to_sympy(force).xreplace(back)
+        return (
+            *(
+                sp.Eq(q.diff(time), rate.xreplace(moving))
+                for q, rate in zip(self.coordinates, rates, strict=True)
+            ),
+            *(
+                sp.Eq(moving[p].diff(time), (force - sp.diff(H, q)).xreplace(moving))
+                for q, p, force in zip(self.coordinates, self.momenta, forces, strict=True)
+            ),
+        )
+
+    def linearise(  # type: ignore[override]
+        self,
+        q0: ArrayLike,
+        p0: ArrayLike | None = None,
+        *,
+        parameters: Mapping[Any, float] | None = None,
+        inputs: Mapping[Any, float] | None = None,
+        t: float = 0.0,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Linearise Hamilton's equations about a state: x' = A x + B u with x = (q, p).
+
+        Parameters
+        ----------
+        q0 : array_like, shape (n,)
+            Positions.
+        p0 : array_like, shape (n,), optional
+            Momenta. The default is zero.
+        parameters : mapping, optional
+            Values of parameters by symbol or name. The default is the system's own values.
+        inputs : mapping, optional
+            Values of inputs by symbol or name. The default is 0.
+        t : float, default 0.0
+            The time, if the equations depend on it.
+
+        Returns
+        -------
+        A : ndarray, shape (2 n, 2 n)
+            Derivatives of the rates of (q, p) by (q, p).
+        B : ndarray, shape (2 n, m)
+            Derivatives of the rates of (q, p) by the m inputs.
+
+        Raises
+        ------
+        InputError
+            If the state is invalid, or if a derivative is not finite there.
+        """
+        plain, n, m = self.plain, self.n, len(self.inputs)
+        q = read_vector(self, "q0", q0)
+        p = np.zeros(n) if p0 is None else read_vector(self, "p0", p0)
+        values = read_values("parameters", "parameter", self.parameters, parameters)
+        given = read_values("inputs", "input", dict.fromkeys(self.inputs, 0.0), inputs)
+        symbols = plain.numbers((*plain.q, *plain.v, *plain.parameters, *plain.u, plain.t))
+        point = dict(zip(symbols, (*q.tolist(), *p.tolist(), *values, *given, t), strict=True))
+        states = plain.numbers((*plain.q, *plain.v, *plain.u))
+        rates = [*plain.velocities, *plain.right_sides]
+        slopes = [x for rate in rates for x in gradient(plain.graph, rate, states)]
+        matrix = np.reshape(evaluate_doubles(plain.graph, slopes, point), (2 * n, 2 * n + m))
+        if not np.isfinite(matrix).all():
+            reject(
+                "the linear equations have no finite values at this state.",
+                where=self.name,
+                remedy="Choose a state at which H and forces are smooth.",
+            )
+        return matrix[:, : 2 * n], matrix[:, 2 * n :]
+
     @property
     def lagrangian(self) -> sp.Expr:
         """A Hamiltonian system has no Lagrangian in its declaration; this raises ModelError."""
@@ -174,8 +273,10 @@ def _read_momenta(
                 f"the momentum {spell(p)!r} is not a SymPy symbol.",
                 "Make it with sympy.Symbol('p', real=True).",
             )
-        if p.is_real is False or p.is_integer or any(
-            getattr(p, f"is_{sign}") for sign in ("positive", "negative", "nonzero")
+        if (
+            p.is_real is False
+            or p.is_integer
+            or any(getattr(p, f"is_{sign}") for sign in ("positive", "negative", "nonzero"))
         ):
             reject_here(
                 f"the momentum {p} has assumptions that the motion may violate.",

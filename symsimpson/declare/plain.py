@@ -205,7 +205,9 @@ class Plain:
     def right_sides(self) -> tuple[Value, ...]:
         """dL/dq + f, the right sides of Lagrange's equations, by coordinate."""
         if self.hamiltonian is not None:
-            slopes = [scale(-1, x) for x in gradient(self.graph, self.hamiltonian, self.numbers(self.q))]
+            slopes = [
+                scale(-1, x) for x in gradient(self.graph, self.hamiltonian, self.numbers(self.q))
+            ]
         else:
             slopes = gradient(self.graph, self.L, self.numbers(self.q))
         return tuple(map(self.graph.add, zip(slopes, self.f, strict=True)))

@@ -246,6 +246,8 @@ def retiming_obstacle(system: MechanicalSystem) -> str:
     plain = system.plain
     if isinstance(system, RetimedSystem):
         return "it is already retimed"
+    if plain.hamiltonian is not None:
+        return "it is declared by its Hamiltonian: declare K = g (H - E0) instead"
     if plain.velocity_constraints:
         return "with velocity constraints its flow is not symplectic, in t or in tau"
     if plain.constraints:

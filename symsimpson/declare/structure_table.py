@@ -25,7 +25,14 @@ def rows(structure: Any) -> list[Row]:
         table.append((name, here, because, removes))
 
     add("coordinates", _list_names(names))
-    if structure.constant_mass:
+    plain = structure.plain
+    if plain.hamiltonian is not None:
+        rank, n = structure.momentum_rank, structure.n
+        regular = "regular" if rank == n else "singular, so that no Lagrangian exists"
+        add("H_pp", f"rank {rank} of {n}", f"the second derivatives by momenta are {regular}")
+    elif not plain.quadratic:
+        add("mass matrix", "depends on v", "L is not quadratic in the velocities")
+    elif structure.constant_mass:
         add(
             "mass matrix",
             mass,
@@ -40,7 +47,10 @@ def rows(structure: Any) -> list[Row]:
             "these rows of M contain no coordinate" if some_rows else "",
             "their part of dM/dq" if some_rows else "",
         )
-    if structure.gyroscopic:
+    if not plain.definite:
+        why = "kinetic energies have both signs"
+        add("M", "indefinite", why)
+    if structure.gyroscopic and plain.quadratic:
         add("linear in v", "yes", "L has terms a(q).v")
     if structure.forced:
         add("forces", _list_names(structure.forced), "they are declared beside L")
@@ -69,12 +79,14 @@ def rows(structure: Any) -> list[Row]:
     if structure.separable:
         energies = "L = T(v) - V(q)" if structure.autonomous else "L = T(v) - V(t, q)"
         why = "M is constant and L has no terms a(q).v"
+        if plain.hamiltonian is not None:
+            energies, why = "H = T(p) + V(q)", "no second derivative mixes q and p"
         add(
             "separable",
             energies,
             f"{why}, and no force contains v" if structure.forced else why,
             ""
-            if structure.system.plain.constraint_names  # they need the end of the path
+            if plain.constraint_names or plain.hamiltonian is not None
             else "the end of the path from Newton's unknowns",
         )
     if structure.linear:

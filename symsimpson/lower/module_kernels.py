@@ -275,7 +275,9 @@ class _ModuleWriter:
         more_sizes = {**stages.sizes, **differential_sizes(low, by_columns=by_columns)}
         blocks, rows = layout(sizes(low, self.known, storage, held, self.routh, **more_sizes))
         if "SOUGHT" in blocks:
-            found, given = ("MOMENTUM", "VELOCITY") if plain.hamiltonian else ("VELOCITY", "MOMENTUM")
+            found, given = (
+                ("MOMENTUM", "VELOCITY") if plain.hamiltonian else ("VELOCITY", "MOMENTUM")
+            )
             self.tables |= {"GIVEN": blocks[given], "FOUND": blocks[found]}
         return Module(
             low.names,

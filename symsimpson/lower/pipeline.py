@@ -9,12 +9,14 @@ from typing import Any
 import sympy as sp
 
 from symsimpson.declare.expression_checks import read_expression
+from symsimpson.declare.hamiltonian import HamiltonianSystem
 from symsimpson.declare.plain import Symbols
 from symsimpson.declare.system import MechanicalSystem
 from symsimpson.discrete.equations import discretise
 from symsimpson.discrete.jet import RunningCost
 from symsimpson.discrete.reductions import read_exploit
 from symsimpson.errors import GenerationError, reject
+from symsimpson.graph.rebuild import rebuild
 from symsimpson.lower.emit import emit
 from symsimpson.lower.emitted_names import NameTable
 from symsimpson.lower.forms import is_unrolled
@@ -69,6 +71,21 @@ def _read_cost(system: MechanicalSystem, running: Any) -> RunningCost | None:
     if isinstance(running, str) and running == LAGRANGIAN:
         return RunningCost(system.plain.graph, system.plain.L)
     symbols = Symbols(system.coordinates, system.parameters, system.inputs)
+    if isinstance(system, HamiltonianSystem):
+        return _read_cost_of_momenta(system, symbols, running)
+    allowed = (*symbols.q, *symbols.v, *symbols.a, *symbols.u, symbols.t)
+    value = read_expression(system.name, "running cost", running, symbols, symbols.known, allowed)
+    return RunningCost(symbols.graph, value)
+
+
+def _read_cost_of_momenta(system: HamiltonianSystem, symbols: Symbols, running: Any) -> RunningCost:
+    """Read a running cost g(t, q, p, v, u) of a Hamiltonian, where v is H_p."""
+    rates = rebuild(system.plain.graph, system.plain.velocities, {}, symbols.graph)
+    for velocity, p, rate in zip(
+        (q.diff() for q in system.coordinates), system.momenta, rates, strict=True
+    ):
+        symbols.known[p] = symbols.known[velocity]
+        symbols.known[velocity] = rate
     allowed = (*symbols.q, *symbols.v, *symbols.a, *symbols.u, symbols.t)
     value = read_expression(system.name, "running cost", running, symbols, symbols.known, allowed)
     return RunningCost(symbols.graph, value)

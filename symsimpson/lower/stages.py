@@ -246,7 +246,10 @@ class TracedStages:
         rows["INPUT"] = at_hand("INPUT", [f"{u}_j" for u in names.inputs])
         if self._canonical:
             hints = [f"kick_{names.coordinates[a]}" for a in order]
-            values = [self._symbol("STAGE_KICK", a, hint, self._node) for a, hint in zip(order, hints, strict=True)]
+            values = [
+                self._symbol("STAGE_KICK", a, hint, self._node)
+                for a, hint in zip(order, hints, strict=True)
+            ]
             rows["STAGE_KICK"] = [x for value in values for x in (*others, value)]
             rows["MOMENTUM_WEIGHT"] = [self._weight(a) for a in order]
         return {

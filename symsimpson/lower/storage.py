@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from symsimpson.discrete.bandwidth import band_of, list_neighbours, order_coordinates
-from symsimpson.discrete.families import Family
 from symsimpson.discrete.equations import DiscreteEquations
+from symsimpson.discrete.families import Family
 
 #: Nodes are filled up to a multiple of this: a vector register of the widest machines.
 REGISTER = 8

@@ -301,8 +301,10 @@ def plot_energy(run: Any, *, shadow: bool = False, ax: Any = None) -> Any:
         ax.plot(run.t, shadow_error, lw=0.8, label="shadow energy")
         add_legend(ax)
     quantity, relative = "H - H0" if constant else "H - H0 - work", ""
-    if not absolute and (run.E0 or run.kinetic_energy.any()):
-        relative = "|H0|" if run.energy_scale == abs(run.E0) else "kinetic energy"
+    if not absolute and run.energy_scale:
+        canonical = run.program.header.canonical
+        other = "size of p v/2" if canonical else "kinetic energy"
+        relative = "|H0|" if run.energy_scale == abs(run.E0) else other
     name_axes(ax, run.program, "t", "")
     name_axis(
         ax, "y", f"({quantity}) / {relative}" if relative else quantity, None if relative else unit

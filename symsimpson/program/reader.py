@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 from symsimpson.errors import reject
 from symsimpson.program.program import Program
 from symsimpson.support.names import counted, did_you_mean, spelled
-from symsimpson.text.quantity import OBSERVABLE, QUANTITIES, VECTORS
+from symsimpson.text.quantity import QUANTITIES, VECTORS, scalars_of
 
 #: Functions of ``math`` that an expression may contain.
 OF_MATH = "acos, asin, atan, atan2, cos, cosh, exp, log, sin, sinh, sqrt, tan, tanh"
@@ -69,7 +69,7 @@ class ExpressionParser:
         self.energetic = self.rest = False
         coordinates, parameters = program.names.coordinates, program.names.parameters
         self._known = {"t": "t", "pi": "3.141592653589793"}
-        self._known |= {scalar.name: scalar.symbol for scalar in OBSERVABLE}
+        self._known |= {scalar.name: scalar.symbol for scalar in scalars_of(program.header)}
         reserved = set(self._known) - {"pi"}
         self._known |= {a: f"a_{i}" for a, i in parameters.places.items()}
         of_state = {
@@ -79,10 +79,12 @@ class ExpressionParser:
         }
         self._double = set(parameters.places) & (reserved | (of_state.keys() - coordinates.places))
         self._known |= of_state
+        momenta = getattr(program.declared, "momenta", ())
+        self._known |= {str(p): f"p_{i}" for i, p in enumerate(momenta)}
         self._moving = set(coordinates.places)
         shown = [vector.shown(program.names) for vector in VECTORS]
         self._listed = [*chain(*shown), *parameters.shown]
-        self._listed += ["t", *(scalar.name for scalar in OBSERVABLE), "pi"]
+        self._listed += ["t", *(scalar.name for scalar in scalars_of(program.header)), "pi"]
         self._used: set[str] = set()
         #: Plain identifiers, and the names of the user that they replace in a text.
         self._replaced: dict[str, str] = {}
@@ -113,7 +115,7 @@ class ExpressionParser:
         written |= {f"{kind}_{i}": f"{kind}_{name}" for kind in "pv" for i, name in coordinates}
         written |= {f"a_{i}": name for i, name in parameters}
         known = {"t": "t", "pi": self._known["pi"]}
-        known |= {scalar.name: scalar.symbol for scalar in OBSERVABLE}
+        known |= {scalar.name: scalar.symbol for scalar in scalars_of(self._header)}
         known |= {name: symbol for symbol, name in written.items()}
         if all(known.get(name) == self._known[name] for name in self._used):
             return str(expression)

@@ -11,6 +11,7 @@ import sympy as sp
 from symsimpson.declare.constraints import accelerations
 from symsimpson.declare.plain import Plain
 from symsimpson.declare.system import MechanicalSystem
+from symsimpson.errors import ModelError, reject
 from symsimpson.graph.lines import StraightLineCode
 from symsimpson.graph.nodes import UNIT, ZERO, Value
 from symsimpson.graph.read import line_to_sympy, number
@@ -109,6 +110,20 @@ def canonical(system: MechanicalSystem) -> FirstOrder:
     """
     plain = system.plain
     n = len(plain.q)
+    if plain.hamiltonian is not None:
+        rates = [*plain.velocities, *plain.right_sides]
+        outputs = {("rate", i): rate for i, rate in enumerate(rates)}
+        lines = SystemOutputs(plain, outputs)
+        definitions = (*lines.of_positions, *lines.of_velocities)
+        found = [lines.value("rate", i) for i in range(2 * n)]
+        return _first_order(system, "canonical", (*plain.q, *plain.v), definitions, found)
+    if not plain.quadratic:
+        reject(
+            "its momenta are not linear in the velocities, so Hamilton's equations have no closed form.",
+            where=f"system '{system.name}'",
+            remedy="Use symsimpson.reference.second_order.",
+            error=ModelError,
+        )
     p = sp.symbols(f"p_:{n}", real=True)
     outputs = _momentum_outputs(plain) | {("F", i): f for i, f in enumerate(plain.right_sides)}
     m = len(plain.constraint_names)
@@ -152,6 +167,13 @@ def second_order(system: MechanicalSystem) -> FirstOrder:
         The equations of the 2 n unknowns (q, v), or of the 2 n + 1 unknowns (q, v, t).
     """
     plain = system.plain
+    if plain.hamiltonian is not None:
+        reject(
+            "it is declared by its Hamiltonian.",
+            where=f"system '{system.name}'",
+            remedy="Use symsimpson.reference.canonical.",
+            error=ModelError,
+        )
     lines = SystemOutputs(plain, {**_momentum_outputs(plain), **_acceleration_outputs(plain)})
     solution, unknowns = _solve_symmetric(lines.bordered_mass(), lines.right_sides(), "a")
     definitions = (*lines.of_positions, *lines.of_velocities, *solution)

@@ -377,6 +377,7 @@ def _check_shadow(run: FinishedRun) -> None:
     reasons = {
         "Its energy is not constant.\nUse run.energy_balance.": not header.conservative,
         "Its steps are constant in transformed time.": header.retimed,
+        "The system is declared by its Hamiltonian.": header.canonical,
         "Events acted on it.": run.records,
         "The system has constraints.": header.constraints,
         "Not all states are stored.\nIntegrate with every=1.": run.every != 1,

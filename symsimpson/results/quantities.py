@@ -14,7 +14,7 @@ from symsimpson.errors import UnknownNameError, reject
 from symsimpson.program.program import Program
 from symsimpson.results.tables import Variable, attribute_name, make_variable
 from symsimpson.support.names import did_you_mean, public_names, shortened, spelled
-from symsimpson.text.quantity import QUANTITIES, SCALARS, VECTORS, slopes_of
+from symsimpson.text.quantity import QUANTITIES, VECTORS, scalars_of, slopes_of
 
 
 class Quantities:
@@ -63,7 +63,20 @@ class Quantities:
 
     @cached_property
     def kinetic_energy(self) -> NDArray[Any]:
-        """The part of H that is quadratic in p; the rest of H is the potential energy."""
+        """The part of H that is quadratic in p; the rest of H is the potential energy.
+
+        If L is not quadratic in the velocities, it is v.L_vv.v/2. A HamiltonianSystem has none.
+
+        Raises
+        ------
+        AttributeError
+            For a HamiltonianSystem.
+        """
+        if self.program.header.canonical:
+            raise AttributeError(
+                f"{self.program.system} is declared by its Hamiltonian, which has no kinetic part. "
+                "Use run.energy."
+            )
         return self._energies[..., 1]
 
     @cached_property
@@ -183,7 +196,7 @@ class Quantities:
         every = [x for vector in QUANTITIES.values() if vector.axis for x in vector.shown(names)]
         positions = getattr(self.program.declared, "positions", None) or ()
         every += [*names.invariants.shown, *self._special_names(), *positions, "t"]
-        return every + [quantity.name for quantity in SCALARS]
+        return every + [quantity.name for quantity in scalars_of(self.program.header)]
 
     def __iter__(self: Any) -> Iterator[Any]:
         """Iterate over ``self[k]``: the states of a run, or the members of an ensemble."""
@@ -203,7 +216,7 @@ class Quantities:
         program = self.program
         variables = [
             make_variable(x.name, getattr(self, x.name), axes, program, doc=x.doc)
-            for x in (*VECTORS, *SCALARS)
+            for x in (*VECTORS, *scalars_of(program.header))
         ]
         variables += [
             Variable(f"invariant_{k}", values, axes, name, (name,))

@@ -88,6 +88,11 @@ SCALARS = tuple(quantity for quantity in _TABLE if not quantity.axis)
 OBSERVABLE = tuple(quantity for quantity in SCALARS if quantity.symbol)
 
 
+def scalars_of(header: Header) -> tuple[Quantity, ...]:
+    """Return the single numbers of a state; a Hamiltonian has no kinetic energy."""
+    return tuple(x for x in SCALARS if not (header.canonical and x.block == "KINETIC"))
+
+
 def equations_of(header: Header, run: Any) -> tuple[Reals, Reals]:
     """Read residual (d, n) and Jacobian (d, n, d, n) that the equations left in a workspace.
 

@@ -193,7 +193,11 @@ TABLE = (
     scratch("NODE_P_Q", "derivatives of the velocity by q", lambda s: s.canonical * s.entries),
     part("PHASE_SIZE", "sizes of the last moves of q and p", lambda s: 2 * s.canonical * s.n),
     part("MOMENTUM_WEIGHT", "weights of increments of p", lambda s: s.canonical * s.n),
-    part("MASS_EXCHANGE", "rows of M that elimination has exchanged", lambda s: (s.indefinite or s.canonical) * s.n),
+    part(
+        "MASS_EXCHANGE",
+        "rows of M that elimination has exchanged",
+        lambda s: (s.indefinite or s.canonical) * s.n,
+    ),
     scratch(
         "SOUGHT",
         "of a velocity that is sought: weights and size of p, the velocity before, its change",

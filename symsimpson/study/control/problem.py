@@ -9,6 +9,7 @@ from functools import cached_property
 from numbers import Real
 from typing import TYPE_CHECKING, Any
 
+from symsimpson.declare.hamiltonian import HamiltonianSystem
 from symsimpson.declare.retimed import RetimedSystem
 from symsimpson.declare.system import MechanicalSystem
 from symsimpson.errors import reject
@@ -109,7 +110,8 @@ class OptimalControl:
 
     def __post_init__(self) -> None:
         system = self.system
-        if not isinstance(system, MechanicalSystem) or isinstance(system, RetimedSystem):
+        excluded = (RetimedSystem, HamiltonianSystem)
+        if not isinstance(system, MechanicalSystem) or isinstance(system, excluded):
             reject(
                 f"system is a {type(system).__name__}, which optimal control does not accept.",
                 remedy="Pass a MechanicalSystem with inputs and without a time transformation.",

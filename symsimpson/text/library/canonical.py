@@ -354,7 +354,9 @@ def compose_phase(W, h, t, lane):
             velocity_at(W, lane)
             for a in range(DIMENSION):
                 moved = h * DRIFTS[node - 1] * W[NODE_L_V + a, lane]
-                add_exactly(W, POSITION + a, POSITION_LOW + a, moved + W[POSITION_LOW + a, lane], lane)
+                add_exactly(
+                    W, POSITION + a, POSITION_LOW + a, moved + W[POSITION_LOW + a, lane], lane
+                )
         go_to_start(W, t, lane)
         if TIMED:
             time_at_node(W, h, t, node, lane)
