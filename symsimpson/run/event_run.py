@@ -94,10 +94,9 @@ class EventRun(Run):
         sides, values = self.sides, row[: len(self._value)]
         moved, sizes = self.h * self._actions.rates(row), self._actions.sizes(row, state[0])
         h = float(self.h)
-        after, _ = self._parts(
-            state, t, h, 0, 0.0
-        )  # the only size of a gap that starts at rest, at 0
+        after, _ = self._parts(state, t, h, 0, 0.0)
         ahead = np.nan_to_num(self._actions.values(t + h, after), posinf=0, neginf=0)
+        ahead[values >= 0] = 0  # the only size of a gap that starts at rest and slightly below 0
         sides.size[:] = np.max([abs(values), abs(moved), abs(ahead), sizes], axis=0)
         sides.side[:] = 0  # a zero at the initial state is not an event
         small = sides.small_at(t, state)

@@ -107,7 +107,11 @@ def test_the_workflow_runs_the_lines_of_the_readme():
         ("pandas", "run.to_pandas()", "data"),
         ("netCDF4", "run.save('run.nc')", "data"),
         ("plotly.graph_objects", "top.animate()._repr_html_()", "plot"),
-        ("tqdm", "stepper.integrate([1.0], v0=[0.0], h=0.1, steps=9, progress=True)", "progress"),
+        (
+            "tqdm.auto",
+            "stepper.integrate([1.0], v0=[0.0], h=0.1, steps=9, progress=True)",
+            "progress",
+        ),
         ("flint", "ss.compile(ss.systems.pendulum(), precision=30, arithmetic='arb')", "precise"),
     ],
 )

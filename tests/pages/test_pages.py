@@ -5,6 +5,7 @@ import logging
 import re
 import subprocess
 
+import matplotlib.pyplot as plt
 import pytest
 from support.cases import sweep
 from support.in_c import build
@@ -96,6 +97,7 @@ def test_what_a_page_prints_stands_there(page, capsys):
     for block, printed in found:
         exec(compile(block, page, "exec"), names)
         assert not printed or capsys.readouterr().out == printed
+    plt.close("all")
 
 
 def test_c_on_a_page_is_built_and_says_what_stands_there(tmp_path, monkeypatch):

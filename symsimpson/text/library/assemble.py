@@ -117,7 +117,7 @@ def assemble_entries(W, h, count, row_step, stride, lane):
 
 @compiled
 def inertia(W, h, lane):
-    """Begin the rows of a constant M, times h: S M Y of the bends, and h p0 - M X_d.
+    """Begin the rows of a constant M, times h: S M Y of the bends, and -M X_d.
 
     The factors of the matrix are combined already. The rows D_k are combined later.
     """
@@ -127,7 +127,7 @@ def inertia(W, h, lane):
         for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
             mass = W[MASS + s * NODE_STRIDE + b + NODE_OFFSET, lane]
             straight += mass * W[end + COORDINATE[b], lane]
-        W[ROW + s, lane] = h * W[MOMENTUM + COORDINATE[s], lane] - straight
+        W[ROW + s, lane] = -straight
         for k in range(1, DEGREE):
             value = real(0)
             for m in range(1, DEGREE):

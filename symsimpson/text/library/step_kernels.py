@@ -126,10 +126,8 @@ def constant_mass_equations(W, h, t, lane):
         at_node(W, h, t, node, lane)
         forces(W, lane)
         for s in range(DIMENSION):
-            force = h * (h * WEIGHTS[node] * W[NODE_L_Q + s, lane])
-            W[ROW + s, lane] += force - PLACES[node] * force
-            for k in range(1, DEGREE):
-                W[ROW + k * DIMENSION + s, lane] += BASIS[node, k] * force
+            force = h * WEIGHTS[node] * W[NODE_L_Q + s, lane]
+            W[STEP_F + node * DIMENSION + s, lane] = force  # rounded as in p1 - p0
         for row in range(BLOCKS):
             for s in range(DIMENSION):
                 i = row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP
@@ -142,6 +140,15 @@ def constant_mass_equations(W, h, t, lane):
                         )
         if FOLLOWS:
             copy(W, NODE_L_QQ, STEP_QQ + node * size, size, lane)
+    for s in range(DIMENSION):
+        whole, share = W[MOMENTUM + COORDINATE[s], lane], real(0)
+        for node in FORCE_NODES:
+            force = W[STEP_F + node * DIMENSION + s, lane]
+            whole += force
+            share += PLACES[node] * force
+            for k in range(1, DEGREE):
+                W[ROW + k * DIMENSION + s, lane] += h * (BASIS[node, k] * force)
+        W[ROW + s, lane] += h * (whole - share)
     for row in range(BLOCKS):
         for s in range(DIMENSION):
             value = TEST_START[row] * W[ROW + s, lane]

@@ -19,7 +19,7 @@ def symplectic_defect(D):
     return np.abs(D.T @ J @ D - J).max() / np.abs(D).max() ** 2
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def pendulum():
     return ss.compile(ss.systems.pendulum())
 
