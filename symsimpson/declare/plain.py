@@ -169,7 +169,7 @@ class Plain:
 
     @cached_property
     def resting(self) -> Plain:
-        """The system with M, a and V at v = 0, where L is not quadratic; zero if undefined there."""
+        """The system with M, a and V at v = 0 if L is not quadratic; they are 0 if undefined."""
         if self.quadratic:
             return self
         try:

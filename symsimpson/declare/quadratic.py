@@ -136,7 +136,7 @@ def check_degenerate(system: str, lagrangian: QuadraticInVelocities, symbols: Sy
                 system,
                 f"the Lagrangian is degenerate: it has no term quadratic in {name}', only terms "
                 "linear in the velocities. Its equations of motion are of first order (point "
-                "vortices, Lotka-Volterra equations, guiding centres), so the Lagrangian is singular.",
+                "vortices, Lotka-Volterra equations, guiding centres): L_vv is singular.",
                 f"If {name} has a mass, add its kinetic energy. Otherwise give H(q, p): "
                 "symsimpson.HamiltonianSystem.",
             )

@@ -24,6 +24,7 @@ from symsimpson.discrete.reductions import (
     Part,
     Routh,
     Separable,
+    kicks_of,
     read_exploit,
     reduce,
 )
@@ -254,7 +255,8 @@ def _check_canonical(system: MechanicalSystem, scheme: Scheme, *, second: bool) 
             remedy="Use differences of first derivatives, for example of stepper.gradient.",
             error=SchemeError,
         )
-    if isinstance(scheme, Composition) or scheme.degree == scheme.stages:
+    separable = system.structure.separable
+    if scheme.degree == scheme.stages or (separable and kicks_of(scheme) is not None):
         return
     plain, n = system.plain, system.n
     curves = [gradient(plain.graph, x, plain.numbers(plain.v)) for x in plain.velocities]
@@ -267,8 +269,9 @@ def _check_canonical(system: MechanicalSystem, scheme: Scheme, *, second: bool) 
     why = "It needs as many nodes as degrees."
     if singular:
         which = f" H is linear in {', '.join(flat)}." if flat else ""
-        why = f"Its steps need a regular matrix H_pp, which has rank {system.structure.momentum_rank} of {n}.{which}"
-    same = {4: "gauss4 or lobatto_3_3", 6: "gauss6 or lobatto_4_4"}
+        rank = f"rank {system.structure.momentum_rank} of {n}"
+        why = f"Its steps need a regular matrix H_pp, which has {rank}.{which}"
+    same = {2: "midpoint", 4: "gauss4 or lobatto_3_3", 6: "gauss6 or lobatto_4_4"}
     named = same.get(scheme.order, f"gauss{scheme.order}")
     reject(
         f"{scheme.name} does not integrate a HamiltonianSystem.",
@@ -367,6 +370,24 @@ def _check_explicit(system: MechanicalSystem, scheme: Scheme) -> None:
             error=SchemeError,
         )
     structure = system.structure
+    if plain.hamiltonian is not None:
+        if not structure.separable:
+            reject(
+                f"{scheme.name} is explicit, but H is not T(p) + V(q).",
+                where=system.name,
+                why="Its kicks and drifts are the motions of V alone and of T alone.",
+                remedy="Choose a scheme of the family, such as 'gauss8'.",
+                error=SchemeError,
+            )
+        if not scheme.of_verlet:
+            reject(
+                f"{scheme.name} has order {scheme.order} only for a quadratic T(p).",
+                where=system.name,
+                remedy="Choose a composition of Verlet steps, such as 'kahan_li8', or a scheme of "
+                "the family, such as 'gauss8'.",
+                error=SchemeError,
+            )
+        return
     linear = plain.dragged and structure.constant_mass and not structure.gyroscopic
     if linear and decay_rates(structure.plain):
         if scheme.order > LOW_ORDER and not scheme.of_verlet:

@@ -298,13 +298,28 @@ def read_exploit(exploit: str | Iterable[str]) -> frozenset[str]:
     return frozenset(wanted) - {"all"} | frozenset(ALL if "all" in wanted else ())
 
 
+def kicks_of(scheme: Scheme) -> tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]] | None:
+    """Return kicks and drifts of a scheme: of a composition, or of straight paths between nodes.
+
+    A straight path with nodes at its ends is a kick, a drift and a kick (Stoermer and Verlet).
+    """
+    if isinstance(scheme, Composition):
+        return scheme.kicks, scheme.drifts
+    if scheme.degree == 1 and tuple(scheme.quadrature.nodes) == (0, 1):
+        return tuple(scheme.quadrature.weights), (sp.S.One,)
+    return None
+
+
 def reduce(structure: Structure, scheme: Scheme, exploit: frozenset[str]) -> tuple[Part, ...]:
     """Split the coordinates into parts, each with the smallest equations that its structure allows.
 
     ``exploit`` has the names of the properties that the reduction may use.
     """
     every = tuple(range(structure.n))
-    if structure.plain.hamiltonian is not None and not isinstance(scheme, Composition):
+    if structure.plain.hamiltonian is not None:
+        kicks = kicks_of(scheme)
+        if kicks is not None and structure.separable:
+            return (Composed(every, *kicks),)
         return (Canonical(every, tuple(range(1, scheme.degree + 1))),)
     if structure.plain.constraint_names:
         if isinstance(scheme, Composition):

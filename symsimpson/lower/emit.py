@@ -175,7 +175,7 @@ _SINGULAR_THRESHOLD = """\
 SINGULAR = 2.0**-40  # the least determinant of M with rows of size 1
 """
 _LEGENDRE_THRESHOLDS = """\
-CLOSE = 2.0**-60  # squared errors of a momentum below this part of it are found in whole corrections
+CLOSE = 2.0**-60  # momenta whose squared error is below this part of them get whole corrections
 MOST_HALVINGS, MOST_SOUGHT = 50, 200  # of a correction, and corrections
 """
 _PHASE_THRESHOLD = """\
@@ -205,7 +205,8 @@ def thresholds(equations: DiscreteEquations, module: Module) -> str:
     of_mass += _LEGENDRE_THRESHOLDS if canonical or not plain.quadratic else ""
     of_mass += _PHASE_THRESHOLD if canonical else ""
     if not module.newton_unknowns:
-        return (_DRIFT_THRESHOLDS if module.names.constraints else "") + of_mass
+        infinite = 'INFINITE = real("inf")\n' if canonical else ""
+        return (_DRIFT_THRESHOLDS if module.names.constraints else infinite) + of_mass
     # a straight path leaves rest with the velocity it ends with
     lines = _THRESHOLDS.format(
         negligible=_NEGLIGIBLE[equations.scheme.degree > 2],

@@ -128,18 +128,29 @@ class _ModuleWriter:
         low, equations, n = self.low, self.equations, self.low.n
         regular = equations.system.structure.momentum_rank == n
         (part,) = equations.parts
-        names = ("phase_jet", "gradient", "velocity", "potential", *(("mass",) if regular else ()))
+        explicit = isinstance(part, Composed)
+        names = ("gradient", "velocity", "potential", *(("mass",) if regular else ()))
+        names += () if explicit else ("phase_jet",)
         self.functions = terms_of_l.unrolled_functions(low, names)
         self.known = facts(low, part, self.storage, None)
-        self.known |= {"REGULAR": regular, "PIVOTS": False}
+        self.known |= {"REGULAR": regular, "PIVOTS": False} | explicit_facts(low)
         texts = {"start": "start_phase", "newton": "newton_phase", "advance": "advance_phase"}
+        if explicit:
+            texts = {"start": "begin_phase", "advance": "compose_phase"}
         texts |= {"legendre": "phase_momentum", "energy": "phase_energy"}
-        if equations.plain.powers:
+        if equations.plain.powers and not explicit:
             self.functions.append(terms_of_l.power_function(low, low.template))
             texts["work"] = "phase_work"
         for name, text in texts.items():
             self.kernels.append(replace(kernel_from_text(text, self.known), name=name))
         self.kernels += observation_kernels(low, None)
+        if explicit:  # one call takes many steps
+            advance = self.kernels[1]
+            self.kernels[1] = replace(advance, body=(replace(MANY_STEPS, body=advance.body),))
+            self.tables = self.storage.node_constants() | explicit_tables(low, range(n))
+            self.tables |= {"KICKS": part.kicks, "DRIFTS": part.drifts}
+            self.tables["MASS_BAND"] = n - 1
+            return
         storage, points = Storage.dense(n), 2 * equations.scheme.degree
         columns = tuple(range(1, points + 1))
         self.tables = storage.node_constants() | {"MASS_BAND": n - 1}

@@ -258,7 +258,7 @@ class TracedPart:
                     self.set_row(block, self.coordinates.index(a), other.row(block, s))
 
     def mass_pivots(self) -> list[Expression]:
-        """Return the pivots of M, with names; if M is indefinite, the determinants of its blocks."""
+        """Return the pivots of M with names, or the determinants of blocks of an indefinite M."""
         pivots = self.diagonal("NODE_L_VV", self._n)
         first = {i for i, _ in self._pairs or ()} if not self.low.equations.plain.definite else ()
         return [pivot for i, pivot in enumerate(pivots) if i not in first]

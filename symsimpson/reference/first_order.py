@@ -119,7 +119,7 @@ def canonical(system: MechanicalSystem) -> FirstOrder:
         return _first_order(system, "canonical", (*plain.q, *plain.v), definitions, found)
     if not plain.quadratic:
         reject(
-            "its momenta are not linear in the velocities, so Hamilton's equations have no closed form.",
+            "its momenta are not linear in the velocities, so H has no closed form.",
             where=f"system '{system.name}'",
             remedy="Use symsimpson.reference.second_order.",
             error=ModelError,

@@ -16,6 +16,10 @@ from symsimpson.results.tables import Variable, attribute_name, make_variable
 from symsimpson.support.names import did_you_mean, public_names, shortened, spelled
 from symsimpson.text.quantity import QUANTITIES, VECTORS, scalars_of, slopes_of
 
+NO_KINETIC_ENERGY = (
+    "A HamiltonianSystem has no kinetic and no potential energy. Use run.energy, which is H."
+)
+
 
 class Quantities:
     """Quantities of states q and p of shape (..., n), evaluated at the first access."""
@@ -73,10 +77,7 @@ class Quantities:
             For a HamiltonianSystem.
         """
         if self.program.header.canonical:
-            raise AttributeError(
-                f"{self.program.system} is declared by its Hamiltonian, which has no kinetic part. "
-                "Use run.energy."
-            )
+            raise AttributeError(NO_KINETIC_ENERGY)
         return self._energies[..., 1]
 
     @cached_property

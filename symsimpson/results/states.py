@@ -14,7 +14,7 @@ from symsimpson.errors import InputError, reject
 from symsimpson.program.numbers import NO_INPUTS
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
-from symsimpson.results.quantities import Quantities
+from symsimpson.results.quantities import NO_KINETIC_ENERGY, Quantities
 from symsimpson.results.tables import Tabular, Variable, attribute_name
 from symsimpson.stepping.driving import InputHistory, inputs_at_times
 from symsimpson.support.calling import explain_methods
@@ -256,6 +256,8 @@ class States(Quantities, Tabular, Plottable):
 
     def __getattr__(self, name: str) -> Any:
         kind = type(self).__name__
+        if name == "kinetic_energy":  # its property raised the same error
+            raise AttributeError(NO_KINETIC_ENERGY)
         if name not in RUN_ATTRIBUTES:
             raise AttributeError(f"{kind!r} object has no attribute {name!r}")
         raise PartialRunError(

@@ -90,6 +90,7 @@ def _set_initial_state(program: Program, run: Run, spec: RunSpec) -> None:
         values = map(float, run.rows("PARAMETER", len(program.parameters)))
         named = dict(zip(program.parameters, values, strict=True))
         where = f"q0={q.tolist()} with the parameters {named}"
+        _explain_momentum(program, spec, where)
         zero = [name for name, value in named.items() if value == 0]
         finite, everywhere = numbers.all_finite(q), pivot == 0 and _is_singular_elsewhere(run, spec)
         raise make_start_error(
@@ -111,6 +112,44 @@ def _set_initial_state(program: Program, run: Run, spec: RunSpec) -> None:
     if spec.tangents is not None:
         _set_initial_variations(program, run, spec.tangents, velocity=spec.velocities)
     run.observe_start()
+
+
+def _explain_momentum(program: Program, spec: RunSpec, where: str) -> None:
+    """Reject a start at which the map between v and p has no solution, if that may be the cause."""
+    header = program.header
+    if header.canonical and spec.velocities:
+        reject(
+            f"no momentum has the velocity v0={spec.other0.tolist()} at {where}.",
+            where=program.system,
+            why="The matrix H_pp is singular, or Newton's method found no momentum.",
+            remedy="Give p0.",
+        )
+    if header.canonical:
+        reject(
+            f"H has no value at {where}, p0={spec.other0.tolist()}.",
+            where=program.system,
+            remedy="Start from another state.",
+        )
+    if header.general and spec.velocities:
+        reject(
+            f"L has no value at v0={spec.other0.tolist()}, or L_vv is singular there, at {where}.",
+            where=program.system,
+            remedy="Start with another velocity.",
+        )
+    if header.general:
+        reject(
+            f"no velocity has the momentum p0={spec.other0.tolist()} at {where}.",
+            where=program.system,
+            why="Newton's method for L_v(q, v) = p found none from v = 0 and from v = p.",
+            remedy="Give v0.",
+        )
+    if header.indefinite:
+        reject(
+            f"the mass matrix is singular at {where}.",
+            where=program.system,
+            why="There a momentum does not determine the velocity.",
+            remedy="Start from another position.",
+        )
 
 
 def _set_initial_variations(program: Program, run: Run, tangents: Reals, *, velocity: bool) -> None:

@@ -75,8 +75,17 @@ def initial_variations(derivative: Floats, h: float, count: int) -> Floats:
         slow, fast = (np.linalg.norm(x * pair, axis=(-2, -1)) for x, pair in blocks)
         T = np.clip(np.sqrt(slow / fast), SHORTEST * abs(h), LONGEST * abs(h))[..., None]
         weights = np.concatenate([m / T, light * T], axis=-1)[..., None]
+        if (moves & (light == 0)).any():  # M^-1 or H_pp is not definite
+            weights = _weights_by_rows(q_by_p, p_by_q)
         columns = random_directions(2 * n, count) * np.where(weights > 0, weights**-0.5, 0.0)
     return np.concatenate([columns, weights], axis=-1)
+
+
+def _weights_by_rows(q_by_p: Floats, p_by_q: Floats) -> Floats:
+    """Return weights of dq and dp from the largest entries of each row of the derivatives."""
+    fast, slow = abs(p_by_q).max(axis=-1), abs(q_by_p).max(axis=-1)
+    ratio = np.sqrt(np.where((fast > 0) & (slow > 0), fast / slow, 1.0))
+    return np.concatenate([ratio, 1 / ratio], axis=-1)[..., None]
 
 
 def _project_variations(program: Program, spec: RunSpec, columns: Floats) -> Floats:

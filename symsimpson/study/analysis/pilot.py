@@ -53,10 +53,12 @@ def choose_state(
         random = np.random.default_rng(attempt)
         q, v = random.uniform(0.3, 1.2, stepper.n), random.uniform(-0.6, 0.6, stepper.n)
         declared = stepper.program.declared
+        canonical = stepper.program.header.canonical
         try:
-            if declared is not None:
+            if declared is not None and not canonical:
                 q, v = declared.consistent(q, v, parameters=parameters)
-            run = stepper.integrate(q, v0=v, h=1e-6, steps=2, parameters=parameters)
+            start = {"p0" if canonical else "v0": v}
+            run = stepper.integrate(q, **start, h=1e-6, steps=2, parameters=parameters)
         except (InputError, ConvergenceError):
             continue
         return run.q[0], run.p[0]

@@ -228,5 +228,9 @@ def _masses(run: Trajectory, push: float) -> Floats:
     p = run.p[0] + push * np.vstack([np.zeros(n), np.eye(n)])
     states = np.full(n + 1, run.t[0]), np.tile(run.q[0], (n + 1, 1)), p
     v = evaluate(run.program, "energy", "VELOCITY", n, states, run.parameter_values)
-    masses: Floats = push / np.diagonal(v[1:] - v[0])
+    with np.errstate(all="ignore"):
+        masses: Floats = push / np.diagonal(v[1:] - v[0])
+    header = run.program.header
+    if header.canonical or header.indefinite:  # they may vanish, or have any sign
+        masses = np.where(np.isfinite(masses), abs(masses), 0.0)
     return masses

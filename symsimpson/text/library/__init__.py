@@ -19,9 +19,9 @@ __all__ = ["kernel_sources", "library_sources"]
 
 #: The files, in the order of their functions in a module.
 FILES = """
-    elementary moving path assemble solve cyclic mass legendre canonical close explicit_steps acceptance
-    constrained_step step_kernels stage_loops collocation step_derivatives tangent adjoint curvature
-    clock
+    elementary moving path assemble solve cyclic mass legendre canonical close explicit_steps
+    acceptance constrained_step step_kernels stage_loops collocation step_derivatives tangent
+    adjoint curvature clock
 """
 
 

@@ -75,7 +75,7 @@ def weigh_phase(W, h, lane):
 
 @compiled
 def size_of_move(W, row, moved, state, lane):
-    """Renew the size of moves; it falls at most by half, and is not below the rounding of a state."""
+    """Renew the size of moves; it falls at most by half, and not below the rounding of q or p."""
     size = max(moved, 0.5 * W[row, lane])
     W[row, lane] = max(size, SMALL_MOVE * abs(W[state, lane]))
 
@@ -219,7 +219,7 @@ def phase_work(W, h, t, lane):
 
 @compiled
 def differentiate_phase(W, h, t, costed, lane):
-    """Factorise the Jacobian of the last step, and store the derivatives of V and F at the nodes."""
+    """Factorise the Jacobian of the last step, and store derivatives of V and F at the nodes."""
     size = DIMENSION * DIMENSION
     for node in range(NODES):
         phase_node(W, h, t, node, lane)
@@ -346,31 +346,33 @@ def phase_adjoint(W, h, t, lane):
         exchange_steps(W, lane)
 
 
-@compiled
+@kernel
 def compose_phase(W, h, t, lane):
-    """Take a step of kicks and drifts for H = T(p) + V(q): p += h b F, q += h a T_p."""
+    """Take a step of kicks p += h b F, and drifts q += h a H_p between them: H = T(p) + V(q)."""
+    go_to_start(W, t, lane)
+    gradient(W, lane)
+    begin_composed(W, lane)
     for node in range(len(KICKS)):
         if node > 0:
-            velocity_at(W, lane)
             for a in range(DIMENSION):
-                moved = h * DRIFTS[node - 1] * W[NODE_L_V + a, lane]
-                add_exactly(
-                    W, POSITION + a, POSITION_LOW + a, moved + W[POSITION_LOW + a, lane], lane
-                )
-        go_to_start(W, t, lane)
-        if TIMED:
-            time_at_node(W, h, t, node, lane)
-        gradient(W, lane)
+                W[NODE_VELOCITY + a, lane] = W[MOMENTUM + a, lane] + W[RESIDUAL + a, lane]
+            velocity(W, lane)
+            for a in range(DIMENSION):
+                W[INCREMENT + a, lane] += h * DRIFTS[node - 1] * W[NODE_L_V + a, lane]
+                W[NODE_POSITION + a, lane] = W[POSITION + a, lane] + W[INCREMENT + a, lane]
+            if TIMED:
+                time_at_node(W, h, t, node, lane)
+            gradient(W, lane)
         for a in range(DIMENSION):
-            pushed = h * KICKS[node] * W[NODE_L_Q + a, lane]
-            add_exactly(W, MOMENTUM + a, MOMENTUM_LOW + a, pushed + W[MOMENTUM_LOW + a, lane], lane)
+            W[RESIDUAL + a, lane] += h * KICKS[node] * W[NODE_L_Q + a, lane]
+    close_composed(W, lane)
 
 
-@compiled
-def velocity_at(W, lane):
-    """Evaluate V = H_p at the momentum at hand."""
-    path_start(W, lane)
-    velocity(W, lane)
+@kernel
+def begin_phase(W, h, t, lane):
+    """Begin explicit steps at (q, p)."""
+    find_rates(W, t, lane)
+    W[MASS_PIVOT, lane] = 0.0
 
 
 @compiled

@@ -29,7 +29,7 @@ def momentum_gap(W, t, lane):
 
 @compiled
 def weigh_momenta(W, t, lane):
-    """Set the weight of each momentum to 1 over the size of its row of M, at the velocity at hand."""
+    """Set the weight of each momentum: 1 over the size of its row of M."""
     go_to_start(W, t, lane)
     mass(W, lane)
     for s in range(DIMENSION):
