@@ -169,8 +169,9 @@ def is_indefinite(
             M, evaluate_doubles(symbols.graph, values, point | known), strict=True
         ):
             matrix[i, j] = matrix[j, i] = value
-        size = 1 / np.sqrt(abs(matrix).sum(axis=1))  # independent of units
-        matrix = size[:, None] * matrix * size
+        with np.errstate(all="ignore"):  # rows of size 1 make signs independent of units
+            size = 1 / np.sqrt(abs(matrix).sum(axis=1))
+            matrix = size[:, None] * matrix * size
         if not np.isfinite(matrix).all():
             continue
         signs = np.linalg.eigvalsh(matrix)

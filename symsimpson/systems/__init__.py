@@ -7,7 +7,7 @@ from collections.abc import Callable
 from symsimpson.errors import ModelError
 from symsimpson.support.calling import explain_arguments
 from symsimpson.support.names import did_you_mean
-from symsimpson.systems.entry import CatalogueSystem
+from symsimpson.systems.entry import CatalogueHamiltonian, CatalogueSystem
 from symsimpson.systems.geodesics import ellipsoid_geodesic, torus_geodesic
 from symsimpson.systems.gravity import (
     figure_eight,
@@ -46,6 +46,16 @@ from symsimpson.systems.pendulums import (
     pendulum,
     spherical_pendulum,
 )
+from symsimpson.systems.relativity import (
+    kerr_geodesic,
+    lotka_volterra,
+    point_vortices,
+    post_newtonian_binary,
+    relativistic_charge,
+    restricted_three_bodies,
+    schwarzschild_geodesic,
+    spin_boson,
+)
 from symsimpson.systems.rolling import (
     ball_on_turntable,
     chaplygin_sleigh,
@@ -64,14 +74,14 @@ from symsimpson.systems.tops import (
     tumbling_body,
 )
 
-Catalogue = dict[str, Callable[[], CatalogueSystem]]
+Catalogue = dict[str, Callable[[], CatalogueSystem | CatalogueHamiltonian]]
 
 
 #: How to change a parameter, for calls with an unknown argument.
 REMEDY = " Pass values of parameters to runs: stepper.integrate(..., parameters={'g': 1.62})."
 
 
-def _by_name(*makers: Callable[[], CatalogueSystem]) -> Catalogue:
+def _by_name(*makers: Callable[[], CatalogueSystem | CatalogueHamiltonian]) -> Catalogue:
     """Return the functions by name, with errors that explain how to change parameters."""
     return {make.__name__: explain_arguments(ModelError, REMEDY)(make) for make in makers}
 
@@ -124,8 +134,19 @@ CONSTRAINED = _by_name(
 ROLLING = _by_name(chaplygin_sleigh, rolling_disc, snakeboard, ball_on_turntable, whipple_bicycle)
 #: Models with close encounters, which need a time transformation.
 MEETING = _by_name(kepler_plane, pythagorean, figure_eight)
+#: Models whose L is not quadratic in the velocities, whose M is indefinite, or that have H only.
+GENERAL = _by_name(
+    schwarzschild_geodesic,
+    kerr_geodesic,
+    relativistic_charge,
+    post_newtonian_binary,
+    restricted_three_bodies,
+    point_vortices,
+    lotka_volterra,
+    spin_boson,
+)
 #: All models.
-EVERY: Catalogue = {**CATALOGUE, **MODELS, **FORCED, **CONSTRAINED, **ROLLING, **MEETING}
+EVERY: Catalogue = {**CATALOGUE, **MODELS, **FORCED, **CONSTRAINED, **ROLLING, **MEETING, **GENERAL}
 globals().update(EVERY)
 
 __all__ = [
@@ -133,9 +154,11 @@ __all__ = [
     "CONSTRAINED",
     "EVERY",
     "FORCED",
+    "GENERAL",
     "MEETING",
     "MODELS",
     "ROLLING",
+    "CatalogueHamiltonian",
     "CatalogueSystem",
     "andrews_squeezer",
     "argon",
@@ -166,20 +189,28 @@ __all__ = [
     "kapitza",
     "kepler",
     "kepler_plane",
+    "kerr_geodesic",
     "lagrange_top",
     "lagrange_top_cusps",
+    "lotka_volterra",
     "n_body",
     "n_pendulum",
     "outer_solar_system",
     "pendulum",
+    "point_vortices",
+    "post_newtonian_binary",
     "puma560",
     "pythagorean",
     "quaternion_top",
+    "relativistic_charge",
+    "restricted_three_bodies",
     "rigid_body",
     "rolling_disc",
+    "schwarzschild_geodesic",
     "slider_crank",
     "snakeboard",
     "spherical_pendulum",
+    "spin_boson",
     "torus_geodesic",
     "tumbling_body",
     "van_der_pol",

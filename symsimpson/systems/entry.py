@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
+from symsimpson.declare.hamiltonian import HamiltonianSystem
 from symsimpson.declare.system import MechanicalSystem
 from symsimpson.errors import ModelError, reject
 
@@ -46,6 +47,32 @@ class CatalogueSystem(MechanicalSystem):
     >>> import symsimpson as ss
     >>> ss.systems.pendulum().reference_state["q0"]
     (1.0,)
+    """
+
+    reference_state: State = field(kw_only=True, default_factory=dict)
+    source: str = field(kw_only=True, default="")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "reference_state", MappingProxyType(dict(self.reference_state)))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CatalogueHamiltonian(HamiltonianSystem):
+    """A well-known system that is declared by H, with an initial state and a source.
+
+    Attributes
+    ----------
+    reference_state : mapping
+        The initial state, ``q0`` and ``p0``.
+    source : str
+        The publication of the system, its parameters and the state.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> ss.systems.lotka_volterra().reference_state["p0"]
+    (0.0,)
     """
 
     reference_state: State = field(kw_only=True, default_factory=dict)

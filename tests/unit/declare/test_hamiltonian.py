@@ -1,0 +1,116 @@
+"""Declarations by H(q, p), and what is rejected."""
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+
+x, y = ss.coordinates("x y")
+p, q = sp.symbols("p q", real=True)
+k = sp.Symbol("k", positive=True)
+
+
+def declare(hamiltonian, coordinates=(x, y), momenta=(p, q), **others):
+    return ss.HamiltonianSystem(
+        "some", coordinates=coordinates, momenta=momenta, hamiltonian=hamiltonian, **others
+    )
+
+
+WRONG = {
+    "velocity": ({"hamiltonian": p**2 + x.diff() ** 2}, r"velocity x'.*\n.*from_lagrangian"),
+    "count": ({"hamiltonian": p**2, "momenta": (p,)}, "2 coordinates and 1 momenta"),
+    "equal names": ({"hamiltonian": p**2, "momenta": (p, p)}, "two symbols have the name 'p'"),
+    "name of a coordinate": (
+        {"hamiltonian": p**2, "momenta": (p, sp.Symbol("x", real=True))},
+        "a momentum and a coordinate",
+    ),
+    "unknown": ({"hamiltonian": p**2 * k}, "unknown symbol k"),
+    "no momentum": ({"hamiltonian": x**2}, "contains no momentum"),
+    "text": ({"hamiltonian": p**2, "momenta": "p q"}, "not a tuple of symbols"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG.values(), ids=WRONG)
+def test_rejected(case):
+    given, message = case
+    with pytest.raises(ss.ModelError, match=message):
+        declare(**given)
+
+
+SINGULAR = {
+    "degree one": (sp.sqrt(x.diff() ** 2 + y.diff() ** 2), r"degree one.*\n.*F\*\*2/2"),
+    "linear": (x * y.diff() - x**2 - y**2, r"degenerate.*\n.*HamiltonianSystem"),
+    "one row": (x.diff() ** 4 - y**2, "zero row"),
+}
+
+
+@pytest.mark.parametrize("case", SINGULAR.values(), ids=SINGULAR)
+def test_lagrangians_with_a_singular_hessian(case):
+    lagrangian, message = case
+    with pytest.raises(ss.ModelError, match=message):
+        ss.MechanicalSystem.from_lagrangian("some", lagrangian, (x, y), {})
+
+
+def test_schemes_with_more_nodes_than_degrees():
+    with pytest.raises(ss.SchemeError, match=r"many nodes as degrees.*\n.*gauss4 or lobatto_3_3"):
+        ss.compile(declare(p**2 + q**2), "simpson")
+    with pytest.raises(ss.SchemeError, match=r"rank 1 of 2. H is linear in q"):
+        ss.compile(declare(p**2 + q * x), "simpson")
+    with pytest.raises(ss.SchemeError, match=r"not T\(p\) \+ V\(q\).*\n?.*gauss8"):
+        ss.compile(declare(p**2 + q * x), "kahan_li8")
+    with pytest.raises(ss.SchemeError, match="quadratic"):
+        ss.compile(declare(p**4 + q**2 + x**2), "blanes_moan4")
+
+
+def test_structure_equations_and_linear_equations():
+    system = declare(p**2 / 2 + q * y + k * x**2 / 2, parameters={k: 4.0})
+    assert system.structure.momentum_rank == 1
+    assert "rank 1 of 2" in str(system.structure)
+    assert sp.Eq(x.diff(), sp.Function("p")(ss.time)) in system.equations
+    A, B = system.linearise([0.1, 0.2], [0.3, 0.4])
+    np.testing.assert_array_equal(A, [[0, 0, 1, 0], [0, 1, 0, 0], [-4, 0, 0, 0], [0, 0, 0, -1]])
+    assert B.shape == (4, 0)
+    assert "H" in system._repr_latex_()
+    with pytest.raises(ss.ModelError, match="no Lagrangian"):
+        _ = system.lagrangian
+    with pytest.raises(ss.ModelError, match="no mass matrix"):
+        _ = system.mass_matrix
+
+
+def test_indefinite_masses():
+    with pytest.raises(ss.ModelError, match="indefinite=True"):
+        ss.MechanicalSystem(
+            "some", coordinates=(x, y), kinetic=x.diff() ** 2 - y.diff() ** 2, potential=0 * x
+        )
+    system = ss.MechanicalSystem.from_lagrangian("some", x.diff() * y.diff() - x * y, (x, y), {})
+    assert not system.plain.definite
+    assert "indefinite" in str(system.structure)
+
+
+def test_runs_of_hamiltonians():
+    system = declare(
+        p**2 / 2 + (q**2 + x**2) / 2 + y**4 / 4 + p * y / 3,
+        forces={"drag": {x: -x.diff() / 5}},
+        invariants={"sum": p + q},
+    )
+    stepper = ss.compile(system, "gauss4")
+    run = stepper.integrate([0.3, 0.4], p0=[0.1, 0.2], h=0.05, steps=40)
+    np.testing.assert_allclose(run.v[:, 0], run.p[:, 0] + run.q[:, 1] / 3, rtol=0, atol=1e-15)
+    assert np.abs(run.energy_balance).max() < 1e-8
+    np.testing.assert_allclose(run.invariants["sum"], run.p.sum(axis=1), rtol=0, atol=1e-15)
+    again = stepper.integrate([0.3, 0.4], v0=run.v[0], h=0.05, steps=40)
+    np.testing.assert_allclose(again.p, run.p, rtol=0, atol=1e-14)
+    with pytest.raises(AttributeError, match="no kinetic"):
+        _ = run.kinetic_energy
+
+
+def test_no_velocity_of_a_momentum():
+    lagrangian = sp.sin(x.diff()) - x**2 / 2
+    system = ss.MechanicalSystem.from_lagrangian("some", lagrangian, (x,), {})
+    stepper = ss.compile(system, "gauss4")
+    with pytest.raises(ss.InputError, match=r"no velocity has the momentum.*\nGive v0"):
+        stepper.integrate([0.0], p0=[2.0], h=0.1, steps=1)
+    vortices = ss.compile(ss.systems.point_vortices(), "gauss4")
+    with pytest.raises(ss.InputError, match=r"no momentum has the velocity.*\nGive p0"):
+        vortices.integrate([0.0, 1.0, 0.25], v0=[0.1, 0.1, 0.1], h=0.1, steps=1)
