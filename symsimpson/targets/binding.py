@@ -158,13 +158,16 @@ def bind_arb(source: str) -> SimpleNamespace:
 
     def checked(function: Callable[..., Any]) -> Callable[..., Any]:
         """Replace balls by their midpoints before a check, because balls cannot be compared."""
-        if function.__name__ not in (*_CHECKS, "check_drift"):
+        if function.__name__ not in (*_CHECKS, "check_drift", "momentum_gap", "correct_velocity"):
             return function
 
-        def on_midpoints(W: Any, lane: int) -> None:
-            column = W[:, lane]
-            column[:] = [value.mid() if type(value) is arb else value for value in column]
-            function(W, lane)
+        def middle(value: Any) -> Any:
+            return value.mid() if type(value) is arb else value
+
+        def on_midpoints(W: Any, *others: Any) -> Any:
+            column = W[:, others[-1]]
+            column[:] = [*map(middle, column)]
+            return middle(function(W, *map(middle, others)))
 
         return on_midpoints
 

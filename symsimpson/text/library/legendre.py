@@ -91,3 +91,19 @@ def invert_momentum(W, t, lane):
             return
     for a in range(DIMENSION):
         W[FOUND + a, lane] = INFINITE - INFINITE
+
+
+@compiled
+def general_energy(W, t, lane):
+    """Begin the energy v.p - L with v.(p - a) - v.M v/2; an error of v enters it squared."""
+    go_to_start(W, t, lane)
+    mass(W, lane)
+    kinetic, moved = real(0), real(0)
+    for s in range(DIMENSION):
+        v = W[NODE_VELOCITY + s, lane]
+        moved += v * (W[MOMENTUM + COORDINATE[s], lane] - W[NODE_L_V + s, lane])
+        for b in range(DIMENSION):
+            entry = W[NODE_L_VV + s * NODE_STRIDE + b + NODE_OFFSET, lane]
+            kinetic += v * entry * W[NODE_VELOCITY + b, lane]
+    W[KINETIC, lane] = kinetic / 2
+    W[ENERGY, lane] = moved - kinetic / 2

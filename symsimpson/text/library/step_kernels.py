@@ -441,8 +441,13 @@ def compose(W, h, t, lane):
 @kernel
 def energy(W, h, t, lane):
     """The Hamiltonian at (q, p), its kinetic part, and the velocities."""
-    find_velocity(W, t, lane)
-    kinetic_energy(W, lane)
+    if QUADRATIC:
+        find_velocity(W, t, lane)
+        kinetic_energy(W, lane)
+    else:
+        if not TRACED:
+            invert_momentum(W, t, lane)
+        general_energy(W, t, lane)
     go_to_start(W, t, lane)
     potential(W, lane)
 
