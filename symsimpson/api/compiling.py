@@ -196,8 +196,8 @@ def _derive(
 
     if system.retiming is not None or running is not None or system.too_large_for_sympy:
         return derive_module()
-    energies = (system.kinetic, system.potential, system.gyroscopic)
-    energies += (getattr(system, "hamiltonian", None),)
+    energies = [system.kinetic, system.potential, system.gyroscopic]
+    energies.append(getattr(system, "hamiltonian", None))
     wanted = sorted(exploit), varied, second
     parts: list[object] = [system.digest, *energies, astuple(scheme), *wanted]
     parts += [(symbol.name, value) for symbol, value in system.parameters.items()]

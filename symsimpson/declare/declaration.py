@@ -49,9 +49,10 @@ def split_lagrangian(
     If the Lagrangian is not quadratic in the velocities, T has all terms that contain a velocity.
     """
     if not parts.quadratic:
-        velocities = {symbols.back[x] for x in symbols.v}
-        terms = sp.Add.make_args(lagrangian)
-        still = sp.Add(*(x for x in terms if not x.atoms(sp.Derivative) & velocities))
+        moving = {symbols.back[x] for x in symbols.v}
+        still = sp.Add(
+            *(x for x in sp.Add.make_args(lagrangian) if not x.atoms(sp.Derivative) & moving)
+        )
         return lagrangian - still, sp.S.Zero, -still
     graph, to_user = symbols.graph, symbols.to_user
     linear = to_user(graph.add(graph.products(parts.a, symbols.numbers(symbols.v))))
@@ -155,7 +156,8 @@ def read_energies(
     else:
         check_degenerate(name, QuadraticInVelocities(parts.M, a, ZERO), s)
         if not given.mass_checked:
-            check_mass_matrix(name, parts.M, s, None if given.indefinite else defaults)
+            known = None if given.indefinite else [] if definite else defaults
+            check_mass_matrix(name, parts.M, s, known)
     if gyroscopic.M or not IdentityTest(s.graph, [gyroscopic.rest]).vanishes(gyroscopic.rest):
         reject_here(
             f"the gyroscopic term {spell(given.gyroscopic)} is not linear in the velocities.",

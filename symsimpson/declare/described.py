@@ -108,9 +108,9 @@ def _equations(declared: Declared) -> str:
     lines = [("T", kinetic), ("V", potential)]
     held = (*declared.constraints.values(), *declared.velocity_constraints.values())
     lines += [("0", sp.sympify(expression).xreplace(safe)) for expression in held]
-    if hasattr(declared, "hamiltonian"):
-        lines = [("H", sp.sympify(declared.hamiltonian).xreplace(safe))]
-        for equation in declared.equations if declared.n <= SHOWN else ():
+    if declared.plain.hamiltonian is not None:
+        lines = [("H", sp.sympify(getattr(declared, "hamiltonian", 0)).xreplace(safe))]
+        for equation in getattr(declared, "equations", ()) if declared.n <= SHOWN else ():
             left, right = (x.xreplace(safe) for x in (equation.lhs, equation.rhs))
             lines.append((vlatex(left), right))
         return aligned([(left, vlatex(right)) for left, right in lines])

@@ -29,7 +29,9 @@ from symsimpson.declare.declaration import read_mapping, read_positions, read_un
 from symsimpson.declare.declared import read_values, read_vector
 from symsimpson.declare.expression_checks import read_expression
 from symsimpson.declare.forces import check_used, read_forces, read_inputs
+from symsimpson.declare.hamiltonian_structure import analyse_hamiltonian
 from symsimpson.declare.plain import Plain, Symbols
+from symsimpson.declare.structure import Structure
 from symsimpson.declare.system import MechanicalSystem, stage
 from symsimpson.errors import reject
 from symsimpson.graph.derive import gradient
@@ -137,6 +139,14 @@ class HamiltonianSystem(MechanicalSystem):
             object.__setattr__(self, key, value)
 
     @cached_property
+    def structure(self) -> Structure:
+        """The structure of H and the forces."""
+        with stage("structure", self.name) as seconds:
+            structure = analyse_hamiltonian(self)
+        self.seconds.update(seconds)
+        return structure
+
+    @cached_property
     def equations(self) -> tuple[sp.Eq, ...]:
         """Hamilton's equations q' = H_p and p' = f - H_q, in SymPy; p are functions of time.
 
@@ -170,7 +180,7 @@ class HamiltonianSystem(MechanicalSystem):
             ),
         )
 
-    def linearise(  # type: ignore[override]
+    def linearise(
         self,
         q0: ArrayLike,
         p0: ArrayLike | None = None,

@@ -163,6 +163,7 @@ def is_indefinite(
     values, n = list(M.values()), len(symbols.q)
     if not values:
         return False
+    tried = 0
     for point in symbols.points:
         matrix = np.zeros((n, n))
         for (i, j), value in zip(
@@ -174,10 +175,11 @@ def is_indefinite(
             matrix = size[:, None] * matrix * size
         if not np.isfinite(matrix).all():
             continue
+        tried += 1
         signs = np.linalg.eigvalsh(matrix)
         if signs[0] >= -SMALL_EIGENVALUE or signs[-1] <= SMALL_EIGENVALUE:
             return False
-    return True
+    return tried > 0
 
 
 def check_mass_matrix(
@@ -188,8 +190,8 @@ def check_mass_matrix(
 ) -> None:
     """Reject a mass matrix that is singular for all q, or has a negative constant entry M_ii.
 
-    Entries may be negative if ``parameters`` is None. A run checks M at its initial state, because
-    it depends on q.
+    Entries may be negative if ``parameters`` is None. ``parameters`` has their default values if M
+    is indefinite. A run checks M at its initial state, because it depends on q.
     """
     reject_here = partial(reject_model, system)
     massive = {i for place in M for i in place}
@@ -229,7 +231,7 @@ def _is_negative(symbols: Symbols, entry: Value, parameters: Sequence[float]) ->
     known = symbols.numbers(symbols.a)
     if symbols.signs(entry) == (-1, True):
         return True
-    if not entry[0] or not symbols.graph.nodes[entry[1]].symbols.issubset(known):
+    if not (parameters and entry[0]) or not symbols.graph.nodes[entry[1]].symbols.issubset(known):
         return False
     point = dict(zip(known, map(float, parameters), strict=True))
     return evaluate_doubles(symbols.graph, [entry], point)[0] < 0

@@ -129,9 +129,10 @@ def _derive_by(
     graph, n = Graph(factored=strategy.factored), len(plain.q)
     places = graph.numbers(symbol.name for symbol in plain.symbols)
     q, v = places[:n], places[n : 2 * n]
-    given: dict[Key, Value] = {**more}
+    given: dict[Key, Value] = dict(more)
     if plain.quadratic:
-        given |= {("V",): plain.V, **{("a", i): a for i, a in enumerate(plain.a)}}
+        given |= {("V",): plain.V}
+        given |= {("a", i): a for i, a in enumerate(plain.a)}
     given |= {("invariant", name): value for name, value in plain.invariants.items()}
     given |= {("power", name): value for name, value in plain.powers.items()}
     given |= {("f", i): f for i, f in enumerate(plain.f) if f[0]}

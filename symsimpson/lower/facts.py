@@ -50,7 +50,7 @@ def facts(low: Lowering, part: Part, storage: Storage, held: Border | None) -> d
         "PAIRED": False,
         "CANONICAL": plain.hamiltonian is not None,
         "ONE_NODE": equations.scheme.stages == 1,
-        "QUADRATIC": plain.quadratic,
+        "QUADRATIC_L": plain.quadratic,
         "DEFINITE": plain.definite and plain.hamiltonian is None,
         "HELD": held is not None,
         "ROLLING": held is not None and held.velocities > 0,

@@ -144,7 +144,7 @@ class _ModuleWriter:
         for name, text in texts.items():
             self.kernels.append(replace(kernel_from_text(text, self.known), name=name))
         self.kernels += observation_kernels(low, None)
-        if explicit:  # one call takes many steps
+        if isinstance(part, Composed):  # one call takes many steps
             advance = self.kernels[1]
             self.kernels[1] = replace(advance, body=(replace(MANY_STEPS, body=advance.body),))
             self.tables = self.storage.node_constants() | explicit_tables(low, range(n))

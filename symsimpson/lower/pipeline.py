@@ -16,6 +16,7 @@ from symsimpson.discrete.equations import discretise
 from symsimpson.discrete.jet import RunningCost
 from symsimpson.discrete.reductions import read_exploit
 from symsimpson.errors import GenerationError, reject
+from symsimpson.graph.nodes import Value
 from symsimpson.graph.rebuild import rebuild
 from symsimpson.lower.emit import emit
 from symsimpson.lower.emitted_names import NameTable
@@ -81,13 +82,14 @@ def _read_cost(system: MechanicalSystem, running: Any) -> RunningCost | None:
 def _read_cost_of_momenta(system: HamiltonianSystem, symbols: Symbols, running: Any) -> RunningCost:
     """Read a running cost g(t, q, p, v, u) of a Hamiltonian, where v is H_p."""
     rates = rebuild(system.plain.graph, system.plain.velocities, {}, symbols.graph)
+    known: dict[sp.Basic, Value] = dict(symbols.known)
     for velocity, p, rate in zip(
         (q.diff() for q in system.coordinates), system.momenta, rates, strict=True
     ):
-        symbols.known[p] = symbols.known[velocity]
-        symbols.known[velocity] = rate
+        known[p] = symbols.known[velocity]
+        known[velocity] = rate
     allowed = (*symbols.q, *symbols.v, *symbols.a, *symbols.u, symbols.t)
-    value = read_expression(system.name, "running cost", running, symbols, symbols.known, allowed)
+    value = read_expression(system.name, "running cost", running, symbols, known, allowed)
     return RunningCost(symbols.graph, value)
 
 

@@ -404,8 +404,9 @@ class TracedKernels:
             (part,) = solved
             pivots = part.pivots()
         else:
-            for part in () if low.equations.plain.quadratic else self._parts:
-                part.traced.run("end_slope", low.h)
+            if not low.equations.plain.quadratic:
+                for other in self._parts:
+                    other.traced.run("end_slope", low.h)
             state.velocity(end=[part.traced for part in self._parts])
             pivots = state.pivots()
         stores: list[Store] = []

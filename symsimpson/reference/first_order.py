@@ -111,9 +111,8 @@ def canonical(system: MechanicalSystem) -> FirstOrder:
     plain = system.plain
     n = len(plain.q)
     if plain.hamiltonian is not None:
-        rates = [*plain.velocities, *plain.right_sides]
-        outputs = {("rate", i): rate for i, rate in enumerate(rates)}
-        lines = SystemOutputs(plain, outputs)
+        values = [*plain.velocities, *plain.right_sides]
+        lines = SystemOutputs(plain, {("rate", i): rate for i, rate in enumerate(values)})
         definitions = (*lines.of_positions, *lines.of_velocities)
         found = [lines.value("rate", i) for i in range(2 * n)]
         return _first_order(system, "canonical", (*plain.q, *plain.v), definitions, found)

@@ -57,8 +57,8 @@ def choose_state(
         try:
             if declared is not None and not canonical:
                 q, v = declared.consistent(q, v, parameters=parameters)
-            start = {"p0" if canonical else "v0": v}
-            run = stepper.integrate(q, **start, h=1e-6, steps=2, parameters=parameters)
+            start: dict[str, Any] = {"p0" if canonical else "v0": v, "parameters": parameters}
+            run = stepper.integrate(q, **start, h=1e-6, steps=2)
         except (InputError, ConvergenceError):
             continue
         return run.q[0], run.p[0]

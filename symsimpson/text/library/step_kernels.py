@@ -94,7 +94,7 @@ def find_velocity(W, t, lane):
     if CANONICAL:
         find_rates(W, t, lane)
     else:
-        if not QUADRATIC and not TRACED:
+        if not QUADRATIC_L and not TRACED:
             invert_momentum(W, t, lane)
         factor_at_start(W, t, lane)
         solve_velocity(W, lane)
@@ -311,7 +311,7 @@ def find_multipliers(W, lane):
 @kernel
 def start(W, h, t, lane):
     """Begin at (q, p) with increments of constant velocity, or with the force there."""
-    if not QUADRATIC and not TRACED:
+    if not QUADRATIC_L and not TRACED:
         invert_momentum(W, t, lane)
     factor_at_start(W, t, lane)
     if PIVOTS:
@@ -394,7 +394,7 @@ def advance(W, h, t, lane):
             find_impulse(W, h, t, lane)
         keep_step(W, lane)
         close_step(W, lane)
-        if not QUADRATIC:
+        if not QUADRATIC_L:
             end_slope(W, h, lane)
         if not SEPARABLE and not HELD:
             factor_at_start(W, t + h, lane)
@@ -441,7 +441,7 @@ def compose(W, h, t, lane):
 @kernel
 def energy(W, h, t, lane):
     """The Hamiltonian at (q, p), its kinetic part, and the velocities."""
-    if QUADRATIC:
+    if QUADRATIC_L:
         find_velocity(W, t, lane)
         kinetic_energy(W, lane)
     else:

@@ -180,7 +180,6 @@ DECLARED = {
     "a string": {"coordinates": "x"},
     "no mass": {"coordinates": [x, y]},
     "negative mass": {"kinetic": -FREE},
-    "velocities cubed": {"kinetic": x.diff() ** 3},
     "undeclared": {"potential": m * x},
     "accelerations": {"potential": x.diff(ss.coordinates("z")[0].args[0], 2)},
     "velocity in V": {"potential": x.diff() * x},

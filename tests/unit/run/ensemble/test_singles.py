@@ -180,13 +180,13 @@ def test_members_that_fail_by_themselves_are_told():
 
 
 def test_where_no_member_could_begin_it_says_why():
-    tau, r, phi = ss.coordinates("tau r phi")
-    f = 1 - 2 / r
-    metric = (-f * tau.diff() ** 2 + r.diff() ** 2 / f + r**2 * phi.diff() ** 2) / 2
-    system = ss.MechanicalSystem("metric", coordinates=(tau, r, phi), kinetic=metric, potential=0)
+    (r,) = ss.coordinates("r")
+    system = ss.MechanicalSystem(
+        "shrinking", coordinates=(r,), kinetic=(2 - r) * r.diff() ** 2 / 2, potential=0
+    )
     stepper = ss.compile(system, "gauss4")
     with pytest.raises(ss.InputError, match="not positive definite"):
-        stepper.ensemble([[0, 10.0, 0]] * 8, v0=[1.2, 0, 0.04], h=0.1, steps=10)
+        stepper.ensemble([[10.0]] * 8, v0=[1.2], h=0.1, steps=10)
 
 
 @pytest.mark.slow
