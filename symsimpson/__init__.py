@@ -13,7 +13,7 @@ import logging
 
 import lazy_loader
 
-__version__ = "0.3.0"
+__version__ = "0.4.0.dev0"
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 # what is named in __init__.pyi is imported when it is first used, so that the package starts fast
