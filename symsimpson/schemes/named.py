@@ -15,6 +15,8 @@ ELSEWHERE = {
     **dict.fromkeys(("trapezoid", "trapezoidal"), "lobatto2"),
     **dict.fromkeys(("implicit_midpoint", "imr"), "midpoint"),
 }
+#: Second names of schemes: Lobatto IIIA-IIIB methods with their orders.
+SAME = {"lobatto_iiiab4": "lobatto_3_3", "lobatto_iiiab6": "lobatto_4_4"}
 
 
 def read_scheme(scheme: str | Scheme) -> Scheme:
@@ -23,6 +25,7 @@ def read_scheme(scheme: str | Scheme) -> Scheme:
         return scheme
     named = {s.name: s for s in (MIDPOINT, SIMPSON)}
     if isinstance(scheme, str):
+        scheme = SAME.get(scheme, scheme)
         if scheme in named:
             return named[scheme]
         if scheme in COMPOSITIONS:

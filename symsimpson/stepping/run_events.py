@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from symsimpson.errors import reject
+from symsimpson.errors import ModelError, reject
 from symsimpson.program.observed import (
     ObservedExpression,
     check_not_constant,
@@ -251,6 +251,13 @@ def _read_gap(program: Program, event: Event, place: Any) -> tuple[int, int]:
     import sympy as sp  # slow to import, but loaded by now
     from sympy.core.function import AppliedUndef
 
+    if program.header.canonical:
+        reject(
+            f"the event {event.key!r} is an impact, but the system is declared by its Hamiltonian.",
+            why="Newton's law of restitution needs the mass matrix of a Lagrangian.",
+            remedy="Write the jump of the momenta as a Change, or declare T and V.",
+            error=ModelError,
+        )
     gap = _event_expression(event)
     if hasattr(gap, "lhs") and hasattr(gap, "rhs"):
         gap = gap.lhs - gap.rhs

@@ -15,6 +15,7 @@ import symsimpson
 from symsimpson.api.compiling import check_system
 from symsimpson.api.compiling import compile as compile_system
 from symsimpson.api.stepper import Stepper
+from symsimpson.declare.hamiltonian import HamiltonianSystem
 from symsimpson.declare.retimed import RetimedSystem, attracts, retime, retiming_obstacle
 from symsimpson.declare.system import MechanicalSystem
 from symsimpson.errors import ResolutionWarning, StabilityWarning, reject
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
 
 #: The schemes to try, from low to high order; the second tuple if explicit steps are possible.
 CANDIDATES = ("simpson", "gauss8", "gauss12", "gauss16")
+FOR_HAMILTONIAN = ("gauss4", "gauss8", "gauss12", "gauss16")
 WITH_EXPLICIT = ("simpson", "blanes_moan4", "blanes_moan6", "gauss12", "gauss16")
 #: The schemes to try with a time transformation, if more than ``FEW_STEPS`` fixed steps are needed.
 #: The search ends at the first one that takes ``MAX_RATIO`` times as long as fixed steps.
@@ -219,6 +221,8 @@ def _select(
     if schemes is None:
         explicit = system.structure.separable and not system.plain.constraint_names
         fixed_schemes = WITH_EXPLICIT if explicit else CANDIDATES
+        if isinstance(system, HamiltonianSystem):
+            fixed_schemes = FOR_HAMILTONIAN
     fixed_schemes = () if retimed is system else fixed_schemes or ()
     runs = len(fixed_schemes) * (1 + bool(adaptive_schemes)) + len(adaptive_schemes)
     max_trials = ROUNDS * runs + 2 * (1 + REFINEMENTS)
@@ -276,8 +280,9 @@ def _read_motion(
     if not t_end - t0:
         reject(f"t_end is {t_end!r}, the same as t0.", remedy="Pass a later time.")
     original = system.original if isinstance(system, RetimedSystem) else system
-    stepper = compile_system(original, "simpson")
-    parameters = compile_system(system, "simpson").program.free_values(arguments["parameters"])
+    scheme = "gauss4" if isinstance(system, HamiltonianSystem) else "simpson"
+    stepper = compile_system(original, scheme)
+    parameters = compile_system(system, scheme).program.free_values(arguments["parameters"])
     values = {name: parameters[name] for name in stepper.parameters}
     motion = Motion(parameters, t0, t_end - t0, error, arguments["on"], arguments["events"])
     motion = motion.with_inputs(stepper.program, arguments["inputs"])

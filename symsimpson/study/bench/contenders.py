@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import mul
 from typing import Any, Generic, TypeVar
@@ -18,7 +18,6 @@ import numpy as np
 import sympy as sp
 
 from symsimpson.api.compiling import compile as compile_system
-from symsimpson.api.stepper import Stepper
 from symsimpson.declare.retimed import RetimedSystem
 from symsimpson.declare.system import MechanicalSystem
 from symsimpson.errors import reject
@@ -40,8 +39,19 @@ Prepared = TypeVar("Prepared")
 #: Tolerances from coarse to fine.
 TOLERANCES = tuple(10.0 ** (-k / 2) for k in range(2, 31))
 COARSE = TOLERANCES[::2]
+#: A scheme for every system; it converts states, and its runs have no step.
+START_SCHEME = "midpoint"
 #: The coarsest step is this number divided by the largest angular frequency at the start.
 COARSEST = 8.0
+
+
+@dataclass(frozen=True)
+class FinalState:
+    """The final state of a run, and the number of its evaluations."""
+
+    q: Floats
+    p: Floats
+    evaluations: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +64,10 @@ class BenchmarkProblem:
     v0: Floats
     p0: Floats
     t_end: float
-    #: The equations of motion in (q, p) and in (q, v), as systems of first order.
-    canonical: FirstOrder
-    second_order: FirstOrder
+    #: The equations of motion in (q, p) and in (q, v), as systems of first order. A general
+    #: Lagrangian has none in p, and a Hamiltonian none in v.
+    in_momenta: FirstOrder | None
+    in_velocities: FirstOrder | None
     solution: Floats  #: q and p at ``t_end``, shape (2 n,).
     solution_error: float  #: Its estimated error, in units of ``scale``.
     #: Errors are divided by these sizes, shape (2 n,). The size of a coordinate is its largest
@@ -72,10 +83,31 @@ class BenchmarkProblem:
         largest = float(np.abs(difference / self.scale).max())
         return largest if np.isfinite(largest) else float("inf")
 
-    def momentum(self, stepper: Stepper, q: Any, v: Any) -> Floats:
+    @property
+    def equations(self) -> FirstOrder:
+        """The equations that other programs solve: in (q, p) if possible, else in (q, v)."""
+        if self.in_momenta is not None:
+            return self.in_momenta
+        assert self.in_velocities is not None  # one of them exists
+        return self.in_velocities
+
+    @property
+    def start(self) -> Floats:
+        """The initial state of ``equations``."""
+        second = self.p0 if self.in_momenta is not None else self.v0
+        return np.array(self.equations.state(self.q0, second))
+
+    def final(self, y: Any, evaluations: int) -> FinalState:
+        """Return the final state for a state of ``equations``."""
+        n = self.system.n
+        q, second = y[:n], y[n : 2 * n]
+        return FinalState(q, second if self.in_momenta else self.momentum(q, second), evaluations)
+
+    def momentum(self, q: Any, v: Any) -> Floats:
         """Return p for a state (q, v); NaN for a state that is not finite."""
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
             return np.full(len(self.q0), np.nan)
+        stepper = compile_system(self.system, START_SCHEME)
         momentum: Floats = stepper.integrate(q, v0=v, h=1.0, steps=0).p[0]
         return momentum
 
@@ -90,7 +122,7 @@ def make_problem(
     """
     retimed = system if isinstance(system, RetimedSystem) else None
     system = system if retimed is None else retimed.original
-    stepper = compile_system(system, "simpson")
+    stepper = compile_system(system, START_SCHEME)
     q, p = choose_state(stepper, state, stepper.program.named_values())
     if system.constraints:
         reject(
@@ -99,38 +131,26 @@ def make_problem(
             why="The other programs do not satisfy them, so their states cannot be compared.",
             remedy="Use coordinates without constraints, or compare schemes with ss.choose.",
         )
-    in_momenta, in_velocities = canonical(system), second_order(system)
-    start = in_momenta.state([mpmath.mpf(float(x)) for x in (*q, *p)])
+    plain, n = system.plain, system.n
+    in_momenta = canonical(system) if plain.quadratic or plain.hamiltonian is not None else None
+    in_velocities = second_order(system) if plain.hamiltonian is None else None
+    v = stepper.integrate(q, p0=p, h=1.0, steps=0).v[0]
+    problem = BenchmarkProblem(
+        system, q, v, p, float(t_end), in_momenta, in_velocities, p, 0.0, p, retimed
+    )
+    equations, second = problem.equations, p if in_momenta else v
+    start = equations.state([mpmath.mpf(float(x)) for x in (*q, *second)])
     samples = [mpmath.mpf(t_end) * k / 8 for k in range(1, 9)]
-    solution = truth(in_momenta, start, samples, digits=DIGITS)
-    n = system.n
-    path = np.array([[float(x) for x in y[: 2 * n]] for y in solution.y])
+    solution = truth(equations, start, samples, digits=DIGITS)
+    ends = [problem.final(np.array([float(x) for x in y[: 2 * n]]), 0) for y in solution.y]
+    path = np.array([np.concatenate([end.q, end.p]) for end in ends])
     largest = np.abs(np.vstack([np.concatenate([q, p]), path])).max(axis=0)
     least = min(1.0, largest[:n].max() or 1.0)
     scale = np.concatenate([np.maximum(largest[:n], least), np.full(n, largest[n:].max() or 1.0)])
-    rates = in_momenta.function("math")(*in_momenta.state(q, p), *in_momenta.values(None))
-    return BenchmarkProblem(
-        system,
-        q,
-        np.array(rates[:n], dtype=np.float64),
-        p,
-        float(t_end),
-        in_momenta,
-        in_velocities,
-        path[-1],
-        float(np.max(np.array(solution.errors, dtype=np.float64)[..., : 2 * n] / scale)),
-        scale,
-        retimed,
+    errors = np.array(solution.errors, dtype=np.float64)[..., : 2 * n]
+    return replace(
+        problem, solution=path[-1], scale=scale, solution_error=float(np.max(errors / scale))
     )
-
-
-@dataclass(frozen=True)
-class FinalState:
-    """The final state of a run, and the number of its evaluations."""
-
-    q: Floats
-    p: Floats
-    evaluations: int
 
 
 #: A function that runs, and a function that converts its result to the final state.
@@ -203,17 +223,16 @@ def make_scheme_contender(
 MOST_STEPS = 200_000
 
 
-def _compile_rates(problem: BenchmarkProblem) -> tuple[Any, Floats, Floats, int]:
-    """Return the compiled right-hand side, the parameters, the initial state and n."""
-    equations = problem.canonical
+def _compile_rates(problem: BenchmarkProblem) -> tuple[Any, Floats, Floats]:
+    """Return the compiled right-hand side, the parameters and the initial state."""
+    equations = problem.equations
     parameters = np.array(equations.values(None), dtype=np.float64)
-    start = np.array(equations.state(problem.q0, problem.p0))
-    return compiled_rates(equations), parameters, start, problem.system.n
+    return compiled_rates(equations), parameters, problem.start
 
 
 def _runge_kutta(problem: BenchmarkProblem) -> Iterator[Contender[Runnable]]:
     """Yield RK4 and DOP853, compiled together with the right-hand side."""
-    rates, parameters, start, n = _compile_rates(problem)
+    rates, parameters, start = _compile_rates(problem)
 
     def make_runner(solve: Callable[[Floats, float], int]) -> Any:
         def make(choice: float) -> Runnable:
@@ -221,11 +240,11 @@ def _runge_kutta(problem: BenchmarkProblem) -> Iterator[Contender[Runnable]]:
                 y = start.copy()
                 return y, solve(y, choice)
 
-            return run, lambda result: FinalState(result[0][:n], result[0][n : 2 * n], result[1])
+            return run, lambda result: problem.final(*result)
 
         return make
 
-    rk4, dop853 = compiled_rk4(problem.canonical), make_dop853(rates)
+    rk4, dop853 = compiled_rk4(problem.equations), make_dop853(rates)
     states = np.empty((2, start.size))
 
     def fixed(y: Floats, steps: float) -> int:
@@ -249,7 +268,7 @@ def _scipy(problem: BenchmarkProblem) -> Iterator[Contender[Runnable]]:
     """Yield solvers of SciPy with a compiled right-hand side."""
     from scipy.integrate import solve_ivp
 
-    rates, parameters, start, n = _compile_rates(problem)
+    rates, parameters, start = _compile_rates(problem)
 
     def right(t: float, y: Floats) -> Floats:
         out = np.empty_like(y)
@@ -270,8 +289,8 @@ def _scipy(problem: BenchmarkProblem) -> Iterator[Contender[Runnable]]:
                 )
 
             def read(solution: Any) -> FinalState:
-                end = solution.y[:, -1] if solution.success else np.full(2 * n, np.nan)
-                return FinalState(end[:n], end[n : 2 * n], int(solution.nfev))
+                end = solution.y[:, -1] if solution.success else np.full(start.size, np.nan)
+                return problem.final(end, int(solution.nfev))
 
             return run, read
 
@@ -284,20 +303,16 @@ def _heyoka(problem: BenchmarkProblem) -> Iterator[Contender[Runnable]]:
     """Yield the Taylor method of heyoka, for both forms of the equations and both compile modes."""
     import heyoka as hy
 
-    stepper, n = compile_system(problem.system, "simpson"), problem.system.n
+    n = problem.system.n
     # heyoka has one tolerance for all variables: scale them if their sizes differ much
     units = problem.scale if np.ptp(np.log10(problem.scale)) > 2 else np.ones(2 * n)
     forms = (
-        ("q, p", problem.canonical, problem.p0, units, lambda q, p: p),
-        (
-            "q, v",
-            problem.second_order,
-            problem.v0,
-            np.ones(2 * n),
-            lambda q, v: problem.momentum(stepper, q, v),
-        ),
+        ("q, p", problem.in_momenta, problem.p0, units, lambda q, p: p),
+        ("q, v", problem.in_velocities, problem.v0, np.ones(2 * n), problem.momentum),
     )
     for form, equations, other, scale, momentum in forms:
+        if equations is None:
+            continue
         scale = np.array([*scale, *np.ones(len(equations.unknowns) - 2 * n)])
         system = to_heyoka(hy, equations, scale)
         start = np.array(equations.state(problem.q0, other)) / scale
@@ -372,7 +387,7 @@ def _numbalsoda(problem: BenchmarkProblem) -> Iterator[Contender[Runnable]]:
     import numbalsoda
     from numba import carray, cfunc  # type: ignore[attr-defined]
 
-    rates, parameters, start, n = _compile_rates(problem)
+    rates, parameters, start = _compile_rates(problem)
     size, count = len(start), len(parameters)
 
     @cfunc(numbalsoda.lsoda_sig)
@@ -394,9 +409,7 @@ def _numbalsoda(problem: BenchmarkProblem) -> Iterator[Contender[Runnable]]:
                 )
                 return states[-1] if success else np.full(size, np.nan), data[count]
 
-            return run, lambda result: FinalState(
-                result[0][:n], result[0][n : 2 * n], int(result[1])
-            )
+            return run, lambda result: problem.final(result[0], int(result[1]))
 
         yield Contender(f"numbalsoda {method}", "tolerance", COARSE, make)
 
@@ -406,9 +419,8 @@ def _diffrax(problem: BenchmarkProblem) -> Iterator[Contender[Runnable]]:
     import diffrax
     import jax
 
-    rates, n = problem.canonical.function("jax"), problem.system.n
-    values = problem.canonical.values(None)
-    start = np.array(problem.canonical.state(problem.q0, problem.p0))
+    rates, values = problem.equations.function("jax"), problem.equations.values(None)
+    start = problem.start
 
     def solve(y: Any, tolerance: Any) -> Any:
         term = diffrax.ODETerm(lambda t, y, _: jax.numpy.stack(rates(*y, *values)))
@@ -440,7 +452,7 @@ def _diffrax(problem: BenchmarkProblem) -> Iterator[Contender[Runnable]]:
 
         def read(solution: Any) -> FinalState:
             end = np.asarray(solution.ys)[0]
-            return FinalState(end[:n], end[n : 2 * n], 13 * int(solution.stats["num_steps"]))
+            return problem.final(end, 13 * int(solution.stats["num_steps"]))
 
         return run, read
 

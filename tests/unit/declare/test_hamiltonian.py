@@ -114,3 +114,23 @@ def test_no_velocity_of_a_momentum():
     vortices = ss.compile(ss.systems.point_vortices(), "gauss4")
     with pytest.raises(ss.InputError, match=r"no momentum has the velocity.*\nGive p0"):
         vortices.integrate([0.0, 1.0, 0.25], v0=[0.1, 0.1, 0.1], h=0.1, steps=1)
+
+
+def test_second_names_of_schemes():
+    system = ss.systems.restricted_three_bodies()
+    assert ss.compile(system, "lobatto_iiiab4").scheme == "lobatto_3_3"
+    assert ss.compile(system, "lobatto_iiiab6").scheme == "lobatto_4_4"
+
+
+def test_impacts_need_a_lagrangian():
+    stepper = ss.compile(declare(p**2 / 2 + (q**2 + x**2) / 2), "gauss4")
+    wall = ss.Event(x + 1, name="wall", action=ss.Impact(0.5))
+    with pytest.raises(ss.ModelError, match=r"is an impact.*\nWrite the jump"):
+        stepper.integrate([0.3, 0.4], p0=[0.1, 0.2], h=0.05, steps=4, events=[wall])
+
+
+@pytest.mark.slow
+def test_a_scheme_is_chosen():
+    system = ss.systems.restricted_three_bodies()
+    run = ss.integrate(system, **system.reference_state, t_end=20.0, error=1e-9)
+    assert 0 < run.error_estimate < 1e-9

@@ -259,7 +259,7 @@ def test_time_is_an_unknown_where_something_depends_on_it():
     """Programs that solve y' = f(y) take the time as the last component."""
     system = ss.systems.duffing()
     problem = make_problem(system, None, 2.0)
-    assert len(problem.canonical.unknowns) == 3
+    assert len(problem.equations.unknowns) == 3
     run = ss.compile(system, "gauss16").integrate(**system.reference_state, h=0.1, steps=20)
     assert problem.error(run.q[-1], run.p[-1]) < 1e-13
     for contender in make_peer_contenders(problem, ("runge-kutta", "scipy")):
