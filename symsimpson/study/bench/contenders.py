@@ -99,8 +99,7 @@ class BenchmarkProblem:
 
     def final(self, y: Any, evaluations: int) -> FinalState:
         """Return the final state for a state of ``equations``."""
-        n = self.system.n
-        q, second = y[:n], y[n : 2 * n]
+        q, second = np.split(np.asarray(y)[: 2 * self.system.n], 2)
         return FinalState(q, second if self.in_momenta else self.momentum(q, second), evaluations)
 
     def momentum(self, q: Any, v: Any) -> Floats:
