@@ -176,18 +176,12 @@ def read_energies(
             "Give the parameter another name.",
         )
     watch = s.known | of_momenta
-    invariants: dict[str, sp.Expr] = {}
-    values: dict[str, Value] = {}
-    for key, quantity in read_mapping(name, "invariants", given.invariants, "{'J': x**2}").items():
-        if not isinstance(key, str):
-            reject_here(
-                f"the invariant's name {key!r} is not a string.",
-                "Write invariants={'angular momentum': ...}.",
-            )
-        values[key] = read_expression(
-            name, f"invariant {key!r}", quantity, s, watch, (*s.q, *s.v, *s.p, *s.a, s.t)
-        )
-        invariants[key] = sp.sympify(quantity)
+    invariants = read_invariants(name, given.invariants)
+    places = (*s.q, *s.v, *s.p, *s.a, s.t)
+    values = {
+        key: read_expression(name, f"invariant {key!r}", quantity, s, watch, places)
+        for key, quantity in invariants.items()
+    }
     plain = Plain(
         graph=s.graph,
         q=s.q,
@@ -220,7 +214,7 @@ def read_energies(
                 f"run[{key!r}] would be ambiguous.",
                 "Give the constraint another name.",
             )
-    return plain, MappingProxyType(positions), MappingProxyType(invariants)
+    return plain, MappingProxyType(positions), sympified(invariants)
 
 
 def _explicit_momenta(plain: Plain, names: Sequence[str]) -> set[str]:
@@ -248,6 +242,24 @@ def read_mapping(name: str, what: str, given: Any, example: str) -> Mapping[Any,
             f"Give each of them a name, which runs use: {what}={example}.",
         )
     return given or {}
+
+
+def read_invariants(name: str, given: Any) -> Mapping[str, Any]:
+    """Check that invariants have names."""
+    invariants = read_mapping(name, "invariants", given, "{'J': x**2}")
+    for key in invariants:
+        if not isinstance(key, str):
+            reject_model(
+                name,
+                f"the invariant's name {key!r} is not a string.",
+                "Write invariants={'angular momentum': ...}.",
+            )
+    return invariants
+
+
+def sympified(invariants: Mapping[str, Any]) -> Mapping[str, sp.Expr]:
+    """Return invariants that were read as SymPy expressions."""
+    return MappingProxyType({key: sp.sympify(x) for key, x in invariants.items()})
 
 
 def read_positions(

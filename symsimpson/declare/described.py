@@ -81,6 +81,25 @@ def _residual(plain: Plain) -> tuple[list[Value], tuple[int, ...]]:
     return residual, (*a, *pulls)
 
 
+def read_point(
+    system: Declared,
+    q0: ArrayLike,
+    other: Mapping[str, ArrayLike | None],
+    parameters: Mapping[Any, float] | None,
+    inputs: Mapping[Any, float] | None,
+    t: float,
+) -> tuple[Floats, Floats, dict[int, float]]:
+    """Read q0, and v0 or p0 by name; return them with the values of all symbols of the graph."""
+    plain, ((name, second),) = system.plain, other.items()
+    q = read_vector(system, "q0", q0)
+    v = np.zeros(system.n) if second is None else read_vector(system, name, second)
+    values = read_values("parameters", "parameter", system.parameters, parameters)
+    given = read_values("inputs", "input", dict.fromkeys(system.inputs, 0.0), inputs)
+    symbols = plain.numbers((*plain.q, *plain.v, *plain.parameters, *plain.u, plain.t))
+    known = zip(symbols, (*q.tolist(), *v.tolist(), *values, *given, t), strict=True)
+    return q, v, dict(known)
+
+
 def _check_constraints(
     system: Declared, q: Floats, v: Floats, parameters: Mapping[Any, float] | None, t: float
 ) -> None:
@@ -245,13 +264,8 @@ class Described(Declared):
         True
         """
         n, m, plain = self.n, len(self.inputs), self.plain
-        q = read_vector(self, "q0", q0)
-        v = np.zeros(n) if v0 is None else read_vector(self, "v0", v0)
-        values = read_values("parameters", "parameter", self.parameters, parameters)
-        given = read_values("inputs", "input", dict.fromkeys(self.inputs, 0.0), inputs)
+        q, v, known = read_point(self, q0, {"v0": v0}, parameters, inputs, t)
         _check_constraints(self, q, v, parameters, t)
-        symbols = plain.numbers((*plain.q, *plain.v, *plain.parameters, *plain.u, plain.t))
-        known = dict(zip(symbols, (*q.tolist(), *v.tolist(), *values, *given, t), strict=True))
         residual, unknowns = _residual(plain)
         moved = (*unknowns, *plain.numbers((*plain.q, *plain.v, *plain.u)))
         slopes = [gradient(plain.graph, row, moved) for row in residual]

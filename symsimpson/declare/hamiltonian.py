@@ -25,8 +25,8 @@ from symsimpson.declare.checks import (
     spell,
 )
 from symsimpson.declare.coordinates import time
-from symsimpson.declare.declaration import read_mapping, read_positions, read_units
-from symsimpson.declare.declared import read_values, read_vector
+from symsimpson.declare.declaration import read_invariants, read_positions, read_units, sympified
+from symsimpson.declare.described import read_point
 from symsimpson.declare.expression_checks import read_expression
 from symsimpson.declare.forces import check_used, read_forces, read_inputs
 from symsimpson.declare.hamiltonian_structure import analyse_hamiltonian
@@ -217,12 +217,7 @@ class HamiltonianSystem(MechanicalSystem):
             If the state is invalid, or if a derivative is not finite there.
         """
         plain, n, m = self.plain, self.n, len(self.inputs)
-        q = read_vector(self, "q0", q0)
-        p = np.zeros(n) if p0 is None else read_vector(self, "p0", p0)
-        values = read_values("parameters", "parameter", self.parameters, parameters)
-        given = read_values("inputs", "input", dict.fromkeys(self.inputs, 0.0), inputs)
-        symbols = plain.numbers((*plain.q, *plain.v, *plain.parameters, *plain.u, plain.t))
-        point = dict(zip(symbols, (*q.tolist(), *p.tolist(), *values, *given, t), strict=True))
+        _, _, point = read_point(self, q0, {"p0": p0}, parameters, inputs, t)
         states = plain.numbers((*plain.q, *plain.v, *plain.u))
         rates = [*plain.velocities, *plain.right_sides]
         slopes = [x for rate in rates for x in gradient(plain.graph, rate, states)]
@@ -346,13 +341,7 @@ def _read(
     forces = read_forces(name, coordinates, given.forces, None, s, read_moving)
     check_used(name, inputs, s, forces)
     positions = read_positions(name, given, s, read)
-    invariants = read_mapping(name, "invariants", given.invariants, "{'J': x*p}")
-    for key in invariants:
-        if not isinstance(key, str):
-            reject_here(
-                f"the invariant's name {key!r} is not a string.",
-                "Write invariants={'angular momentum': ...}.",
-            )
+    invariants = read_invariants(name, given.invariants)
     values = {key: read(f"invariant {key!r}", x, s.v) for key, x in invariants.items()}
     plain_system = Plain(
         graph=s.graph,
@@ -371,5 +360,4 @@ def _read(
         hamiltonian=hamiltonian,
     )
     check_names(name, [q.func.__name__ for q in coordinates], invariants)
-    known = {key: sp.sympify(x) for key, x in invariants.items()}
-    return plain_system, MappingProxyType(positions), MappingProxyType(known)
+    return plain_system, MappingProxyType(positions), sympified(invariants)

@@ -73,15 +73,27 @@ class Signs:
             sign, strict = sign * factor_sign, strict and definite
         return sign, strict
 
-    def real_everywhere(self, roots: Iterable[int]) -> bool:
-        """Return True if the nodes are certainly real wherever they are defined."""
+    def real_everywhere(self, roots: Iterable[int], apart: Iterable[int] = ()) -> bool:
+        """Return True if the nodes are certainly real wherever they are defined.
+
+        Roots and functions of values that contain one of the symbols ``apart`` do not count.
+        """
+        others = set(apart)
+
+        def doubtful(m: int) -> bool:
+            return others.isdisjoint(self._graph.nodes[m].symbols)
+
         for n in self._graph.descendants(roots):
             kind, parts, _ = self._graph.nodes[n]
             if kind == "product":
-                if any(e.denominator != 1 and self((1, m))[0] != 1 for m, e in parts):
+                if any(
+                    e.denominator != 1 and self((1, m))[0] != 1 and doubtful(m) for m, e in parts
+                ):
                     return False
-            elif kind == "function" and (
-                parts[0] in PARTIAL or (parts[0] in ("log", "pow") and self(parts[1])[0] != 1)
+            elif (
+                kind == "function"
+                and (parts[0] in PARTIAL or (parts[0] in ("log", "pow") and self(parts[1])[0] != 1))
+                and doubtful(parts[1][1])
             ):
                 return False
         return True

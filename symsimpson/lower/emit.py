@@ -236,6 +236,8 @@ def _facts(equations: DiscreteEquations, module: Module) -> dict[str, object]:
         next((s for s in ("positive", "negative") if getattr(a, f"is_{s}")), "")
         for a in system.parameters
     ]
+    # a velocity that belongs to a momentum has a real L
+    moving = () if plain.hamiltonian is not None else plain.numbers(plain.v)
     facts: dict[str, object] = {
         "system": system.name,
         "scheme": scheme.name,
@@ -245,7 +247,7 @@ def _facts(equations: DiscreteEquations, module: Module) -> dict[str, object]:
         "parameters": names.parameters,
         "defaults": tuple(float(value) for value in system.parameters.values()),
         "signs": tuple(signs),
-        "real_everywhere": plain.signs.real_everywhere(n for _, n in plain.energies),
+        "real_everywhere": plain.signs.real_everywhere((n for _, n in plain.energies), moving),
     }
     others = {
         "indefinite": not plain.definite,

@@ -301,8 +301,8 @@ def plot_energy(run: Any, *, shadow: bool = False, ax: Any = None) -> Any:
         ax.plot(run.t, shadow_error, lw=0.8, label="shadow energy")
         add_legend(ax)
     quantity, relative = "H - H0" if constant else "H - H0 - work", ""
-    if not absolute and run.energy_scale:
-        canonical = run.program.header.canonical
+    canonical = run.program.header.canonical
+    if not absolute and (canonical or run.E0 or run.kinetic_energy.any()):
         other = "size of p v/2" if canonical else "kinetic energy"
         relative = "|H0|" if run.energy_scale == abs(run.E0) else other
     name_axes(ax, run.program, "t", "")

@@ -72,8 +72,8 @@ class Names:
         if self._declared is None:
             return frozenset()
         plain = self._declared.plain
-        rows = (plain.a, *plain.forces.values(), plain.constraint_values)
-        values = [plain.T, plain.V, *plain.M.values(), *plain.invariants.values(), *chain(*rows)]
+        rows = (*plain.forces.values(), plain.constraint_values)
+        values = [plain.L, *plain.invariants.values(), *chain(*rows)]
         used = {n for _, node in values for n in plain.graph.nodes[node].symbols}
         drawn: set[Any] = set()
         for point in (self._declared.positions or {}).values():
@@ -99,7 +99,7 @@ class Names:
             verb = "stand" if len(idle) > 1 else "stands"
             warn(
                 f"{system}: {', '.join(idle)} {verb} in no expression of the system, so other "
-                "values have no effect.\nUsually a term is missing in T, V or the forces.",
+                "values have no effect.\nUsually a term is missing in T, V, H or the forces.",
                 ModelWarning,
             )
 

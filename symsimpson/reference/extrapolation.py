@@ -140,7 +140,8 @@ def _step(
             row.append([a + (a - b) / weight for a, b in zip(row[k], old, strict=True)])
         if column > 2:
             changes = [abs(a - b) for a, b in zip(row[-1], row[-2], strict=True)]
-            if not all(map(mpmath.isfinite, changes)):
+            outside = any(isinstance(x, mpmath.mpc) for x in row[-1])  # roots of negative numbers
+            if outside or not all(map(mpmath.isfinite, changes)):
                 return None, column
             reached = [max(size, abs(a)) for size, a in zip(sizes, row[-1], strict=True)]
             bounds = [

@@ -377,7 +377,6 @@ def _check_shadow(run: FinishedRun) -> None:
     reasons = {
         "Its energy is not constant.\nUse run.energy_balance.": not header.conservative,
         "Its steps are constant in transformed time.": header.retimed,
-        "The system is declared by its Hamiltonian.": header.canonical,
         "Events acted on it.": run.records,
         "The system has constraints.": header.constraints,
         "Not all states are stored.\nIntegrate with every=1.": run.every != 1,
@@ -420,29 +419,37 @@ def _actions(program: Program, run: FinishedRun) -> Reals:
     """Return the actions of Hermite polynomials between the states, by Gauss quadrature."""
     degree = 3 if program.order <= 4 else 5
     places, weights = np.polynomial.legendre.leggauss(NODES[degree])
-    h, q, v = run.h, run.q, run.v
+    h, q, p, v = run.h, run.q, run.p, run.v
+    canonical = program.header.canonical
     ends = [q[:-1], h * v[:-1], q[1:], h * v[1:]]
     if degree == 5:
-        a = h * h * _accelerations(q, v, h)
+        a = h * h * _rates(v, h)
         ends = [*ends[:2], a[:-1], *ends[2:], a[1:]]
     basis = _hermite(degree)
+    if canonical:  # L = p.v - H along paths of q and p
+        kicks = h * _rates(p, h)
+        pushed = [p[:-1], kicks[:-1], p[1:], kicks[1:]]
+        cubic = _hermite(3)
     total = np.zeros(run.steps)
     for place, weight in zip((places + 1) / 2, weights / 2, strict=True):
         here = sum(b(place) * x for b, x in zip(basis, ends, strict=True))
         slope = sum(b.deriv()(place) * x for b, x in zip(basis, ends, strict=True)) / h
         t = run.t[:-1] + place * h
-        states, values = (t, here, slope), run.parameter_values
-        L = evaluate(program, "running_cost", "NODE_COST", 1, states, values)
-        total += weight * h * L[:, 0]
+        if canonical:
+            there = sum(b(place) * x for b, x in zip(cubic, pushed, strict=True))
+            L = (there * slope).sum(axis=-1) - run.with_states(t, here, there).energy
+        else:
+            states, values = (t, here, slope), run.parameter_values
+            L = evaluate(program, "running_cost", "NODE_COST", 1, states, values)[:, 0]
+        total += weight * h * L
     return total
 
 
-def _accelerations(q: Reals, v: Reals, h: Any) -> Reals:
-    """Return accelerations at the states, of fourth order, by finite differences of q and v."""
-    inner = 2 * (q[2:] - 2 * q[1:-1] + q[:-2]) / h**2 - (v[2:] - v[:-2]) / (2 * h)
-    one_sided = np.array([-25, 48, -36, 16, -3]) / (12 * h)
-    first, last = one_sided @ v[:5], -one_sided @ v[:-6:-1]
-    return np.concatenate([first[None], inner, last[None]])
+def _rates(x: Reals, h: Any) -> Reals:
+    """Return h^-1 times fourth-order differences: time derivatives at the states."""
+    inner = (x[:-4] - 8 * x[1:-3] + 8 * x[3:-1] - x[4:]) / 12
+    sides = np.array([[-25, 48, -36, 16, -3], [-3, -10, 18, -6, 1]]) / 12
+    return np.concatenate([sides @ x[:5], inner, -(sides @ x[:-6:-1])[::-1]]) / h
 
 
 def _hermite(degree: int) -> list[Polynomial]:

@@ -116,40 +116,24 @@ def _set_initial_state(program: Program, run: Run, spec: RunSpec) -> None:
 
 def _explain_momentum(program: Program, spec: RunSpec, where: str) -> None:
     """Reject a start at which the map between v and p has no solution, if that may be the cause."""
-    header = program.header
+    header, other = program.header, spec.other0.tolist()
+    why = "There a momentum does not determine the velocity."
     if header.canonical and spec.velocities:
-        reject(
-            f"no momentum has the velocity v0={spec.other0.tolist()} at {where}.",
-            where=program.system,
-            why="The matrix H_pp is singular, or Newton's method found no momentum.",
-            remedy="Give p0.",
-        )
-    if header.canonical:
-        reject(
-            f"H has no value at {where}, p0={spec.other0.tolist()}.",
-            where=program.system,
-            remedy="Start from another state.",
-        )
-    if header.general and spec.velocities:
-        reject(
-            f"L has no value at v0={spec.other0.tolist()}, or L_vv is singular there, at {where}.",
-            where=program.system,
-            remedy="Start with another velocity.",
-        )
-    if header.general:
-        reject(
-            f"no velocity has the momentum p0={spec.other0.tolist()} at {where}.",
-            where=program.system,
-            why="Newton's method for L_v(q, v) = p found none from v = 0 and from v = p.",
-            remedy="Give v0.",
-        )
-    if header.indefinite:
-        reject(
-            f"the mass matrix is singular at {where}.",
-            where=program.system,
-            why="There a momentum does not determine the velocity.",
-            remedy="Start from another position.",
-        )
+        what, remedy = f"no momentum has the velocity v0={other}", "Give p0."
+        why = "The matrix H_pp is singular, or Newton's method found no momentum."
+    elif header.canonical:
+        what, remedy, why = f"H has no value at p0={other}", "Start from another state.", ""
+    elif header.general and spec.velocities:
+        what = f"L has no value at v0={other}, or L_vv is singular there"
+        remedy, why = "Start with another velocity.", ""
+    elif header.general:
+        what, remedy = f"no velocity has the momentum p0={other}", "Give v0."
+        why = "Newton's method for L_v(q, v) = p found none from v = 0 and from v = p."
+    elif header.indefinite:
+        what, remedy = "the mass matrix is singular", "Start from another position."
+    else:
+        return
+    reject(f"{what}, at {where}.", where=program.system, why=why, remedy=remedy)
 
 
 def _set_initial_variations(program: Program, run: Run, tangents: Reals, *, velocity: bool) -> None:

@@ -103,7 +103,15 @@ def evaluate_curvature(
 
 
 def _check_equations(program: Program) -> None:
-    """Raise InputError for an explicit scheme."""
+    """Raise InputError for an explicit scheme, and for a Hamiltonian."""
+    if program.header.canonical:
+        reject(
+            "a HamiltonianSystem has no equations of a step for its control points.",
+            where=program.system,
+            why="The unknowns of its steps are velocities and forces at the nodes.",
+            remedy="Declare the Lagrangian, or differentiate with stepper.tangent and "
+            "stepper.gradient.",
+        )
     if "equations" not in program.header.functions:
         reject(
             f"the scheme {program.scheme} is explicit, so its steps have no equations to evaluate.",

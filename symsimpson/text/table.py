@@ -372,9 +372,9 @@ TABLE = (
     scratch("STEP_QV", "F_v at all nodes", lambda s: s.assembled * s.nodes * s.entries),
     scratch("STEP_VV", "M at all nodes", lambda s: s.assembled * s.nodes * s.entries),
     scratch(
-        "STEP_P_Q",
-        "derivatives of velocities by q at all nodes",
-        lambda s: s.canonical * s.assembled * s.nodes * s.entries,
+        "STEP_SLOPES",
+        "derivatives of V and F by q and p at all nodes",
+        lambda s: 4 * s.canonical * s.nodes * s.entries,
     ),
     scratch(
         "STEP_F_V",

@@ -40,20 +40,39 @@ def phase_equations(W, h, t, lane):
 
 
 @compiled
+def store_slopes(W, node, lane):
+    """Store the derivatives of V and F by q and p at a node: a matrix with 2 n rows."""
+    first = STEP_SLOPES + 4 * node * DIMENSION * DIMENSION
+    for a in range(DIMENSION):
+        for b in range(DIMENSION):
+            ab, upper = a * DIMENSION + b, first + 2 * a * DIMENSION + b
+            lower = upper + 2 * DIMENSION * DIMENSION
+            W[upper, lane] = W[NODE_P_Q + ab, lane]
+            W[upper + DIMENSION, lane] = W[NODE_L_VV + ab, lane]
+            W[lower, lane] = W[NODE_L_QQ + ab, lane]
+            W[lower + DIMENSION, lane] = W[NODE_L_QV + ab, lane]
+
+
+@compiled
+def phase_place(node, row):
+    """Return the place of a velocity, or of a force, at a node among the unknowns."""
+    return (row // DIMENSION * NODES + node) * DIMENSION + row % DIMENSION
+
+
+@compiled
 def phase_rows(W, share, node, lane):
     """Write the rows of a node in the Jacobian."""
-    for a in range(DIMENSION):
-        y = JACOBIAN + (node * DIMENSION + a) * UNKNOWNS
-        g = JACOBIAN + ((NODES + node) * DIMENSION + a) * UNKNOWNS
+    store_slopes(W, node, lane)
+    for a in range(2 * DIMENSION):
+        row = phase_place(node, a)
+        slopes = STEP_SLOPES + (2 * node * DIMENSION + a) * 2 * DIMENSION
         for j in range(NODES):
-            by_y, by_g = share * STAGE_TABLE[j, node], share * STAGE_TABLE[NODES + j, node]
-            for b in range(DIMENSION):
-                ab, m, n = a * DIMENSION + b, j * DIMENSION + b, (NODES + j) * DIMENSION + b
-                one = real(1) if j == node and a == b else real(0)
-                W[y + m, lane] = one - by_y * W[NODE_P_Q + ab, lane]
-                W[y + n, lane] = -by_g * W[NODE_L_VV + ab, lane]
-                W[g + m, lane] = -by_y * W[NODE_L_QQ + ab, lane]
-                W[g + n, lane] = one - by_g * W[NODE_L_QV + ab, lane]
+            for b in range(2 * DIMENSION):
+                column = phase_place(j, b)
+                reached = share * STAGE_TABLE[b // DIMENSION * NODES + j, node]
+                one = real(1) if row == column else real(0)
+                entry = one - reached * W[slopes + b, lane]
+                W[JACOBIAN + row * UNKNOWNS + column, lane] = entry
 
 
 @compiled
@@ -220,7 +239,6 @@ def phase_work(W, h, t, lane):
 @compiled
 def differentiate_phase(W, h, t, costed, lane):
     """Factorise the Jacobian of the last step, and store derivatives of V and F at the nodes."""
-    size = DIMENSION * DIMENSION
     for node in range(NODES):
         phase_node(W, h, t, node, lane)
         phase_jet(W, lane)
@@ -232,10 +250,6 @@ def differentiate_phase(W, h, t, costed, lane):
             parameter_slopes(W, lane)
             copy(W, NODE_F_A, STEP_F_A + node * F_A_FROM[VARIED], F_A_FROM[VARIED], lane)
             copy(W, NODE_P_A, STEP_P_A + node * P_A_FROM[VARIED], P_A_FROM[VARIED], lane)
-        copy(W, NODE_L_QQ, STEP_QQ + node * size, size, lane)
-        copy(W, NODE_L_QV, STEP_QV + node * size, size, lane)
-        copy(W, NODE_L_VV, STEP_VV + node * size, size, lane)
-        copy(W, NODE_P_Q, STEP_P_Q + node * size, size, lane)
         if COSTED and costed > 0:
             cost_at_node(W, h, t, node, lane)
             add_phase_cost(W, share, node, lane)
@@ -251,22 +265,19 @@ def phase_tangent(W, h, t, lane):
     if W[ACTIVE, lane] != 0:
         exchange_steps(W, lane)
         differentiate_phase(W, h, t, 0, lane)
-        size, count = DIMENSION * DIMENSION, int(W[TANGENTS, lane])
+        count = int(W[TANGENTS, lane])
         for variation in range(count):
             dq = TANGENT + variation * 2 * DIMENSION
             room = work_row_of(W, variation, lane)
             parameter = variation - count + VARIED
             for node in range(NODES):
                 share = h * WEIGHTS[node]
-                for a in range(DIMENSION):
-                    moved, pushed = real(0), real(0)
-                    for b in range(DIMENSION):
-                        ab, by_q = node * size + a * DIMENSION + b, W[dq + b, lane]
-                        by_p = W[dq + DIMENSION + b, lane]
-                        moved += W[STEP_P_Q + ab, lane] * by_q + W[STEP_VV + ab, lane] * by_p
-                        pushed += W[STEP_QQ + ab, lane] * by_q + W[STEP_QV + ab, lane] * by_p
-                    W[room + node * DIMENSION + a, lane] = share * moved
-                    W[room + (NODES + node) * DIMENSION + a, lane] = share * pushed
+                for a in range(2 * DIMENSION):
+                    slopes = STEP_SLOPES + (2 * node * DIMENSION + a) * 2 * DIMENSION
+                    changed = real(0)
+                    for b in range(2 * DIMENSION):
+                        changed += W[slopes + b, lane] * W[dq + b, lane]
+                    W[room + phase_place(node, a), lane] = share * changed
                 if VARIED_BY and parameter >= 0:
                     for entry in range(P_A_FROM[parameter], P_A_FROM[parameter + 1]):
                         slope = W[STEP_P_A + node * P_A_FROM[VARIED] + entry, lane]
@@ -276,25 +287,21 @@ def phase_tangent(W, h, t, lane):
                         row = (NODES + node) * DIMENSION + F_A_PLACE[entry]
                         W[room + row, lane] += share * slope
             solve_factored(W, room, lane)
-            for a in range(DIMENSION):
+            for a in range(2 * DIMENSION):
                 for j in range(NODES):
-                    W[dq + a, lane] += W[room + j * DIMENSION + a, lane]
-                    W[dq + DIMENSION + a, lane] += W[room + (NODES + j) * DIMENSION + a, lane]
+                    W[dq + a, lane] += W[room + phase_place(j, a), lane]
         exchange_steps(W, lane)
 
 
 @compiled
 def add_phase_cost(W, share, node, lane):
     """Add the derivatives of the running cost at a node, by q and p there, to those of J."""
-    for a in range(DIMENSION):
-        by_q = share * W[NODE_COST + 1 + a, lane]
-        by_p = share * W[NODE_COST + 1 + DIMENSION + a, lane]
-        W[ADJOINT_START + a, lane] += by_q
-        W[ADJOINT_START + DIMENSION + a, lane] += by_p
+    for a in range(2 * DIMENSION):
+        slope = share * W[NODE_COST + 1 + a, lane]
+        W[ADJOINT_START + a, lane] += slope
         for j in range(NODES):
-            y, g = j * DIMENSION + a, (NODES + j) * DIMENSION + a
-            W[ADJOINT_RIGHT + y, lane] += STAGE_TABLE[j, node] * by_q
-            W[ADJOINT_RIGHT + g, lane] += STAGE_TABLE[NODES + j, node] * by_p
+            reached = STAGE_TABLE[a // DIMENSION * NODES + j, node]
+            W[ADJOINT_RIGHT + phase_place(j, a), lane] += reached * slope
     for j in range(VARIED):
         slope = share * W[NODE_COST + 1 + 2 * DIMENSION + j, lane]
         W[COST_SLOPE + j * NODES + node, lane] += slope
@@ -309,29 +316,20 @@ def phase_adjoint(W, h, t, lane):
     """
     if W[ACTIVE, lane] != 0:
         exchange_steps(W, lane)
-        for a in range(DIMENSION):
+        for a in range(2 * DIMENSION):
             for j in range(NODES):
-                W[ADJOINT_RIGHT + j * DIMENSION + a, lane] = W[ADJOINT + a, lane]
-                row = (NODES + j) * DIMENSION + a
-                W[ADJOINT_RIGHT + row, lane] = W[ADJOINT + DIMENSION + a, lane]
+                W[ADJOINT_RIGHT + phase_place(j, a), lane] = W[ADJOINT + a, lane]
         clear(W, ADJOINT_START, 2 * DIMENSION, lane)
         clear(W, COST_SLOPE, VARIED * NODES, lane)
         differentiate_phase(W, h, t, 1, lane)
         solve_transposed(W, ADJOINT_RIGHT, lane)
-        size = DIMENSION * DIMENSION
         for node in range(NODES):
             share = h * WEIGHTS[node]
-            for a in range(DIMENSION):
-                by_velocity = share * W[ADJOINT_RIGHT + node * DIMENSION + a, lane]
-                by_force = share * W[ADJOINT_RIGHT + (NODES + node) * DIMENSION + a, lane]
-                for b in range(DIMENSION):
-                    ab = node * size + a * DIMENSION + b
-                    W[ADJOINT_START + b, lane] += (
-                        W[STEP_P_Q + ab, lane] * by_velocity + W[STEP_QQ + ab, lane] * by_force
-                    )
-                    W[ADJOINT_START + DIMENSION + b, lane] += (
-                        W[STEP_VV + ab, lane] * by_velocity + W[STEP_QV + ab, lane] * by_force
-                    )
+            for a in range(2 * DIMENSION):
+                slopes = STEP_SLOPES + (2 * node * DIMENSION + a) * 2 * DIMENSION
+                w = share * W[ADJOINT_RIGHT + phase_place(node, a), lane]
+                for b in range(2 * DIMENSION):
+                    W[ADJOINT_START + b, lane] += W[slopes + b, lane] * w
             for j in range(VARIED):
                 slope = real(0)
                 for row in range(P_A_FROM[j], P_A_FROM[j + 1]):
