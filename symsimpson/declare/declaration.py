@@ -177,9 +177,9 @@ def read_energies(
         )
     watch = s.known | of_momenta
     invariants = read_invariants(name, given.invariants)
-    places = (*s.q, *s.v, *s.p, *s.a, s.t)
+    allowed = (*s.q, *s.v, *s.p, *s.a, s.t)
     values = {
-        key: read_expression(name, f"invariant {key!r}", quantity, s, watch, places)
+        key: read_expression(name, f"invariant {key!r}", quantity, s, watch, allowed)
         for key, quantity in invariants.items()
     }
     plain = Plain(

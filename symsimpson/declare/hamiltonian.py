@@ -1,6 +1,6 @@
 """Systems that are declared by a Hamiltonian H(q, p, t).
 
-In the graph of such a system, the symbols of velocities stand for the momenta.
+In the graph of such a system, the symbols of velocities are the momenta.
 """
 
 from __future__ import annotations

@@ -247,7 +247,7 @@ def retiming_obstacle(system: MechanicalSystem) -> str:
     if isinstance(system, RetimedSystem):
         return "it is already retimed"
     if plain.hamiltonian is not None:
-        return "it is declared by its Hamiltonian: declare K = g (H - E0) instead"
+        return "it is declared by its Hamiltonian: declare g (H + p_t) with t as a coordinate"
     if plain.velocity_constraints:
         return "with velocity constraints its flow is not symplectic, in t or in tau"
     if plain.constraints:

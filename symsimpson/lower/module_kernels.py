@@ -286,10 +286,9 @@ class _ModuleWriter:
         more_sizes = {**stages.sizes, **differential_sizes(low, by_columns=by_columns)}
         blocks, rows = layout(sizes(low, self.known, storage, held, self.routh, **more_sizes))
         if "SOUGHT" in blocks:
-            found, given = (
-                ("MOMENTUM", "VELOCITY") if plain.hamiltonian else ("VELOCITY", "MOMENTUM")
-            )
-            self.tables |= {"GIVEN": blocks[given], "FOUND": blocks[found]}
+            places = [blocks["MOMENTUM"], blocks["VELOCITY"]]
+            given, sought = places[::-1] if plain.hamiltonian else places
+            self.tables |= {"GIVEN": given, "FOUND": sought}
         return Module(
             low.names,
             (*self.functions, *stages.functions),

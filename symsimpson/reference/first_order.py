@@ -114,8 +114,8 @@ def canonical(system: MechanicalSystem) -> FirstOrder:
         values = [*plain.velocities, *plain.right_sides]
         lines = SystemOutputs(plain, {("rate", i): rate for i, rate in enumerate(values)})
         definitions = (*lines.of_positions, *lines.of_velocities)
-        found = [lines.value("rate", i) for i in range(2 * n)]
-        return _first_order(system, "canonical", (*plain.q, *plain.v), definitions, found)
+        rates = [lines.value("rate", i) for i in range(2 * n)]
+        return _first_order(system, "canonical", (*plain.q, *plain.v), definitions, rates)
     if not plain.quadratic:
         reject(
             "its momenta are not linear in the velocities, so H has no closed form.",

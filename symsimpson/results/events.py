@@ -483,13 +483,12 @@ def event_energies(run: Any) -> Floats:
     """Return the energy that events added to a run up to each stored state, shape (N + 1,)."""
     _, t, step, q, p, q_after, p_after, *_ = map(np.array, zip(*run.records, strict=True))
     before, after = run.with_states(t, q, p), run.with_states(t, q_after, p_after)
-    # V is equal if q is; it may be NaN at the zero of a root
-    same_q = (before.q == after.q).all(axis=1)
-    change, kinetic_change = (
-        after.energy - before.energy,
-        after.kinetic_energy - before.kinetic_energy,
-    )
-    total = np.concatenate([[0.0], np.cumsum(np.where(same_q, kinetic_change, change))])
+    change, header = after.energy - before.energy, run.program.header
+    if not (header.canonical or header.general):
+        # V is equal if q is; it may be NaN at the zero of a root
+        same_q = (before.q == after.q).all(axis=1)
+        change = np.where(same_q, after.kinetic_energy - before.kinetic_energy, change)
+    total = np.concatenate([[0.0], np.cumsum(change)])
     # an event at the beginning of a step belongs to that step, except at both ends of the run
     states = (run.every or 1) * np.arange(len(run))
     acted = np.searchsorted(step, states, side="left")

@@ -38,8 +38,8 @@ def kerr_geodesic() -> CatalogueSystem:
     """A particle in the equatorial plane of a rotating black hole, in proper time.
 
     The orbit has the semilatus rectum 6 M and the eccentricity 0.3 around a black hole with the
-    angular momentum a = 0.9 M, and starts at its apocentre. Per unit of T, its radial frequency is
-    0.0376456484052298, and that of phi is 0.0581612206109147.
+    angular momentum a = 0.9 M, and starts at its apocentre. Per unit of T, its frequencies are
+    0.0376456484052298 (radial) and 0.0581612206109147 (of phi).
     """
     T, r, phi = coordinates("T r phi")
     M, a = sp.symbols("M a", positive=True)

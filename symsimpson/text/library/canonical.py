@@ -70,14 +70,13 @@ def phase_rows(W, share, node, lane):
             for b in range(2 * DIMENSION):
                 column = phase_place(j, b)
                 reached = share * STAGE_TABLE[b // DIMENSION * NODES + j, node]
-                one = real(1) if row == column else real(0)
-                entry = one - reached * W[slopes + b, lane]
+                entry = (1.0 if row == column else 0.0) - reached * W[slopes + b, lane]
                 W[JACOBIAN + row * UNKNOWNS + column, lane] = entry
 
 
 @compiled
 def weigh_phase(W, h, lane):
-    """Set the weights of increments: those of q and p count relative to their last moves.
+    """Set the weights of increments: q and p count relative to their last moves.
 
     PHASE_SIZE has these moves. Squared increments are energies times h^2, as with a mass matrix.
     """
@@ -100,13 +99,13 @@ def size_of_move(W, row, moved, state, lane):
 
 
 @compiled
-def measure_phase(W, h, lane):
-    """Set the weights of increments from the increments at hand."""
+def measure_phase(W, h, increments, lane):
+    """Set the weights of increments from those in the rows ``increments``."""
     for a in range(DIMENSION):
         moved, pushed = real(0), real(0)
         for j in range(NODES):
-            moved += abs(W[INCREMENT + j * DIMENSION + a, lane])
-            pushed += abs(W[INCREMENT + (NODES + j) * DIMENSION + a, lane])
+            moved += abs(W[increments + j * DIMENSION + a, lane])
+            pushed += abs(W[increments + (NODES + j) * DIMENSION + a, lane])
         size_of_move(W, PHASE_SIZE + a, moved, POSITION + a, lane)
         size_of_move(W, PHASE_SIZE + DIMENSION + a, pushed, MOMENTUM + a, lane)
     weigh_phase(W, h, lane)
@@ -115,6 +114,12 @@ def measure_phase(W, h, lane):
 @kernel
 def start_phase(W, h, t, lane):
     """Begin at (q, p) with the same V and F at all nodes."""
+    start_rates(W, h, t, lane)
+
+
+@compiled
+def start_rates(W, h, t, lane):
+    """Set increments of constant V and F, and the sizes of moves."""
     find_rates(W, t, lane)
     clear(W, PHASE_SIZE, 2 * DIMENSION, lane)
     for node in range(NODES):
@@ -123,7 +128,7 @@ def start_phase(W, h, t, lane):
             W[INCREMENT + node * DIMENSION + a, lane] = share * W[NODE_L_V + a, lane]
             W[INCREMENT + (NODES + node) * DIMENSION + a, lane] = share * W[NODE_L_Q + a, lane]
     copy(W, INCREMENT, PREDICTED, UNKNOWNS, lane)
-    measure_phase(W, h, lane)
+    measure_phase(W, h, INCREMENT, lane)
     W[MASS_PIVOT, lane] = 0.0
 
 
@@ -183,7 +188,7 @@ def advance_phase(W, h, t, lane):
                 pushed += W[INCREMENT + (NODES + j) * DIMENSION + a, lane]
             add_exactly(W, POSITION + a, POSITION_LOW + a, moved, lane)
             add_exactly(W, MOMENTUM + a, MOMENTUM_LOW + a, pushed, lane)
-        measure_phase(W, h, lane)
+        measure_phase(W, h, INCREMENT, lane)
         for part in range(2):  # y_j, then g_j
             first = part * NODES * DIMENSION
             for node in range(NODES):
@@ -295,7 +300,7 @@ def phase_tangent(W, h, t, lane):
 
 @compiled
 def add_phase_cost(W, share, node, lane):
-    """Add the derivatives of the running cost at a node, by q and p there, to those of J."""
+    """Add the running cost at a node, differentiated by q and p there, to the derivatives of J."""
     for a in range(2 * DIMENSION):
         slope = share * W[NODE_COST + 1 + a, lane]
         W[ADJOINT_START + a, lane] += slope

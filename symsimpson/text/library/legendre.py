@@ -1,7 +1,7 @@
 """The velocity of a momentum, where L is not quadratic in the velocities; of H, the reverse.
 
-GIVEN is the first row of the momenta, and FOUND that of the velocities. With H(q, p), they are
-exchanged: p is sought with H_p = v. Then M is H_pp, and L_v stands for H_p.
+The rows GIVEN have the momenta, and the rows FOUND the velocities. With H(q, p), they are
+exchanged: p is sought with H_p = v. Then M is H_pp, and L_v is H_p.
 """
 
 

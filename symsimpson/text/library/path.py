@@ -35,7 +35,7 @@ def straight_path(W, h, lane):
 
 @compiled
 def end_slope(W, h, lane):
-    """Set the velocity to that of the path at its end, where M is evaluated next."""
+    """Set the velocity to the slope of the path at its end, where M is evaluated next."""
     for a in range(DIMENSION):
         moved = real(0)
         for j in range(DEGREE):

@@ -284,19 +284,6 @@ def extrapolate_phase(W, smooth, lane):
 
 
 @compiled
-def measure_stages(W, h, lane):
-    """Set the weights of increments of q and p from those of the step."""
-    for a in range(DIMENSION):
-        moved, pushed = real(0), real(0)
-        for node in range(NODES):
-            moved += abs(W[STAGE_V + a * STRIDE + node, lane])
-            pushed += abs(W[STAGE_F + a * STRIDE + node, lane])
-        size_of_move(W, PHASE_SIZE + a, moved, POSITION + a, lane)
-        size_of_move(W, PHASE_SIZE + DIMENSION + a, pushed, MOMENTUM + a, lane)
-    weigh_phase(W, h, lane)
-
-
-@compiled
 def start_velocity(W, t, lane):
     """Find the velocity at (q, p), and store the pivots of M there."""
     find_velocity(W, t, lane)
@@ -314,16 +301,12 @@ def end_velocity(W, h, t, lane):
 def start_stages(W, h, t, lane):
     """Begin at (q, p): the same velocity at all nodes."""
     if CANONICAL:
-        find_rates(W, t, lane)
-        clear(W, PHASE_SIZE, 2 * DIMENSION, lane)
+        start_rates(W, h, t, lane)
         clear(W, STAGE_KICK, DIMENSION * STRIDE, lane)
         for a in range(DIMENSION):
             for node in range(STRIDE if LANES == 1 else NODES):
-                share = W[STAGE_STEP + node, lane]
-                W[STAGE_F + a * STRIDE + node, lane] = share * W[NODE_L_Q + a, lane]
-                W[STAGE_V + a * STRIDE + node, lane] = share * W[NODE_L_V + a, lane]
-        measure_stages(W, h, lane)
-        W[MASS_PIVOT, lane] = 0.0
+                push = W[STAGE_STEP + node, lane] * W[NODE_L_Q + a, lane]
+                W[STAGE_F + a * STRIDE + node, lane] = push
     else:
         start_velocity(W, t, lane)
     for a in range(DIMENSION):
@@ -363,7 +346,7 @@ def advance_stages(W, h, t, lane):
                     y, g = SOLVED + node * DIMENSION + a, SOLVED + (NODES + node) * DIMENSION + a
                     W[y, lane] = W[STAGE_V + a * STRIDE + node, lane]
                     W[g, lane] = W[STAGE_F + a * STRIDE + node, lane]
-            measure_stages(W, h, lane)
+            measure_phase(W, h, SOLVED, lane)
         if LOOKED_AT and not CANONICAL:
             for k in range(DEGREE):  # increments of control points, for derivatives
                 for a in range(DIMENSION):

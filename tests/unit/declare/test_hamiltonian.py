@@ -129,6 +129,44 @@ def test_impacts_need_a_lagrangian():
         stepper.integrate([0.3, 0.4], p0=[0.1, 0.2], h=0.05, steps=4, events=[wall])
 
 
+def test_what_a_hamiltonian_does_not_have():
+    system = declare(p**2 / 2 + (q**2 + x**2) / 2)
+    stepper = ss.compile(system, "gauss4")
+    with pytest.raises(ss.InputError, match=r"no equations of a step.*\n(.*\n)*.*gradient"):
+        stepper.residual([0.3, 0.4], [0.1, 0.2], [[0.3, 0.4], [0.3, 0.4]], h=0.05)
+    with pytest.raises(ss.ModelError, match=r"cannot be retimed.*\+ p_t"):
+        system.retimed(1 + x**2)
+    with pytest.raises(ss.InputError, match="optimal control does not accept"):
+        ss.OptimalControl(system)
+
+
+def test_time_as_a_coordinate():
+    """K = g (H + p_t) has the orbits of H in t, with fixed steps in tau."""
+    t, pt = ss.coordinates("time_")[0], sp.Symbol("pt", real=True)
+    H, r = (p**2 + q**2) / 2 - 1 / sp.sqrt(x**2 + y**2), sp.sqrt(x**2 + y**2)
+    in_tau = declare(r ** sp.Rational(3, 2) * (H + pt), coordinates=(x, y, t), momenta=(p, q, pt))
+    stepper = ss.compile(in_tau, "gauss12")
+    turn = ss.Event(y, name="turn", direction=1, terminal=3)
+    start = {"p0": [0.0, 19**0.5, 0.5], "h": 0.1, "t_end": 100.0}
+    run = stepper.integrate([0.1, 0.0, 0.0], **start, events=[turn])
+    assert abs(run.q[-1, 2] - 6 * np.pi) < 1e-10
+    assert np.abs(run.energy_error).max() < 1e-12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["midpoint", "gauss4", "lobatto_3_3"])
+def test_shadow_energies(scheme):
+    """H oscillates with h^2 or h^4, its modified energy with h^4 or h^8."""
+    system = ss.systems.post_newtonian_binary()
+    stepper, sizes = ss.compile(system, scheme), []
+    for h in (0.08, 0.04):
+        run = stepper.integrate(**system.reference_state, h=h, t_end=8.0)
+        sizes.append((np.ptp(run.energy), np.ptp(run.shadow_energy)))
+    order, shadow = np.log2(sizes[0]) - np.log2(sizes[1])
+    assert sizes[1][1] < sizes[1][0] / 100
+    assert shadow > 2 * order - 0.7
+
+
 @pytest.mark.slow
 def test_a_scheme_is_chosen():
     system = ss.systems.restricted_three_bodies()

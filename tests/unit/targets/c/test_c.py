@@ -37,6 +37,11 @@ PAIRS = [
     ("kepler", "radau3"),
     ("outer_solar_system", "simpson"),
     ("rolling_disc", "simpson"),
+    ("relativistic_charge", "gauss8"),
+    ("kerr_geodesic", "simpson"),
+    ("restricted_three_bodies", "gauss8"),
+    ("point_vortices", "lobatto_3_3"),
+    ("lotka_volterra", "kahan_li8"),
 ]
 
 
