@@ -61,7 +61,7 @@ class Factors:
 def factorise(mass: sp.ImmutableDenseMatrix | None, q: tuple[sp.Symbol, ...]) -> Factors | None:
     """Factorise M in the order with the shortest factors; the first of several such orders.
 
-    The result is None if ``mass`` is None or if the factors are too long.
+    The result is None if ``mass`` is None, or if no order has short factors and regular pivots.
     """
     if mass is None:
         return None
@@ -111,7 +111,7 @@ def _eliminate(
         rest = mass[order[i], order[i]]
         rest -= sp.Add(*(lower[i, k] ** 2 * pivots[k] for k in range(i)))
         pivots.append(_tidy(rest))
-        if sp.count_ops(pivots[-1]) > TOO_LONG:
+        if pivots[-1].is_zero or sp.count_ops(pivots[-1]) > TOO_LONG:
             return None
     return lower, pivots
 

@@ -88,6 +88,21 @@ def test_indefinite_masses():
     assert "indefinite" in str(system.structure)
 
 
+@pytest.mark.slow
+def test_a_cyclic_coordinate_without_kinetic_energy_of_its_own():
+    """M_yy = 0, so the velocity of y cannot be eliminated first."""
+    lagrangian = (2 + sp.sin(x)) * x.diff() * y.diff() + x.diff() ** 2 / 2
+    system = ss.MechanicalSystem.from_lagrangian("some", lagrangian, (x, y), {})
+    runs = [
+        ss.compile(system, "simpson", exploit=exploit).integrate(
+            [0.1, 0.2], v0=[0.5, 0.3], h=0.05, steps=40
+        )
+        for exploit in ("all", ())
+    ]
+    np.testing.assert_allclose(runs[0].q, runs[1].q, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(runs[0].p[:, 1], runs[0].p[0, 1], rtol=0, atol=1e-15)
+
+
 def test_runs_of_hamiltonians():
     system = declare(
         p**2 / 2 + (q**2 + x**2) / 2 + y**4 / 4 + p * y / 3,
