@@ -167,3 +167,31 @@ def test_the_energy_has_no_trend_over_a_million_steps(name):
     )
     first, last = np.abs(run.energy_error[1:101]).max(), np.abs(run.energy_error[-100:]).max()
     assert last < 1.5 * first + 1e-12
+
+
+@pytest.mark.slow
+def test_optimal_control_of_a_fast_particle():
+    """The least integral of u^2 for a relativistic particle, against Pontryagin's equations."""
+    pytest.importorskip("casadi")
+    solve_bvp = pytest.importorskip("scipy.integrate").solve_bvp
+    (x,), u = ss.coordinates("x"), sp.Symbol("u", real=True)
+    system = ss.MechanicalSystem.from_lagrangian(
+        "fast", -sp.sqrt(1 - x.diff() ** 2), (x,), {}, forces={x: u}, inputs=(u,)
+    )
+    ends = {"start": {x: 0, x.diff(): 0}, "end": {x: 1, x.diff(): 0}, "duration": 2.0}
+    result = ss.OptimalControl(system, cost=u**2, **ends).solve("lobatto6", steps=20)
+    assert result.success
+
+    def rates(t, state):
+        _, p, push, pull, _ = state
+        speed = np.sqrt(1 + p**2)
+        return np.vstack([p / speed, push, -pull / speed**3, 0 * t, push**2])
+
+    def at_ends(first, last):
+        return np.array([*first[[0, 1, 4]], last[0] - 1, last[1]])
+
+    t = np.linspace(0, 2, 50)
+    guess = np.vstack([t / 2, np.sin(np.pi * t / 2) / 2, 1 - t, 1 + 0 * t, t])
+    truth = solve_bvp(rates, at_ends, t, guess, tol=1e-9, max_nodes=100_000)
+    assert truth.success
+    assert abs(result.cost - truth.y[4, -1]) < 1e-6
