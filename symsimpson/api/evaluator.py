@@ -212,7 +212,7 @@ class Evaluator:
 
         Parameters
         ----------
-        q, p : array_like, shape (N, n)
+        q, p : array_like, shape (N, n) or (n,)
             Positions and conjugate momenta.
         parameters : mapping, optional
             Values of the parameters, by symbol or name. By default, those of the declaration.
@@ -221,15 +221,15 @@ class Evaluator:
 
         Returns
         -------
-        ndarray, shape (N,)
+        ndarray, shape (N,), or a number for one state
             The energies, in the unit of T and V.
 
         Examples
         --------
         >>> import symsimpson as ss
         >>> stepper = ss.compile(ss.systems.pendulum(), "midpoint")
-        >>> stepper.energy([[0.0]], [[0.0]]).round(2)
-        array([-9.81])
+        >>> stepper.energy([[0.0]], [[0.0]]).round(2), float(stepper.energy([0.0], [0.0]))
+        (array([-9.81]), -9.81)
         """
         return evaluate_energy(self.program, q, p, parameters, t)
 

@@ -89,7 +89,7 @@ class Analyser(Evaluator):
         """
         n, given = self.n, tuple(wrt) if isinstance(wrt, (list, tuple)) else (wrt,)
         varied = [name for name in given if not (isinstance(name, str) and name in ("q", "p"))]
-        names = read_variables(self.program, varied, of_steps=True)
+        names = read_variables(self.program, varied)
         request = step_request(q, v, p, h, t, parameters, inputs)
         end = take_step_with_tangents(self.program, request._replace(tangents=2 * n), names)
         assert end.variations is not None

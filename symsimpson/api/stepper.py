@@ -235,10 +235,10 @@ class Stepper(Analyser):
         v0: ArrayLike | None = None,
         *,
         p0: ArrayLike | None = None,
-        h: float,
+        h: ArrayLike,
         t_end: float | None = None,
         steps: int | None = None,
-        t0: float = 0.0,
+        t0: ArrayLike = 0.0,
         parameters: Parameters | None = None,
         inputs: Any = None,
         every: int | None = None,
@@ -268,14 +268,15 @@ class Stepper(Analyser):
             Initial velocities. Pass exactly one of ``v0`` and ``p0``.
         p0 : array_like, shape (K, n) or (n,), or mapping, optional
             Initial conjugate momenta, p = dL/dv.
-        h : float
-            Step size, in the unit of time. A negative step size integrates backwards.
+        h : float or array_like, shape (K,)
+            Step size, in the unit of time. A negative step size integrates backwards. With an
+            array, pass ``steps``.
         t_end : float, optional
             Final time. Pass exactly one of ``t_end`` and ``steps``. If h does not divide
             t_end - t0, the members take the nearest smaller step size that does.
         steps : int, optional
             Number of steps.
-        t0 : float, default 0.0
+        t0 : float or array_like, shape (K,), default 0.0
             Initial time.
         parameters : mapping, optional
             Values of the parameters, by symbol or name: numbers, or arrays of shape (K,).

@@ -126,6 +126,8 @@ class _TracedEnd:
         """Differentiate all nodes, and eliminate the inner control points."""
         low, part, names = self._low, self._part, self._part.trace.names
         part.begin()
+        if low.varies_h and not low.equations.plain.autonomous:
+            part.set_rows("TIME_GRID", low.grid)
         names["parameter_slopes"] = self._set_parameter_slopes
         if self._cyclic:
             part.run("cyclic_velocities", low.h, low.t, 0)

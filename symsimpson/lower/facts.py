@@ -35,6 +35,7 @@ def facts(low: Lowering, part: Part, storage: Storage, held: Border | None) -> d
         "DIFFERENTIATED": equations.varied is not None,
         "VARIED_BY": len(low.varied),
         "SIZED": low.varies_h,
+        "GRIDDED": low.varies_h and not plain.autonomous,
         "COSTED": equations.cost is not None,
         "TIMED_COST": plain.autonomous and cost_of_time(low),
         "SECOND": equations.second,

@@ -76,6 +76,7 @@ class Lowering:
         self.weights = base([f"w_{k}" for k in range(weights)], "NODE_WEIGHT")
         #: h, the place of the node at hand in the step, and whether v there goes with 1/h.
         self.step = base(["h_i", "c_i", "moving"], "NODE_STEP")
+        self.grid = base(["on_grid", "t_first", "steps_before"], "TIME_GRID")
         self._inputs: dict[int, tuple[Expression, ...]] = {}
         symbols = [self.graph.declare(name, Level.RUN) for name in self.names.parameters]
         #: By the names of plain symbols.

@@ -435,18 +435,20 @@ def evaluate_energy(
     parameters: Mapping[Any, Any] | None,
     t: ArrayLike,
 ) -> Reals:
-    """Evaluate the Hamiltonian at given states; shape (N,)."""
+    """Evaluate the Hamiltonian at given states, shape (N,), or at one state."""
     numbers, n = program.numbers, program.n
     with numbers.working():
         states = [read_array(name, x, numbers) for name, x in (("q", given_q), ("p", given_p))]
+        single = all(state.shape == (n,) for state in states)
+        states = [state[None] for state in states] if single else states
         for name, state in zip("qp", states, strict=True):
             if state.ndim != 2 or state.shape != (len(states[0]), n):
                 reject(
-                    f"{name} has shape {state.shape}, expected (N, {n}).",
+                    f"{name} has shape {state.shape}, expected (N, {n}) or ({n},).",
                     remedy="Pass one row for each state, and as many rows in q as in p.",
                 )
         values = program.values(parameters)
         times = np.broadcast_to(read_array("t", t, numbers), len(states[0]))
     q, p = states
     energies: Reals = evaluate(program, "energy", "ENERGY", 1, (times, q, p), values)
-    return energies[:, 0]
+    return energies[0, 0] if single else energies[:, 0]

@@ -143,6 +143,8 @@ def _set_initial_variations(program: Program, run: Run, tangents: Reals, *, velo
     p0 = L_v(q0, v0) changes with the parameter.
     """
     n, given = program.n, tangents.shape[1]
+    if "TIME_GRID" in program.header.layout:
+        run.rows("TIME_GRID", 2)[:] = 1, run.t0
     varied = len(program.header.varied_by or ())
     count = given + varied
     run.rows("TANGENTS", 1)[:] = count

@@ -74,7 +74,7 @@ def evaluate_curvature(
     Raises InputError if the scheme is explicit or an array has the wrong shape.
     """
     _check_equations(program)
-    names = read_variables(program, wrt, of_steps=True)
+    names = read_variables(program, wrt)
     program = program_with_derivatives(program, names, second=True)
     header, n, numbers = program.header, program.n, program.numbers
     d, m = header.degree, len(header.constraints)
@@ -199,7 +199,7 @@ def linearise(program: Program, request: Request, wrt: Any, progress: bool | Non
     """
     reject_retimed(program, "linearisations")
     names: Sequence[Any] = wrt if isinstance(wrt, (tuple, list)) else (wrt,)
-    program = program_with_derivatives(program, read_variables(program, names, of_steps=True))
+    program = program_with_derivatives(program, read_variables(program, names))
     spec = read_run(program, request)
     n, size = program.n, 2 * program.n
     header, numbers = program.header, program.numbers

@@ -104,6 +104,7 @@ class Change:
                     f"{what} is {getattr(self, what)!r}, not a mapping.",
                     remedy="Pass coordinates as keys: Change(velocities={x: -x.diff()}).",
                 )
+            object.__setattr__(self, what, dict(getattr(self, what)))
         if not any(getattr(self, what) for what in CHANGED):
             reject(
                 "Change changes nothing.",
@@ -116,6 +117,9 @@ class Change:
                 f"Change sets both the velocity and the momentum of {', '.join(sorted(both))}.",
                 remedy="Set one of them; the other follows from it.",
             )
+
+    def __hash__(self) -> int:
+        return hash(tuple(frozenset(getattr(self, what).items()) for what in CHANGED))
 
 
 @explain_methods(also=("__init__",))

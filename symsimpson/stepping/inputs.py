@@ -223,13 +223,13 @@ STEP = ("h", "t")
 STEP_ITSELF = ("(h)", "(t)")
 
 
-def read_variables(program: Program, names: Any, *, of_steps: bool = False) -> tuple[str, ...]:
+def read_variables(program: Program, names: Any, *, adjoint: bool = False) -> tuple[str, ...]:
     """Read the names or symbols of differentiation variables; return their names in the module.
 
     A variable is a parameter, an input, the step size "h" or the time "t" at the start of a step.
     A parameter with the name "h" or "t" takes precedence. If the system depends on time, h moves
-    the times of all steps, so only single steps can be differentiated by h (``of_steps``). Raises
-    InputError for an unknown or repeated name.
+    the times of all steps, which an ``adjoint`` run does not differentiate. Raises InputError for
+    an unknown or repeated name.
     """
     given: Iterable[Any] = names if isinstance(names, (tuple, list)) else (names,)
     names_of, header = program.names, program.header
@@ -249,12 +249,12 @@ def read_variables(program: Program, names: Any, *, of_steps: bool = False) -> t
         elif driven is not None:
             varied.append(header.inputs[driven])
         elif key in STEP and not header.retimed:
-            if key == "h" and not (of_steps or header.autonomous):
+            if key == "h" and adjoint and not header.autonomous:
                 reject(
-                    "a run of a system that depends on time cannot be differentiated by h.",
+                    "a gradient by h is not available if the system depends on time.",
                     where=program.system,
                     why="A change of h moves the times of all steps.",
-                    remedy="Differentiate single steps by h: stepper.tangent, stepper.linearise.",
+                    remedy="Pass sensitivities='h' to stepper.integrate.",
                 )
             varied.append(key)
         else:

@@ -342,6 +342,11 @@ TABLE = (
         lambda s: 3 * max(s.sized, s.second),
     ),
     part(
+        "TIME_GRID",
+        "1 if h moves the times of all steps, else 0; the first time; the number of steps since",
+        lambda s: 3 * s.sized * s.timed,
+    ),
+    part(
         "CONSTRAINT_A",
         "derivatives of phi by the parameters that are varied, at a control point",
         lambda s: s.varied * s.m,

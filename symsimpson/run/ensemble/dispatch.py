@@ -19,6 +19,7 @@ from symsimpson.program.program import Program, read_program
 from symsimpson.run.ensemble.ensemble import Ensemble, names_in_dataset
 from symsimpson.run.ensemble.lanes import append_ends, choose_lanes, run_blocks
 from symsimpson.run.ensemble.members import EnsembleSpec, read_ensemble_spec
+from symsimpson.run.ensemble.own_steps import has_own_steps, read_own_steps, run_groups
 from symsimpson.run.ensemble.singles import check_results, check_steps
 from symsimpson.run.ensemble.store import (
     Store,
@@ -55,15 +56,28 @@ def run_ensemble(
     check_on_failure(on_failure)
     read_progress(progress)
     program = _program_for_ensemble(program, request)
+    own = has_own_steps(request)
+    if own and (store is not None or client is not None):
+        reject(
+            "store= and client= need a common step size and initial time.",
+            where=program.system,
+            remedy="Pass numbers for h and t0, or keep the ensemble in memory.",
+        )
+    if own:
+        h, t0, request = read_own_steps(program, request)
     task = read_ensemble_spec(program, request, threads, progress, on_disk=store is not None)
-    check_steps(program, task)
-    task = choose_lanes(program, task) if client is None else task
-    ensemble, stopped = _run_task(program, task, store, client)
-    if not stopped and task.run_events is None:  # events change the energy
-        check_results(program, task, ensemble)
-    elif stopped and on_failure == "raise":
-        raise Interrupted(ensemble.message, trajectory=ensemble)
-    return ensemble
+
+    def run(task: EnsembleSpec) -> Ensemble:
+        check_steps(program, task)
+        task = choose_lanes(program, task) if client is None else task
+        ensemble, stopped = _run_task(program, task, store, client)
+        if not stopped and task.run_events is None:  # events change the energy
+            check_results(program, task, ensemble)
+        elif stopped and on_failure == "raise":
+            raise Interrupted(ensemble.message, trajectory=ensemble)
+        return ensemble
+
+    return run_groups(program, task, (h, t0), run) if own else run(task)
 
 
 def _program_for_ensemble(program: Program, request: Request) -> Program:

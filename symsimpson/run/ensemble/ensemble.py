@@ -51,8 +51,8 @@ class Ensemble(Quantities, StateDerivatives, Savable):
     ----------
     t : ndarray, shape (stored,)
         Times of the stored states. Retimed members have different times: shape (K, stored), or
-        (K,) if only the final states are stored. An ensemble with events that stores only the
-        final states also has shape (K,).
+        (K,) if only the final states are stored. So do members with step sizes or initial times of
+        their own. An ensemble with events that stores only the final states also has shape (K,).
     q, p : ndarray, shape (K, stored, n), or (K, n) if only the final states are stored
         Positions and conjugate momenta. Values after the failure of a member are NaN. With a
         store, they are Zarr arrays on disk; a slice of them is a NumPy array.
@@ -254,6 +254,8 @@ class Ensemble(Quantities, StateDerivatives, Savable):
         axes |= {"coord": list(self.program.coordinates), "member": np.arange(len(self))}
         if self.tau is not None:
             axes |= {"t": (self._dims, self.t), "tau": (self._dims, self.tau)}
+        elif self.t.ndim == 2:
+            axes["t"] = self._dims, self.t
         elif self.q.ndim == 3:
             axes["time"] = self.t
         return axes

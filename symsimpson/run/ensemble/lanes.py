@@ -190,6 +190,8 @@ def _prepare_blocks(
         W = _aligned_zeros(header.rows + room + 1, lanes)  # the driver needs the last row
         if len(columns):
             W[header.layout["TANGENTS"]] = PAIR if growing else columns.shape[1]
+            if "TIME_GRID" in header.layout:
+                W[header.layout["TIME_GRID"]], W[header.layout["TIME_GRID"] + 1] = 1.0, task.t0
         if task.t_end is not None:
             W[header.layout["TIME_END"]], W[header.layout["TIME_END"] + 1] = 1.0, task.t_end
         cursor = np.array([first, 0, 0], dtype=np.int64)

@@ -269,6 +269,7 @@ def phase_tangent(W, h, t, lane):
     """
     if W[ACTIVE, lane] != 0:
         exchange_steps(W, lane)
+        find_grid(W, h, t, lane)
         differentiate_phase(W, h, t, 0, lane)
         count = int(W[TANGENTS, lane])
         for variation in range(count):

@@ -50,6 +50,13 @@ def differentiate_node(W, h, t, node, lane):
 
 
 @compiled
+def find_grid(W, h, t, lane):
+    """Count the steps before this one, if h moves their times, too."""
+    if GRIDDED:
+        W[TIME_GRID + 2, lane] = W[TIME_GRID, lane] * (t - W[TIME_GRID + 1, lane]) / h
+
+
+@compiled
 def differentiate_state(W, h, place, lane):
     """Evaluate the derivatives of F and P by parameters at the start (0) or end (1) of a step."""
     if SIZED:
@@ -98,7 +105,7 @@ def assemble_slopes(W, h, lane):
 def go_to_place(W, h, place, moving, lane):
     """Store h, a place in the step, and 1 if v there is divided by h, else 0."""
     W[NODE_STEP, lane] = h
-    W[NODE_STEP + 1, lane] = place
+    W[NODE_STEP + 1, lane] = place + W[TIME_GRID + 2, lane] if GRIDDED else place
     W[NODE_STEP + 2, lane] = moving
 
 

@@ -21,6 +21,7 @@ def tangent(W, h, t, lane):
     """Carry variations of the state to the end of the last step."""
     if W[ACTIVE, lane] != 0:
         exchange_steps(W, lane)
+        find_grid(W, h, t, lane)
         if BY_COLUMNS:
             differentiate_end(W, h, t, lane)
         else:
