@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack, overload
 from numpy.typing import ArrayLike
 
 from symsimpson.api.evaluator import Parameters
-from symsimpson.api.examining import Analyser
+from symsimpson.api.orbits import OrbitFinder
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.requested import run
 from symsimpson.stepping.request import Request
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @explain_methods()
-class Stepper(Analyser):
+class Stepper(OrbitFinder):
     """A compiled variational integrator of one system.
 
     :func:`symsimpson.compile` and :func:`symsimpson.load` return steppers.

@@ -1,0 +1,1 @@
+"""Periodic orbits, boundary values, families of orbits and their stability."""

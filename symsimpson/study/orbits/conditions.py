@@ -1,0 +1,202 @@
+"""Conditions on the initial state of an orbit, and the map that closes it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from numbers import Real
+from typing import Any
+
+import numpy as np
+import sympy as sp
+
+from symsimpson.declare.coordinates import time
+from symsimpson.errors import reject
+from symsimpson.run.state_costs import StateCost
+from symsimpson.study.orbits.flow import Flow
+from symsimpson.support.array_types import Floats
+from symsimpson.support.names import did_you_mean, spelled
+
+#: Names of conditions that are no expressions.
+ENERGY, PERIOD = "energy", "period"
+#: Relative displacement of a parameter for the derivative of the energy.
+SMALL = 2.0**-17
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A quantity of a state or of the orbit, and its value."""
+
+    name: str
+    value: float
+    cost: StateCost | None = None  #: None for the energy and the period.
+    other: StateCost | None = None  #: Subtracted from the first one.
+
+    def row(self, flow: Flow, z: Floats, period: float, values: Floats) -> tuple[float, Floats]:
+        """Return the deviation, and its derivatives by the state, the period and unknowns."""
+        n, k = flow.n, len(flow.places)
+        slopes = np.zeros(2 * n + 1 + k)
+        if self.name == PERIOD and self.cost is None:
+            slopes[2 * n] = 1.0
+            return period - self.value, slopes
+        if self.cost is None:
+            slopes[: 2 * n] = flow.energy_gradient(z, values)
+            for j, place in enumerate(flow.places):
+                moved = np.zeros_like(values)
+                moved[place] = SMALL * (abs(values[place]) or 1.0)
+                up, down = (flow.energy(z[None], values + s * moved)[0] for s in (1, -1))
+                slopes[2 * n + 1 + j] = (up - down) / (2 * moved[place])
+            return float(flow.energy(z[None], values)[0]) - self.value, slopes
+        total = -self.value
+        for cost, sign in ((self.cost, 1.0), (self.other, -1.0)):
+            if cost is not None:
+                t, steps = np.array([float(flow.spec.t0)]), np.zeros(1)
+                here = cost.slopes(steps, t, z[None, :n], z[None, n:], values)
+                by_unknown = here.parameters[0]
+                total += sign * float(here.value[0])
+                slopes[: 2 * n] += sign * here.state[0]
+                slopes[2 * n + 1 :] += sign * by_unknown[len(by_unknown) - k :]
+        return total, slopes
+
+
+def read_conditions(flow: Flow, what: str, given: Any) -> tuple[Condition, ...]:
+    """Read a mapping from coordinates, velocities, expressions, "energy" or "period" to values."""
+    if given is None:
+        return ()
+    if not isinstance(given, Mapping):
+        reject(
+            f"{what} is {type(given).__name__}, not a mapping.",
+            remedy=f"Pass values by coordinate, velocity or name: {what}={{x: 0, 'energy': -1}}.",
+        )
+    return tuple(_read_condition(flow, what, key, value) for key, value in given.items())
+
+
+def _read_condition(flow: Flow, what: str, key: Any, value: Any) -> Condition:
+    program, name = flow.program, spelled(key) if isinstance(key, str) else str(key)
+    number = float(value) if isinstance(value, Real) or getattr(value, "is_number", False) else None
+    if number is not None and not np.isfinite(number):
+        reject(f"{what}[{name}] is {value!r}.", remedy="Pass a finite number.")
+    if name in (ENERGY, PERIOD) and name not in (*program.coordinates, *program.parameters):
+        if number is None:
+            reject(f"{what}[{name!r}] is {value!r}.", remedy="Pass a number.")
+        if name == ENERGY and not program.header.conservative:
+            reject(
+                "the energy of this system is not constant.",
+                where=program.system,
+                remedy=f"Remove 'energy' from {what}.",
+            )
+        if name == PERIOD and not flow.free_period:
+            reject(
+                "the period follows from parameters or events.",
+                where=program.system,
+                remedy=f"Remove 'period' from {what}.",
+            )
+        return Condition(name, number)
+    cost = StateCost(program, f"{what}[{name}]", key)
+    if number is not None:
+        return Condition(name, number, cost)
+    return Condition(name, 0.0, cost, StateCost(program, f"{what}[{name}]", value))
+
+
+@dataclass(frozen=True)
+class Closing:
+    """What the final state is: q = R q0 + shift, p = R^-T p0.
+
+    ``shift`` depends on parameters and on ``symbols``, which are unknowns beside the parameters.
+    """
+
+    R: Floats  #: Shape (n, n).
+    shift: tuple[sp.Expr, ...]
+    symbols: tuple[sp.Symbol, ...]  #: Unknowns that are no parameters.
+    parameters: tuple[sp.Symbol, ...]  #: All parameters of the system.
+    order: int  #: The least power of R that is the identity; 1 if there is none up to 60.
+
+    @property
+    def matrix(self) -> Floats:
+        """The map of (q, p), shape (2 n, 2 n)."""
+        n = len(self.R)
+        whole = np.zeros((2 * n, 2 * n))
+        whole[:n, :n], whole[n:, n:] = self.R, np.linalg.inv(self.R).T
+        return whole
+
+    @property
+    def moves(self) -> bool:
+        """Whether a shift is not zero."""
+        return any(x != 0 for x in self.shift)
+
+    def at(self, values: Floats, extra: Floats) -> tuple[Floats, Floats]:
+        """Return the shift of (q, p), and its derivatives by all parameters and symbols."""
+        names = (*self.parameters, *self.symbols)
+        n, point = len(self.R), dict(zip(names, (*values, *extra), strict=True))
+        shift, slopes = np.zeros(2 * n), np.zeros((2 * n, len(names)))
+        for i, expression in enumerate(self.shift):
+            for k, symbol in enumerate(names if expression.free_symbols else ()):
+                slopes[i, k] = float(expression.diff(symbol).subs(point))
+            shift[i] = float(expression.subs(point)) if expression.free_symbols else expression
+        return shift, slopes
+
+
+#: The largest power of R that is tried.
+MOST_POWERS = 60
+
+
+def read_closing(program: Any, given: Any, unknowns: Sequence[Any]) -> Closing:
+    """Read ``conditions``: the final value of each coordinate as an expression of the first state.
+
+    Raises InputError for an expression that is not affine in the coordinates.
+    """
+    system = program.declared
+    coordinates, parameters = system.coordinates, tuple(system.parameters)
+    symbols = tuple(x for x in unknowns if x not in parameters)
+    n = len(coordinates)
+    R, shift = np.eye(n), [sp.S.Zero] * n
+    if given is not None and not isinstance(given, Mapping):
+        reject(
+            f"conditions is {type(given).__name__}, not a mapping.",
+            remedy="Pass the final value of each coordinate that is not periodic: {phi: phi + a}.",
+        )
+    velocities = [q.diff(time) for q in coordinates]
+    later: list[tuple[int, sp.Expr]] = []
+    for key, value in (given or {}).items():
+        place = program.names.coordinates.place(key)
+        if place is None and key in velocities:
+            later.append((velocities.index(key), sp.sympify(value)))
+            continue
+        if place is None:
+            known = program.coordinates
+            reject(
+                f"conditions contains {spelled(key)!r}, which is not a coordinate."
+                f"{did_you_mean(spelled(key), known)}",
+                remedy=f"The coordinates are {', '.join(known)}.",
+            )
+        whole = sp.expand(sp.sympify(value))
+        row = [whole.coeff(q) for q in coordinates]
+        rest = sp.expand(whole - sum(c * q for c, q in zip(row, coordinates, strict=True)))
+        allowed = {*parameters, *symbols}
+        if not all(c.is_number for c in row) or not rest.free_symbols <= allowed or rest.has(time):
+            reject(
+                f"conditions[{spelled(key)}] is {value}.",
+                where=program.system,
+                why="The final state has to be an affine function of the initial coordinates, "
+                "with numbers as factors.",
+                remedy="Other symbols have to be parameters, or stand in unknowns=.",
+            )
+        R[place], shift[place] = [float(c) for c in row], rest
+    for place, value in later:
+        mapped = sum(float(R[place, j]) * v for j, v in enumerate(velocities))
+        if sp.expand(value - mapped) != 0:
+            reject(
+                f"conditions gives {velocities[place]} the final value {value}.",
+                where=program.system,
+                why="Velocities change as their coordinates do.",
+                remedy="Give conditions for coordinates only.",
+            )
+    if abs(np.linalg.det(R)) < 1e-12:
+        reject(
+            "conditions maps different initial states to the same final state.",
+            where=program.system,
+            remedy="Give each coordinate an expression of its own.",
+        )
+    powers = (np.linalg.matrix_power(R, k) for k in range(1, MOST_POWERS + 1))
+    order = next((k for k, x in enumerate(powers, 1) if np.allclose(x, np.eye(n))), 1)
+    return Closing(R, tuple(shift), symbols, parameters, order)

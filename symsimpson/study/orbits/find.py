@@ -1,0 +1,468 @@
+"""The arguments of searches for periodic orbits and for paths between boundaries."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from numbers import Real
+from typing import Any, NamedTuple
+
+import numpy as np
+import sympy as sp
+
+from symsimpson.api.stepper import Stepper
+from symsimpson.errors import SymsimpsonError, reject
+from symsimpson.program.input_values import read_count
+from symsimpson.results.trajectory import Trajectory
+from symsimpson.run.integrate import integrate
+from symsimpson.stepping.inputs import program_with_derivatives
+from symsimpson.stepping.request import Request
+from symsimpson.stepping.spec import RunSpec, read_run
+from symsimpson.study.orbits.conditions import read_closing, read_conditions
+from symsimpson.study.orbits.flow import Flow
+from symsimpson.study.orbits.integrals import Integrals, find_integrals
+from symsimpson.study.orbits.orbit import Orbit, Path
+from symsimpson.study.orbits.search import Search
+from symsimpson.study.orbits.shooting import Point, Shooting, sizes_of_unknowns
+from symsimpson.support.array_types import Floats
+from symsimpson.support.names import did_you_mean, spelled
+
+#: Segments of searches that begin with states along the whole path.
+SEGMENTS = 8
+#: The most steps to an event, and the most steps that error= may lead to.
+MOST_TO_EVENT, MOST_STEPS = 100_000, 2**16
+#: Relative difference of two steps a period of the drive apart.
+SAME = 1e-9
+
+
+class OrbitArguments(NamedTuple):
+    """Arguments of :meth:`Stepper.periodic`."""
+
+    q0: Any = None
+    v0: Any = None
+    p0: Any = None
+    guess: Any = None
+    mode: Any = None
+    size: float = 0.01
+    period: Any = None
+    steps: Any = None
+    h: Any = None
+    fixed: Any = None
+    middle: Any = None
+    conditions: Any = None
+    unknowns: Any = ()
+    parameters: Any = None
+    events: Any = None
+    t0: Any = 0.0
+    error: Any = None
+
+
+def find_periodic(stepper: Stepper, given: OrbitArguments) -> Orbit:
+    """Search for a periodic orbit; see :meth:`Stepper.periodic`."""
+    search, start = read_search(stepper, given)
+    orbit = search.orbit(search.shooting.solve(start))
+    if given.error is None:
+        return orbit
+    error = _number("error", given.error)
+    return search.refined_to(orbit, error, MOST_STEPS)
+
+
+def read_search(stepper: Stepper, given: OrbitArguments) -> tuple[Search, Point]:
+    """Read the arguments; return the equations and the first values of the unknowns."""
+    _check_system(stepper)
+    header = stepper.program.header
+    unknowns = _read_unknowns(stepper, given.unknowns)
+    tied = not header.autonomous and given.events is None
+    to_event = given.events is not None
+    given = _with_defaults(stepper, given)
+    period, period_of = _read_period(stepper, given, unknowns, tied=tied)
+    states = _read_guess(stepper, given, period)
+    segments = 1 if states is None or to_event or header.retimed else SEGMENTS
+    fixed_steps = not (to_event or header.retimed)
+    steps = MOST_TO_EVENT
+    if fixed_steps:
+        steps = read_count("steps", 64 if given.steps is None else given.steps, least=1)
+        segments = 1 if steps < SEGMENTS else segments
+        if steps % segments:
+            reject(
+                f"steps={steps} is not divisible by {segments}.",
+                where=stepper.system,
+                why=f"A guess along the whole orbit is used in {segments} segments.",
+                remedy=f"Pass a multiple of {segments}.",
+            )
+    if fixed_steps and given.middle is not None and steps % 2:
+        reject(f"steps={steps} is odd, but middle= divides the orbit.", where=stepper.system)
+    half = 2 if given.middle is not None else 1
+    flow = _make_flow(stepper, given, states, unknowns, steps // half, period_of, period / half)
+    closing = read_closing(stepper.program, given.conditions, unknowns)
+    z = np.concatenate([flow.spec.q0, flow.spec.other0])
+    scale, table = _scale_and_states(flow, z, states, period / half, segments)
+    flow = replace(flow, segments=segments)
+    conditions = read_conditions(flow, "fixed", given.fixed)
+    middle = read_conditions(flow, "middle", given.middle)
+    integrals = find_integrals(stepper, flow, closing, z)
+    extra = np.zeros(len(closing.symbols))
+    sizes = sizes_of_unknowns(flow.spec.parameters[list(flow.places)], extra.tolist(), scale[0])
+    shooting = Shooting(
+        flow,
+        None if middle else closing,
+        conditions,
+        integrals,
+        scale,
+        period / half,
+        last=middle,
+        sizes=sizes,
+    )
+    _check_freedom(stepper, shooting)
+    symplectic = header.conservative and not to_event and header.autonomous
+    mirror = _reversal(stepper, given.fixed) if middle else None
+    names = tuple(map(str, unknowns))
+    search = Search(stepper, shooting, names, given, symplectic, mirror)
+    values = flow.spec.parameters
+    length = period / half if period_of is None else period_of(values)[0]
+    return search, Point(table, length, values, extra, np.zeros(shooting.unfolded))
+
+
+def _check_system(stepper: Stepper) -> None:
+    """Reject steppers whose orbits cannot be searched for."""
+    program = stepper.program
+    if program.declared is None:
+        reject(
+            "a search for orbits needs T and V, which a generated file lacks.",
+            where=stepper.system,
+            remedy="Make the stepper with symsimpson.compile.",
+        )
+    if program.header.constraints:
+        reject(
+            "orbits of systems with constraints are not available.",
+            where=stepper.system,
+            remedy="Use coordinates that satisfy the constraints.",
+        )
+    if not program.numbers.compiled:
+        reject("a search for orbits needs double precision.", remedy="Compile without precision=.")
+    if program.inputs:
+        reject(
+            "orbits of systems with inputs are not available.",
+            where=stepper.system,
+            remedy="Write the input as a parameter, or as a function of symsimpson.time.",
+        )
+
+
+def _read_unknowns(stepper: Stepper, given: Any) -> tuple[sp.Symbol, ...]:
+    """Read the symbols to solve for: parameters by symbol or name, and other symbols."""
+    assert stepper.program.declared is not None
+    declared = {str(x): x for x in stepper.program.declared.parameters}
+    several = given if isinstance(given, (tuple, list)) else (given,)
+    symbols = []
+    for x in several:
+        symbol = declared.get(spelled(x), x)
+        if not isinstance(symbol, sp.Symbol):
+            reject(
+                f"unknowns contains {x!r}, which is no parameter."
+                f"{did_you_mean(spelled(x), [*declared])}",
+                remedy="Pass parameters, or symbols that stand in conditions=.",
+            )
+        symbols.append(symbol)
+    # parameters come first
+    return tuple(sorted(symbols, key=lambda x: x not in declared.values()))
+
+
+def _with_defaults(stepper: Stepper, given: OrbitArguments) -> OrbitArguments:
+    """Fill in what a guess or a mode determines."""
+    if isinstance(given.guess, Path):
+        orbit = given.guess
+        given = given._replace(
+            period=orbit.period if given.period is None else given.period,
+            steps=orbit.steps if given.steps is None else given.steps,
+            parameters=orbit.parameters | dict(given.parameters or {}),
+            guess=orbit.trajectory,
+        )
+    elif isinstance(given.guess, Trajectory) and given.period is None:
+        given = given._replace(period=float(given.guess.t[-1] - given.guess.t[0]))
+    if given.mode is not None:
+        given = _states_of_mode(stepper, given)
+    if given.q0 is None and given.guess is None:
+        reject(
+            "a search needs a guess.",
+            where=stepper.system,
+            remedy="Pass q0 and v0 (or p0=), guess=, or mode=.",
+        )
+    return given
+
+
+def _states_of_mode(stepper: Stepper, given: OrbitArguments) -> OrbitArguments:
+    """Return the arguments with the states of a linear mode as the guess."""
+    if not (isinstance(given.mode, (tuple, list)) and len(given.mode) == 2):
+        reject(f"mode is {given.mode!r}.", remedy="Pass (position of the equilibrium, number).")
+    place, number = given.mode
+    start = stepper.integrate(
+        place, v0=np.zeros(stepper.n), h=1.0, steps=0, parameters=given.parameters
+    )
+    z = np.concatenate([start.q[0], start.p[0]])
+    D = stepper.tangent(z[: stepper.n], p=z[stepper.n :], h=1e-4, parameters=given.parameters)[2]
+    # the eigenvalues of a short step are exp(i w h) up to its order
+    values, vectors = np.linalg.eig(np.asarray(D, dtype=np.float64))
+    angles = np.angle(values) / 1e-4
+    turning = [k for k in np.argsort(angles) if angles[k] > 1e-6 and abs(abs(values[k]) - 1) < 1e-9]
+    if not isinstance(number, int) or not 0 <= number < len(turning):
+        reject(
+            f"mode has the number {number!r}, but the equilibrium has {len(turning)} oscillations.",
+            where=stepper.system,
+            remedy="Count from 0, the slowest one.",
+        )
+    k = turning[number]
+    n, vector = stepper.n, vectors[:, k]
+    vector = vector / abs(vector[:n]).max()
+    turns = np.exp(2j * np.pi * np.arange(SEGMENTS) / SEGMENTS)
+    states = z + given.size * np.real(turns[:, None] * vector)
+    period = 2 * np.pi / angles[k]
+    return given._replace(period=period, guess=(states[:, :n], states[:, n:]), mode=None)
+
+
+def _number(name: str, given: Any) -> float:
+    if not isinstance(given, Real) and not getattr(given, "is_number", False):
+        reject(f"{name} is {given!r}.", remedy="Pass a number.")
+    number = float(given)
+    if not (np.isfinite(number) and number > 0):
+        reject(f"{name} is {number:g}.", remedy="Pass a positive number.")
+    return number
+
+
+def _read_period(
+    stepper: Stepper, given: OrbitArguments, unknowns: Sequence[sp.Symbol], *, tied: bool
+) -> tuple[float, Any]:
+    """Return the period, and how it follows from the parameters if the system is driven."""
+    program = stepper.program
+    assert program.declared is not None
+    if given.events is not None:
+        if given.h is None:
+            reject("an orbit that ends at an event needs h=.", where=stepper.system)
+        return float(given.period or 1.0), None
+    if given.period is None:
+        reject("a search needs the period, or a guess of it.", remedy="Pass period=.")
+    symbols = tuple(program.declared.parameters)
+    values = program.values(given.parameters)
+    whole = sp.sympify(given.period)
+    strange = [str(x) for x in whole.free_symbols if x not in symbols]
+    if strange:
+        reject(
+            f"the period contains {strange[0]}.", remedy="Write it with parameters of the system."
+        )
+    free = [x for x in symbols if x in unknowns]
+    evaluate = sp.lambdify(symbols, [whole, *(whole.diff(x) for x in free)], "math")
+
+    def period_of(at: Floats) -> tuple[float, Floats]:
+        length, *slopes = evaluate(*at.tolist())
+        return float(length), np.array(slopes, dtype=np.float64)
+
+    period = _number("period", period_of(values)[0])
+    if not tied:
+        return period, None
+    if not whole.free_symbols:
+        _check_drive(stepper, given, period)
+    return period, period_of
+
+
+def _check_drive(stepper: Stepper, given: OrbitArguments, period: float) -> None:
+    """Reject a number that is no period of the drive."""
+    rng = np.random.default_rng(3)
+    q, p = rng.normal(size=(2, stepper.n))
+    for part in (0.0, 0.237, 0.71):
+        t = float(given.t0) + part * period
+        try:
+            ends = [
+                np.concatenate(
+                    stepper.step(q, p=p, h=period / 256, t=s, parameters=given.parameters)
+                )
+                for s in (t, t + period)
+            ]
+        except SymsimpsonError:
+            continue
+        if abs(ends[1] - ends[0]).max() > SAME * abs(ends[0]).max():
+            reject(
+                f"period={period:g} is no period of the drive: the forces at t and t + {period:g} "
+                "differ.",
+                where=stepper.system,
+                remedy="Write it with parameters, such as 2*sympy.pi/w.",
+            )
+
+
+def _read_guess(stepper: Stepper, given: OrbitArguments, period: float) -> Floats | None:
+    """Return states along the whole orbit, shape (m, 2 n), or None for a single initial state."""
+    guess, n = given.guess, stepper.n
+    if guess is None:
+        return None
+    if isinstance(guess, Trajectory):
+        t = guess.t[0] + period * np.arange(SEGMENTS) / SEGMENTS
+        t = np.minimum(t, guess.t[-1]) if guess.h > 0 else np.maximum(t, guess.t[-1])
+        return np.asarray(guess.sol(t).T)
+    try:
+        q, p = (np.atleast_2d(np.asarray(x, dtype=np.float64)) for x in guess)
+    except (TypeError, ValueError):
+        q = p = np.zeros((0, 0))
+    if q.shape != p.shape or q.ndim != 2 or q.shape[1] != n or not np.isfinite([q, p]).all():
+        reject(
+            "guess is neither a run, nor an orbit, nor a pair of finite arrays q and p of shape "
+            f"(m, {n}).",
+            where=stepper.system,
+            remedy="Pass stepper.integrate(...), another orbit, or (q, p) at equal intervals.",
+        )
+    # states between those of the table by trigonometric interpolation
+    states = np.concatenate([q, p], axis=1)
+    if len(states) == SEGMENTS:
+        return states
+    waves = np.fft.rfft(states, axis=0)
+    whole = np.fft.irfft(waves, n=max(len(states), SEGMENTS) * SEGMENTS, axis=0)
+    whole *= len(whole) / len(states)
+    return np.asarray(whole[:: len(whole) // SEGMENTS])
+
+
+def _make_flow(
+    stepper: Stepper,
+    given: OrbitArguments,
+    states: Floats | None,
+    unknowns: Sequence[sp.Symbol],
+    steps: int,
+    period_of: Any,
+    period: float,
+) -> Flow:
+    """Return the runs of a search, with one segment."""
+    program, n = stepper.program, stepper.n
+    header = program.header
+    assert program.declared is not None
+    places = tuple(k for k, x in enumerate(program.declared.parameters) if x in unknowns)
+    names = tuple(header.parameters[k] for k in places)
+    to_event = given.events is not None
+    sized = not (to_event or header.retimed)
+    if not header.retimed:
+        program = program_with_derivatives(program, ("h", *names) if sized else names)
+    q0, v0, p0 = given.q0, given.v0, given.p0
+    if states is not None:
+        q0, v0, p0 = states[0, :n], None, states[0, n:]
+    h = period / steps if sized else given.h
+    if h is None:
+        reject("a retimed system needs h=, its step in tau.", where=stepper.system)
+    count = {"t_end": float(given.t0) + period} if header.retimed else {"steps": steps}
+    request = Request(
+        q0, v0, p0, h, t0=given.t0, parameters=given.parameters, events=given.events, **count
+    )
+    spec: RunSpec = read_run(program, request._replace(tangents=2 * n))
+    if spec.velocities:  # the unknowns are momenta
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            begun = integrate(
+                stepper.program, replace(spec, steps=0, tangents=None, t_end=None), progress=False
+            )
+        spec = replace(spec, other0=begun.p[0], given="p0")
+    return Flow(program, replace(spec, every=0), places, steps, period_of=period_of)
+
+
+def _scale_and_states(
+    flow: Flow, z: Floats, states: Floats | None, period: float, segments: int
+) -> tuple[Floats, Floats]:
+    """Return the scale of (q, p), and the states at the starts of the segments."""
+    n = flow.n
+    if states is None:
+        points, length = [z], 1 if flow.to_event else 8
+        parts = replace(flow, segments=length, steps=max(flow.steps // length, 1) * length)
+        for k in range(length):
+            leg = (parts if not flow.retimed else flow).leg(
+                k, points[-1], period, flow.spec.parameters
+            )
+            if not np.isfinite(leg.end).all():
+                break
+            points.append(leg.end)
+        whole, table = np.array(points), z[None]
+    else:
+        whole, table = states, states[:1] if segments == 1 else states
+    sizes = [abs(whole[:, :n]).max() or 1.0, abs(whole[:, n:]).max() or 1.0]
+    return np.repeat(sizes, n), table.copy()
+
+
+def _check_freedom(stepper: Stepper, shooting: Shooting) -> None:
+    """Reject more conditions than an orbit can satisfy."""
+    if shooting.freedom >= 0:
+        return
+    count = len(shooting.conditions) + len(shooting.last)
+    reject(
+        f"there are {count} conditions, but at most {count + shooting.freedom} can hold.",
+        where=stepper.system,
+        why="Each first integral and each unknown admits one, and a free period another one.",
+        remedy="Remove conditions, or add unknowns.",
+    )
+
+
+def _reversal(stepper: Stepper, fixed: Any) -> Floats:
+    """Return the reversal of (q, p) whose fixed points satisfy the conditions."""
+    n, names = stepper.n, stepper.program.names.coordinates
+    signs = np.concatenate([np.ones(n), -np.ones(n)])
+    for key in fixed or {}:
+        place = names.place(key)
+        if place is not None:
+            signs[place], signs[n + place] = -1.0, 1.0
+    return np.diag(signs)
+
+
+def find_path(
+    stepper: Stepper, q0: Any, q1: Any, duration: Any, steps: Any, parameters: Any, t0: Any
+) -> Path:
+    """Search for a path between two boundaries; see :meth:`Stepper.boundary`."""
+    _check_system(stepper)
+    if stepper.program.header.retimed:
+        reject(
+            "boundaries of retimed systems are not available.",
+            where=stepper.system,
+            remedy="Use the system without the time transformation.",
+        )
+    ends, n = (q0, q1), stepper.n
+    values = [_end_values(stepper, f"q{k}", x) for k, x in enumerate(ends)]
+    free, period = duration is None, 1.0 if duration is None else _number("duration", duration)
+    steps = read_count("steps", 64 if steps is None else steps, least=1)
+    segments = SEGMENTS if steps % SEGMENTS == 0 else 1
+    places = [np.array([x.get(k, 0.0) for k in range(n)]) for x in values]
+    parts = np.arange(SEGMENTS)[:, None] / SEGMENTS
+    line = places[0] + parts * (places[1] - places[0])
+    slope = (places[1] - places[0]) / period
+    start = stepper.integrate(line[0], v0=slope, h=1.0, steps=0, parameters=parameters, t0=t0).p[0]
+    many = [
+        stepper.integrate(q, v0=slope, h=1.0, steps=0, parameters=parameters, t0=t0).p[0]
+        for q in line
+    ]
+    states = np.concatenate([line, many], axis=1)
+    given = OrbitArguments(line[0], None, start, parameters=parameters, t0=t0)
+    constant = None if free else (lambda _: (period, np.zeros(0)))
+    flow = _make_flow(stepper, given, None, (), steps, constant, period)
+    flow = replace(flow, segments=segments)
+    conditions = [
+        read_conditions(flow, f"q{k}", _as_mapping(stepper, x)) for k, x in enumerate(ends)
+    ]
+    scale = np.repeat([abs(states[:, :n]).max() or 1.0, abs(states[:, n:]).max() or 1.0], n)
+    none = Integrals(False, (), timeless=False)
+    shooting = Shooting(flow, None, conditions[0], none, scale, period, last=conditions[1])
+    _check_freedom(stepper, shooting)
+    search = Search(stepper, shooting, (), given, symplectic=False)
+    table = states if segments > 1 else states[:1]
+    point = Point(table, period, flow.spec.parameters, np.zeros(0), np.zeros(0))
+    return search.path(shooting.solve(point))
+
+
+def _as_mapping(stepper: Stepper, given: Any) -> Mapping[Any, Any]:
+    """Return conditions on positions as a mapping."""
+    if isinstance(given, Mapping):
+        return given
+    numbers = np.asarray(given, dtype=np.float64)
+    if numbers.shape != (stepper.n,):
+        reject(
+            f"a boundary has shape {numbers.shape}, expected ({stepper.n},).",
+            where=stepper.system,
+            remedy="Pass a number for each coordinate, or a mapping.",
+        )
+    return dict(zip(stepper.coordinates, numbers.tolist(), strict=True))
+
+
+def _end_values(stepper: Stepper, what: str, given: Any) -> dict[int, float]:
+    """Return the numbers that are given for coordinates, by place."""
+    names = stepper.program.names.coordinates
+    pairs = ((names.place(key), x) for key, x in _as_mapping(stepper, given).items())
+    return {k: float(x) for k, x in pairs if k is not None and isinstance(x, Real)}

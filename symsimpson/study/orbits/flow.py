@@ -1,0 +1,153 @@
+"""Runs over parts of an orbit, with their derivatives by the state, the period and unknowns."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from symsimpson.errors import ConvergenceError, InputError
+from symsimpson.program.observed import evaluate
+from symsimpson.program.program import Program
+from symsimpson.results.trajectory import Trajectory
+from symsimpson.run.integrate import integrate
+from symsimpson.run.requested import run_at_fixed_times
+from symsimpson.stepping.spec import RunSpec
+from symsimpson.support.array_types import Floats
+
+#: Relative displacement for differences of the energy.
+SMALL = 2.0**-17
+#: Numbers below this part of the scale become 0; denormal numbers slow runs down.
+NEGLIGIBLE = 1e-200
+
+#: The period, and its derivatives by the unknown parameters, from the values of all parameters.
+PeriodOfParameters = Callable[[Floats], tuple[float, Floats]]
+
+
+@dataclass(frozen=True)
+class Leg:
+    """The end of a run, and its derivatives; ``failure`` is the run if a step failed."""
+
+    end: Floats  #: (q, p) at the end, shape (2 n,).
+    by_state: Floats  #: By (q, p) at the start, shape (2 n, 2 n).
+    by_period: Floats  #: By the period, shape (2 n,).
+    by_unknown: Floats  #: By the unknown parameters, shape (2 n, k).
+    t: float  #: The time at the end.
+    failure: Trajectory | None = None
+
+
+@dataclass(frozen=True)
+class Flow:
+    """The runs of a search: equal parts of a period, or one run to a terminal event.
+
+    ``spec`` is the template of the runs. The program differentiates by h (unless events end the
+    run, or the system is retimed), then by the unknown parameters, whose places in all parameters
+    are ``places``.
+    """
+
+    program: Program
+    spec: RunSpec
+    places: tuple[int, ...]
+    steps: int  #: Steps per period; with events or a time transformation, the most.
+    segments: int = 1
+    period_of: PeriodOfParameters | None = None  #: Of driven systems.
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return self.program.n
+
+    @property
+    def to_event(self) -> bool:
+        """Whether an event ends the run."""
+        return self.spec.run_events is not None
+
+    @property
+    def retimed(self) -> bool:
+        """Whether the steps are constant in transformed time."""
+        return self.program.header.retimed
+
+    @property
+    def free_period(self) -> bool:
+        """Whether the period is an unknown."""
+        return self.period_of is None and not self.to_event
+
+    def refined(self, factor: int) -> Flow:
+        """Return the flow with ``factor`` times as many steps."""
+        if self.to_event or self.retimed:
+            spec = replace(self.spec, h=self.spec.h / factor)
+            return replace(self, spec=spec, steps=self.steps * factor)
+        return replace(self, steps=self.steps * factor)
+
+    def leg(self, number: int, z: Floats, period: float, values: Floats) -> Leg:
+        """Run a segment from the state z."""
+        n, k = self.n, len(self.places)
+        z = np.where(abs(z) < NEGLIGIBLE * (abs(z).max() or 1.0), 0.0, z)
+        spec = replace(
+            self.spec,
+            q0=np.ascontiguousarray(z[:n]),
+            other0=np.ascontiguousarray(z[n:]),
+            parameters=values,
+            tangents=np.eye(2 * n),
+        )
+        if self.retimed:
+            spec = replace(spec, t_end=self.spec.t0 + period)
+        elif not self.to_event:
+            h, count = period / self.steps, self.steps // self.segments
+            spec = replace(spec, h=h, steps=count, t0=self.spec.t0 + h * (count * number))
+        run = self._run(spec)
+        if run is None or not run.success or run.variations is None:
+            nothing = np.full((2 * n, 2 * n + k), np.nan)
+            end = nothing[:, 0]
+            return Leg(end, nothing[:, : 2 * n], end, nothing[:, 2 * n :], np.nan, run)
+        end = np.concatenate([run.q[-1], run.p[-1]])
+        D = run.variations[-1]
+        by_period = np.zeros(2 * n)
+        if self.retimed:
+            by_period, first = self.rates(end, values), 2 * n
+        elif self.to_event:
+            first = 2 * n
+        else:
+            by_period, first = D[:, 2 * n] / self.steps, 2 * n + 1
+        return Leg(end, D[:, : 2 * n], by_period, D[:, first:], float(run.t[-1]))
+
+    def _run(self, spec: RunSpec) -> Trajectory | None:
+        """Return the run, None if it cannot start; its warnings matter for the final orbit only."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            try:
+                if self.retimed:
+                    names = self.program.header.parameters
+                    varied = tuple(names[k] for k in self.places)
+                    return run_at_fixed_times(self.program, spec, varied, False, "return")
+                return integrate(self.program, spec, progress=False, on_failure="return")
+            except (InputError, ConvergenceError):
+                return None
+
+    def energy(self, states: Floats, values: Floats) -> Floats:
+        """Return H at states, shape (N, 2 n)."""
+        q, p = np.ascontiguousarray(states[:, : self.n]), np.ascontiguousarray(states[:, self.n :])
+        t = np.full(len(states), float(self.spec.t0))
+        energies: Floats = evaluate(self.program, "energy", "ENERGY", 1, (t, q, p), values)[:, 0]
+        return energies
+
+    def energy_gradient(self, z: Floats, values: Floats) -> Floats:
+        """Return dH/d(q, p), by central differences."""
+        sizes = SMALL * np.maximum(abs(z), abs(z).max() or 1.0)
+        moves = np.diag(sizes)
+        both = self.energy(np.concatenate([z + moves, z - moves]), values)
+        up, down = both.reshape(2, -1)
+        return np.asarray((up - down) / (2 * sizes))
+
+    def rates(self, z: Floats, values: Floats) -> Floats:
+        """Return the time derivative of the state of a conservative system, (H_p, -H_q)."""
+        slope = self.energy_gradient(z, values)
+        return np.concatenate([slope[self.n :], -slope[: self.n]])
+
+
+def turned(vectors: Floats) -> Floats:
+    """Return J x for vectors x in the rows: (x_p, -x_q)."""
+    n = vectors.shape[-1] // 2
+    return np.concatenate([vectors[..., n:], -vectors[..., :n]], axis=-1)

@@ -1,0 +1,104 @@
+"""Multipliers of an orbit from the derivative of its period map.
+
+A symplectic map has multipliers in pairs l, 1/l. W = (D + D^-1)/2 has each stability index
+k = (l + 1/l)/2 twice, and no Jordan block at 1. W is skew-Hamiltonian: Krylov spaces of W are
+isotropic, so n vectors give a matrix with each index once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.study.orbits.flow import turned
+from symsimpson.support.array_types import Floats
+
+Complexes = NDArray[np.complex128]
+
+#: An index is on the unit circle if it exceeds 1 by less than this.
+STABLE = 1e-8
+#: A new Krylov vector shorter than this ends an invariant space.
+BREAKDOWN = 1e-12
+
+
+@dataclass(frozen=True)
+class Multipliers:
+    """Multipliers and stability indices, without the trivial ones."""
+
+    values: Complexes
+    indices: Complexes  #: (l + 1/l)/2 of each pair; empty unless the map is symplectic.
+    trivial: float  #: Largest distance of a trivial index, or multiplier, from 1.
+
+    @property
+    def stable(self) -> bool:
+        """Whether all multipliers lie in or on the unit circle."""
+        return bool((abs(self.values) <= 1 + np.sqrt(2 * STABLE)).all())
+
+
+def symplectic_indices(D: Floats) -> Complexes:
+    """Return the n stability indices of a symplectic matrix."""
+    size = len(D)
+    n = size // 2
+    inverse = turned(turned(D).T)  # J^T D^T J
+    W = (D + inverse) / 2
+    random = np.random.default_rng(1)
+    Q, H = np.zeros((size, n)), np.zeros((n, n))
+    vector = random.normal(size=size)
+    for k in range(n):
+        for _ in range(3):
+            vector = _orthogonal(vector, Q[:, :k])
+        length = np.linalg.norm(vector)
+        Q[:, k] = vector / length
+        vector = W @ Q[:, k]
+        before = np.linalg.norm(vector)
+        H[: k + 1, k] = Q[:, : k + 1].T @ vector
+        for _ in range(3):
+            vector = _orthogonal(vector, Q[:, : k + 1])
+        if k + 1 < n:
+            if np.linalg.norm(vector) <= BREAKDOWN * before:
+                vector = random.normal(size=size)
+            else:
+                H[k + 1, k] = np.linalg.norm(vector)
+    return np.asarray(np.linalg.eigvals(_projected(W, Q)), dtype=np.complex128)
+
+
+def _orthogonal(vector: Floats, Q: Floats) -> Floats:
+    """Remove the components along the columns of Q and J Q."""
+    vector = vector - Q @ (Q.T @ vector)
+    partners = turned(Q.T).T
+    return np.asarray(vector - partners @ (partners.T @ vector))
+
+
+def _projected(W: Floats, Q: Floats) -> Floats:
+    """Return the matrix of W on the space of the columns of Q."""
+    return np.asarray(Q.T @ W @ Q)
+
+
+def multipliers_of(D: Floats, trivial: int, *, symplectic: bool, power: int) -> Multipliers:
+    """Return the multipliers of D^power; the ``trivial`` ones nearest to 1 are left out."""
+    if symplectic:
+        indices = symplectic_indices(D)
+        order = np.argsort(abs(indices - 1))
+        left = _paired(indices[order[trivial:]])
+        off = float(abs(indices[order[:trivial]] - 1).max(initial=0.0))
+        root = np.sqrt(left**2 - 1 + 0j)
+        large = np.where(abs(left + root) >= abs(left - root), left + root, left - root)
+        values = np.ravel(np.column_stack([large, 1 / large]))
+    else:
+        values = np.linalg.eigvals(D).astype(np.complex128)
+        order = np.argsort(abs(values - 1))
+        off = float(abs(values[order[:trivial]] - 1).max(initial=0.0))
+        values = values[order[trivial:]]
+        values = values[np.argsort(-abs(values))]
+    values = values**power
+    indices = (values[::2] + 1 / values[::2]) / 2 if symplectic else np.zeros(0, np.complex128)
+    return Multipliers(values, indices, off)
+
+
+def _paired(indices: Complexes) -> Complexes:
+    """Sort indices from large to small; round-off of real ones is removed."""
+    real = abs(indices.imag) <= 1e-12 * np.maximum(1.0, abs(indices))
+    indices = np.where(real, indices.real + 0j, indices)
+    return indices[np.argsort(-abs(indices))]
