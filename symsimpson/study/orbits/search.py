@@ -104,8 +104,8 @@ class Search:
         message = self._message(status, solution)
         return Path(status=status, message=message, **self.fields(solution))
 
-    def orbit(self, solution: Solution) -> Orbit:
-        """Return an orbit with its multipliers and a verdict."""
+    def orbit(self, solution: Solution, *, examined: bool = True) -> Orbit:
+        """Return an orbit with its multipliers, and a verdict if it is to be ``examined``."""
         fields, sweep = self.fields(solution), solution.sweep
         D = self._derivative(sweep)
         growth = max(1.0, float(abs(D).max())) if np.isfinite(D).all() else 1.0
@@ -120,7 +120,7 @@ class Search:
             fields["period"], fields["steps"] = 2 * fields["period"], 2 * fields["steps"]
         draft = Orbit(status=status, message="", **fields, **more)
         reason, primitive = "", None
-        if status.success:
+        if status.success and examined:
             status, reason, primitive = self._examine(draft)
         message = reason or self._message(status, solution)
         return replace(draft, status=status, message=message, primitive=primitive)

@@ -1,0 +1,205 @@
+"""Bifurcations along a family, and the first orbit of the family that branches off."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.optimize import brentq
+
+from symsimpson.errors import reject
+from symsimpson.study.orbits.find import read_search
+from symsimpson.study.orbits.orbit import Orbit
+from symsimpson.study.orbits.shooting import Point, Solution, Sweep
+from symsimpson.support.array_types import Floats
+
+if TYPE_CHECKING:
+    from symsimpson.study.orbits.family import Continuation, Family
+
+#: Tolerance of the place of a bifurcation, relative to the scale.
+PLACE = 1e-13
+#: Distance of the first orbit of another family, relative to the scale.
+BESIDE = 0.004
+
+FOLD, BRANCH, DOUBLING = "fold", "branch point", "period doubling"
+KREIN, TORUS, RESONANCE = "Krein collision", "torus", "resonance"
+
+
+@dataclass(frozen=True, eq=False)
+class Bifurcation:
+    """An orbit at which a family turns, or other families branch off.
+
+    Attributes
+    ----------
+    kind : str
+        "fold", "branch point", "period doubling", "Krein collision", "torus" or "resonance".
+    value : float
+        The value of the quantity that changes along the family.
+    orbit : Orbit
+        The orbit.
+    direction : ndarray, shape (2 n,)
+        The direction (dq, dp) of the initial state in which other orbits lie.
+    """
+
+    kind: str
+    value: float
+    orbit: Orbit
+    direction: Floats
+    place: int  #: The number of the orbit before it.
+
+    def __repr__(self) -> str:
+        return f"Bifurcation({self.kind!r}, value={self.value:.12g})"
+
+
+def find_bifurcations(family: Family) -> tuple[Bifurcation, ...]:
+    """Find all bifurcations between neighbouring orbits of a family."""
+    tests = _tests(family)
+    return tuple(x for kind, test in tests.items() for x in _crossings(family, kind, test))
+
+
+def find_resonances(family: Family, a: int, b: int) -> tuple[Bifurcation, ...]:
+    """Find the orbits with a multiplier exp(2 pi i a/b)."""
+    test = _passes(float(np.cos(2 * np.pi * a / b)))
+    return tuple(_crossings(family, RESONANCE, test))
+
+
+#: A function of an orbit, its rows, the tangent and the rate of the quantity that changes.
+Test = Callable[[Orbit, float], float]
+
+
+def _tests(family: Family) -> dict[str, Test]:
+    """Return the test functions by kind; folds come first."""
+    tests: dict[str, Test] = {FOLD: lambda orbit, rate: rate}
+    if family.search.symplectic:
+        tests |= {BRANCH: _passes(1.0), DOUBLING: _passes(-1.0)}
+        if len(family[0].stability_indices) > 1:
+            tests[KREIN] = _discriminant
+        return tests
+    size = len(family[0].derivative)
+    tests[DOUBLING] = lambda orbit, rate: float(np.linalg.det(orbit.derivative + np.eye(size)))
+    if not family.search.shooting.integrals.timeless:
+        tests[BRANCH] = lambda orbit, rate: float(np.linalg.det(orbit.derivative - np.eye(size)))
+    tests[TORUS] = _on_circle
+    return tests
+
+
+def _passes(value: float) -> Test:
+    """Return the product of the distances of all stability indices from a value."""
+    return lambda orbit, rate: float(np.prod(orbit.stability_indices - value).real)
+
+
+def _discriminant(orbit: Orbit, rate: float) -> float:
+    """Return the product of squared differences of stability indices; negative if complex."""
+    pairs = combinations(orbit.stability_indices, 2)
+    return float(np.prod([(a - b) ** 2 for a, b in pairs]).real)
+
+
+def _on_circle(orbit: Orbit, rate: float) -> float:
+    """Return the product of l_i l_j - 1, which is 0 for a complex pair on the unit circle."""
+    pairs = combinations(orbit.multipliers, 2)
+    return float(np.prod([a * b - 1 for a, b in pairs]).real)
+
+
+def _crossings(family: Family, kind: str, test: Test) -> list[Bifurcation]:
+    """Locate the zeros of a test function between neighbours."""
+    line = family.continuation
+    rates = [line.rate(x, t) for x, t in zip(family.orbits, family.tangents, strict=True)]
+    values = [test(x, rate) for x, rate in zip(family.orbits, rates, strict=True)]
+    found = []
+    for k in range(len(family) - 1):
+        turns = rates[k] * rates[k + 1] < 0
+        if not values[k] * values[k + 1] < 0 or (kind == BRANCH and turns):
+            continue
+        if (place := _locate(family, k, test)) is not None:
+            solution, tangent = place
+            orbit = line.search.orbit(solution)
+            direction = _direction(line, solution.sweep, tangent, kind, orbit)
+            value = line.value(solution.sweep.point)
+            found.append(Bifurcation(kind, value, orbit, direction, k))
+    return found
+
+
+def _locate(family: Family, k: int, test: Test) -> tuple[Solution, Floats] | None:
+    """Find the zero of a test function beyond the orbit k."""
+    line = family.continuation
+    point = line.search.point_of(family.orbits[k])
+    sweep, before = line.search.shooting.sweep(point), family.tangents[k]
+    known: dict[float, tuple[Solution, Floats]] = {}
+
+    def at(length: float) -> float:
+        solution = line.correct(sweep, before, length)
+        tangent = line.tangent(solution.sweep, before)
+        known[length] = solution, tangent
+        orbit = line.search.orbit(solution, examined=False)
+        return test(orbit, line.rate(orbit, tangent, solution.sweep))
+
+    last = line.scaled(line.search.point_of(family.orbits[k + 1])) - line.scaled(point)
+    whole = float(last @ before)
+    try:
+        root = float(brentq(at, 0.0, whole, xtol=PLACE * max(1.0, whole)))
+    except ValueError:  # the test function changes its sign at a failure
+        return None
+    if root not in known:
+        at(root)
+    return known[root]
+
+
+def _direction(
+    line: Continuation, sweep: Sweep, tangent: Floats, kind: str, orbit: Orbit
+) -> Floats:
+    """Return the direction of the initial state in which other orbits lie."""
+    n = 2 * line.search.flow.n
+    if kind == BRANCH:
+        matrix = np.concatenate([sweep.matrix, line.phases(sweep), tangent[None]])
+        _, _, basis = np.linalg.svd(matrix)
+        return np.asarray(basis[-1][:n] * line.search.shooting.scale)
+    values, vectors = np.linalg.eig(orbit.derivative)
+    target = {DOUBLING: -1.0}.get(kind, 1.0)
+    return np.asarray(vectors[:, int(np.argmin(abs(values - target)))].real)
+
+
+def other_orbit(family: Family, bifurcation: Bifurcation) -> Orbit:
+    """Return an orbit beside a bifurcation, on the family that branches off."""
+    if bifurcation.kind not in (BRANCH, DOUBLING):
+        reject(
+            f"no family branches off at a {bifurcation.kind}.",
+            where=family.search.stepper.system,
+            remedy="Switch at a branch point or a period doubling.",
+        )
+    line = family.continuation
+    search, orbit = line.search, bifurcation.orbit
+    if bifurcation.kind == DOUBLING:
+        search = _doubled(line, orbit)
+    shooting = search.shooting
+    start = search.point_of(orbit)
+    if shooting.flow.free_period and bifurcation.kind == DOUBLING:
+        start = replace(start, period=2 * start.period)
+    unit = bifurcation.direction / np.linalg.norm(bifurcation.direction / shooting.scale)
+    row = np.zeros((1, shooting.columns))
+    row[0, : len(unit)] = unit / shooting.scale
+    solution: Any = None
+    for side in (1, -1):
+        states = start.states.copy()
+        states[0] = states[0] + side * BESIDE * unit
+        guess: Point = replace(start, states=states)
+        at = shooting.pack(guess) / shooting.units
+        solution = shooting.solve(guess, lambda y, _, at=at: (row @ (y - at), row))  # type: ignore[misc]
+        if solution.converged:
+            break
+    return search.orbit(solution)
+
+
+def _doubled(line: Continuation, orbit: Orbit) -> Any:
+    """Return the search for orbits of two periods."""
+    given = line.arguments
+    if given.events is not None:
+        events = [given.events] if not isinstance(given.events, (list, tuple)) else given.events
+        twice = [replace(x, terminal=2 * int(x.terminal)) if x.terminal else x for x in events]
+        given = given._replace(events=twice)
+    else:
+        given = given._replace(period=2 * given.period, steps=2 * given.steps)
+    search, _ = read_search(line.search.stepper, given)
+    return search

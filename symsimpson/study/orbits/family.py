@@ -1,0 +1,625 @@
+"""Families of orbits, by continuation in arclength."""
+
+from __future__ import annotations
+
+import enum
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+
+from symsimpson.errors import StorageError, reject
+from symsimpson.program.input_values import read_count
+from symsimpson.study.orbits.conditions import ENERGY, PERIOD, Condition
+from symsimpson.study.orbits.find import OrbitArguments, read_search
+from symsimpson.study.orbits.orbit import Orbit, OrbitStatus
+from symsimpson.study.orbits.search import Search
+from symsimpson.study.orbits.shooting import Point, Solution, Sweep
+from symsimpson.support.array_types import Floats
+from symsimpson.support.calling import explain_methods
+from symsimpson.support.files import read_path
+from symsimpson.support.names import did_you_mean, spelled
+from symsimpson.support.progress import Progress
+
+if TYPE_CHECKING:
+    from symsimpson.study.orbits.bifurcations import Bifurcation
+
+#: Numbers of Newton iterations at which the step keeps its length, and the most.
+USUAL_ITERATIONS, MOST_ITERATIONS = 4, 10
+#: Largest turn of the tangent between neighbours, and largest distance from the prediction.
+LARGEST_TURN, FROM_PREDICTION = np.cos(np.radians(30)), 0.3
+#: Singular values of the equations below this part of the largest one are zeros.
+RANK = 1e-8
+#: The number of steps is doubled if unfolding or trivial multipliers exceed this, or the period
+#: grew by this factor, up to this number.
+UNFOLDED, TRIVIAL, LONGER, MOST_STEPS = 1e-11, 1e-6, 1.5, 2**14
+#: The shortest step.
+SHORTEST = 1e-8
+
+
+class FamilyStatus(enum.IntEnum):
+    """Why a family ended.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> ss.FamilyStatus.REACHED.name
+    'REACHED'
+    """
+
+    REACHED = 0
+    COUNT = 1
+    CLOSED = 2
+    EQUILIBRIUM = 3
+    STEP_FAILED = 4
+    STEP_TOO_SMALL = 5
+    INTERRUPTED = 6
+    SAME_FAMILY = 7
+
+    @property
+    def message(self) -> str:
+        """The status as a sentence."""
+        return (
+            "The family reached the value that you asked for.",
+            "The family has as many orbits as you asked for.",
+            "The family returned to its first orbit.",
+            "The family ends at an equilibrium.",
+            "A step of an orbit failed.",
+            "No orbit was found beyond the last one, however near.",
+            "The family was interrupted with Ctrl-C.",
+            "The search returned to the family that it was to leave.",
+        )[self]
+
+
+@explain_methods()
+@dataclass(frozen=True, eq=False, repr=False)
+class Family:
+    """A family of periodic orbits; :meth:`Orbit.family` returns it.
+
+    Attributes
+    ----------
+    orbits : tuple of Orbit
+        The orbits in the order of the family.
+    parameter : str
+        The name of the quantity that changes.
+    status : FamilyStatus
+        Why the family ended.
+    message : str
+        The outcome as text.
+    bifurcations : tuple of Bifurcation
+        Orbits at which the family turns, or others branch off.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> stepper = ss.compile(ss.systems.pendulum(), "gauss8")
+    >>> orbit = stepper.periodic([0.5], v0=[0.0], period=2.04, steps=32,
+    ...                          fixed={"theta": 0.5, "v_theta": 0})
+    >>> family = orbit.family("period", to=2.2)
+    >>> family.status.name, round(float(family["period"][-1]), 9)
+    ('REACHED', 2.2)
+    """
+
+    orbits: tuple[Orbit, ...]
+    parameter: str
+    status: FamilyStatus
+    message: str
+    tangents: tuple[Floats, ...] = field(repr=False)  #: In scaled units.
+    search: Search = field(repr=False)
+
+    @overload
+    def __getitem__(self, key: str) -> Floats: ...
+    @overload
+    def __getitem__(self, key: int) -> Orbit: ...
+    def __getitem__(self, key: Any) -> Any:
+        """Return an orbit by its number, or a quantity of all orbits by its name.
+
+        Names are "period", "energy", "stability", parameters, and coordinates and momenta of the
+        initial states.
+        """
+        if not isinstance(key, str):
+            return self.orbits[key]
+        names, parameters = self.search.stepper.coordinates, self.search.stepper.parameters
+        if key in names:
+            return np.array([x.q0[names.index(key)] for x in self.orbits])
+        if key.removeprefix("p_") in names:
+            return np.array([x.p0[names.index(key.removeprefix("p_"))] for x in self.orbits])
+        if key in parameters:
+            return np.array([x.values[parameters.index(key)] for x in self.orbits])
+        if key == "stability":
+            return np.array([abs(x.multipliers).max(initial=1.0) for x in self.orbits])
+        if key in (PERIOD, ENERGY):
+            return np.array([getattr(x, key) for x in self.orbits])
+        known = [PERIOD, ENERGY, "stability", *parameters, *names, *(f"p_{x}" for x in names)]
+        reject(
+            f"a family has no quantity {key!r}.{did_you_mean(key, known)}",
+            remedy=f"Choose from {', '.join(known)}.",
+        )
+
+    def __len__(self) -> int:
+        return len(self.orbits)
+
+    def __iter__(self) -> Iterator[Orbit]:
+        return iter(self.orbits)
+
+    @cached_property
+    def continuation(self) -> Continuation:
+        """The equations of the family."""
+        return Continuation(self.search, self.parameter, self.orbits[0])
+
+    @cached_property
+    def bifurcations(self) -> tuple[Bifurcation, ...]:
+        """Orbits at which the family turns, or at which others branch off."""
+        from symsimpson.study.orbits.bifurcations import find_bifurcations
+
+        return find_bifurcations(self)
+
+    def switch(self, bifurcation: Bifurcation, *, count: int = 50, **options: Any) -> Family:
+        """Follow the other family at a branch point or a period doubling.
+
+        Parameters
+        ----------
+        bifurcation : Bifurcation
+            One of ``family.bifurcations``.
+        count : int, default 50
+            Largest number of new orbits.
+        **options
+            The other arguments of :meth:`Orbit.family`.
+
+        Returns
+        -------
+        Family
+            The other family, which begins beside the bifurcation.
+
+        Raises
+        ------
+        InputError
+            If no other family branches off, or none was found.
+        """
+        from symsimpson.study.orbits.bifurcations import other_orbit
+
+        first = other_orbit(self, bifurcation)
+        state = np.concatenate([first.q0, first.p0])
+        states = [np.concatenate([x.q0, x.p0]) for x in self.orbits]
+        gaps = [abs(x - state).max() for x in states] if first.success else [0.0]
+        near = abs(np.diff(states, axis=0)).max(axis=1) if len(states) > 1 else np.zeros(1)
+        place = min(bifurcation.place, len(near) - 1)
+        if min(gaps) < 1e-12 * near[place]:
+            status = FamilyStatus.SAME_FAMILY
+            tangent = np.zeros(first.search.shooting.columns)
+            return Family(
+                (first,), self.parameter, status, status.message, (tangent,), first.search
+            )
+        return first.family(self.parameter, count=count, **options)
+
+    def extend(self, *, to: float | None = None, count: int = 200) -> Family:
+        """Continue the family beyond its last orbit.
+
+        Parameters
+        ----------
+        to : float, optional
+            The value at which the family ends.
+        count : int, default 200
+            Largest number of new orbits.
+
+        Returns
+        -------
+        Family
+            The whole family.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum(), "gauss8")
+        >>> orbit = stepper.periodic([0.5], v0=[0.0], period=2.04, steps=32,
+        ...                          fixed={"theta": 0.5, "v_theta": 0})
+        >>> len(orbit.family("energy", count=3).extend(count=2))
+        6
+        """
+        last = Continuation(self.search, self.parameter, self.orbits[-1])
+        step = 0.01
+        if len(self.orbits) > 1:
+            step = last.distance(self.orbits[-2], self.orbits[-1])
+        later = last.run(to, count, step, 10 * step, self.tangents[-1], None)
+        orbits = (*self.orbits, *later.orbits[1:])
+        return replace(later, orbits=orbits, tangents=(*self.tangents, *later.tangents[1:]))
+
+    def plot(self, x: str | None = None, y: str = PERIOD, *, ax: Any = None) -> Any:
+        """Draw one quantity of the orbits against another; unstable orbits are dashed.
+
+        Parameters
+        ----------
+        x, y : str
+            Names of the quantities, as for ``family["..."]``. The defaults are the quantity that
+            changes and the period; "frequency" is 1/period.
+        ax : matplotlib axes, optional
+            Axes to draw in. By default, the method creates new axes.
+
+        Returns
+        -------
+        matplotlib axes
+        """
+        from symsimpson.study.orbits.figures import plot_family
+
+        return plot_family(self, x or self.parameter, y, ax)
+
+    def save(self, path: Any) -> None:
+        """Write the family to a file, which :meth:`Stepper.open_family` reads.
+
+        Parameters
+        ----------
+        path : path
+            The file; its name gets the suffix ``.npz``.
+
+        Raises
+        ------
+        StorageError
+            If the file cannot be written.
+        """
+        place = FilePath(read_path("path", path)).with_suffix(".npz")
+        orbits, search = self.orbits, self.search
+        about = {
+            "digest": search.stepper.program.header.digest,
+            "scheme": search.stepper.scheme,
+            "parameter": self.parameter,
+            "status": int(self.status),
+            "message": self.message,
+            "steps": [x.search.flow.steps for x in orbits],
+            "unknowns": [dict(x.unknowns) for x in orbits],
+            "fixed": {x.name: x.value for x in search.shooting.conditions},
+        }
+        try:
+            np.savez(
+                place,
+                about=json.dumps(about),
+                q=[x.q0 for x in orbits],
+                p=[x.p0 for x in orbits],
+                period=[x.period for x in orbits],
+                values=[x.values for x in orbits],
+                tangents=np.array(self.tangents),
+            )
+        except OSError as error:
+            raise StorageError(f"the family cannot be written to {place}: {error}") from error
+
+    def __repr__(self) -> str:
+        low, high = self[self.parameter][[0, -1]]
+        name = f"Family({self.search.stepper.system}, {self.search.stepper.scheme}"
+        return (
+            f"{name}: {len(self)} orbits, {self.parameter} from {low:.6g} to {high:.6g}; "
+            f"{self.status.name})"
+        )
+
+
+def _passed_equilibrium(before: Orbit, after: Orbit) -> bool:
+    """Return whether an orbit lies on the other side of an equilibrium, half a period later."""
+    starts = []
+    for orbit in (before, after):
+        run = orbit.trajectory
+        states = np.concatenate([run.q, run.p], axis=1) / orbit.search.shooting.scale
+        starts.append(states[0] - states[:-1].mean(axis=0))
+    return bool(starts[0] @ starts[1] < 0)
+
+
+def family_of(orbit: Orbit) -> Family:
+    """Return the family that has this orbit only."""
+    status = FamilyStatus.COUNT
+    tangent = np.zeros(orbit.search.shooting.columns)
+    return Family((orbit,), PERIOD, status, status.message, (tangent,), orbit.search)
+
+
+def open_family(stepper: Any, path: Any) -> Family:
+    """Read a family from a file; see :meth:`Stepper.open_family`."""
+    place = FilePath(read_path("path", path))
+    place = place if place.suffix == ".npz" else place.with_suffix(".npz")
+    try:
+        with np.load(place, allow_pickle=False) as file:
+            about = json.loads(str(file["about"]))
+            q, p, period, values, tangents = (
+                np.asarray(file[x], dtype=np.float64)
+                for x in ("q", "p", "period", "values", "tangents")
+            )
+    except (OSError, ValueError, KeyError) as error:
+        raise StorageError(f"{place} has no family of orbits: {error}") from error
+    if (about["digest"], about["scheme"]) != (stepper.program.header.digest, stepper.scheme):
+        raise StorageError(f"{place} belongs to another system or scheme than this stepper.")
+    orbits = []
+    parameter = str(about["parameter"])
+    names = [*about["unknowns"][0]]
+    if parameter in stepper.parameters and parameter not in names:
+        names.append(parameter)
+    for k in range(len(q)):
+        known = dict(zip(stepper.parameters, values[k].tolist(), strict=True))
+        given = OrbitArguments(
+            q[k],
+            None,
+            p[k],
+            period=float(period[k]),
+            steps=int(about["steps"][k]),
+            unknowns=tuple(names),
+            parameters=known,
+        )
+        search, point = read_search(stepper, given)
+        orbits.append(search.orbit(Solution(search.shooting.sweep(point), True, ())))
+    status = FamilyStatus(int(about["status"]))
+    message = str(about["message"])
+    return Family(tuple(orbits), parameter, status, message, tuple(tangents), orbits[0].search)
+
+
+def follow(
+    orbit: Orbit,
+    parameter: Any,
+    to: float | None,
+    count: Any,
+    step: float,
+    largest: float,
+    progress: bool | None,
+) -> Family:
+    """Follow a family from an orbit; see :meth:`Orbit.family`."""
+    if not orbit.success:
+        reject(
+            f"this orbit was not found: {orbit.status.name}.",
+            where=orbit.search.stepper.system,
+            remedy="A family begins at an orbit whose success is True.",
+        )
+    continuation = Continuation(orbit.search, spelled(parameter), orbit)
+    count = read_count("count", count, least=1)
+    return continuation.run(to, count, step, largest, None, progress)
+
+
+class Continuation:
+    """The steps of a family along one quantity, from an orbit."""
+
+    def __init__(self, search: Search, parameter: str, orbit: Orbit) -> None:
+        stepper, given = search.stepper, search.given
+        self.name = parameter
+        fixed = {k: v for k, v in (given.fixed or {}).items() if spelled(k) != parameter}
+        unknowns = (
+            given.unknowns if isinstance(given.unknowns, (tuple, list)) else (given.unknowns,)
+        )
+        if parameter in stepper.parameters:
+            if parameter not in map(spelled, unknowns):
+                unknowns = (*unknowns, parameter)
+        elif parameter not in (ENERGY, PERIOD):
+            known = (ENERGY, PERIOD, *stepper.parameters)
+            reject(
+                f"a family along {parameter!r} is unknown.{did_you_mean(parameter, known)}",
+                where=stepper.system,
+                remedy=f"Choose from {', '.join(known)}.",
+            )
+        arguments = given._replace(
+            q0=orbit.q0, v0=None, p0=orbit.p0, guess=None, mode=None, error=None,
+            period=given.period if search.flow.period_of is not None else orbit.period,
+            steps=orbit.steps, fixed=fixed, unknowns=tuple(unknowns),
+            parameters=search._free_parameters(orbit),
+        )  # fmt: skip
+        self.arguments = arguments
+        self.search, self.start = read_search(stepper, arguments)
+        names = self.search.shooting.closing.symbols if self.search.shooting.closing else ()
+        extra = np.array([orbit.unknowns[str(x)] for x in names], dtype=np.float64)
+        self.start = replace(self.start, extra=extra)
+        self._resolved_period = orbit.period
+        self.first = self.search.shooting.sweep(self.start)
+        #: Number of unknowns that the rows leave free; conditions may follow from one another.
+        self.freedom = self.search.shooting.columns - self._rank(self.first)
+        if self.freedom < 1:
+            reject(
+                f"the conditions leave no family along {parameter}.",
+                where=stepper.system,
+                remedy="Search with fewer conditions in fixed=, or with an unknown more.",
+            )
+        self._target = Condition(parameter, 0.0) if parameter in (ENERGY, PERIOD) else None
+
+    # -- geometry
+
+    def _rank(self, sweep: Sweep) -> int:
+        """Return the rank of the equations."""
+        sizes = np.linalg.svd(sweep.matrix, compute_uv=False)
+        return int(np.count_nonzero(sizes > RANK * sizes[0]))
+
+    def value(self, point: Point) -> float:
+        """Return the quantity that changes."""
+        flow = self.search.flow
+        if self.name == ENERGY:
+            return float(flow.energy(point.states[:1], point.values)[0])
+        if self.name == PERIOD:
+            return point.period * (2 if self.search.mirror is not None else 1)
+        return float(point.values[self.search.stepper.parameters.index(self.name)])
+
+    def scaled(self, point: Point) -> Floats:
+        """Return the unknowns in scaled units."""
+        shooting = self.search.shooting
+        return shooting.pack(point) / shooting.units
+
+    def distance(self, first: Orbit, second: Orbit) -> float:
+        """Return the distance of two orbits of the family."""
+        ends = [self.scaled(self.search.point_of(x)) for x in (first, second)]
+        return float(np.linalg.norm(ends[1] - ends[0]))
+
+    def phases(self, sweep: Sweep) -> Floats:
+        """Return as many rows along symmetries as are missing beside the row of the family."""
+        shooting = self.search.shooting
+        rows, missing = shooting.phases(sweep), self.freedom - 1
+        if missing == 0:
+            return rows[:0]
+        if missing > len(rows):
+            reject(
+                f"the conditions leave {missing - len(rows)} more quantities free than "
+                f"{self.name}.",
+                where=self.search.stepper.system,
+                remedy="Add conditions to fixed=, which hold for all orbits of the family.",
+            )
+        null = np.linalg.svd(sweep.matrix)[2][len(rows[0]) - self.freedom :]
+        left, chosen = rows @ null.T, list[int]()
+        for _ in range(missing):  # those that the conditions restrict least
+            place = int(np.argmax(np.linalg.norm(left, axis=1)))
+            unit = left[place] / (np.linalg.norm(left[place]) or 1.0)
+            left = left - np.outer(left @ unit, unit)
+            chosen.append(place)
+        return np.asarray(rows[chosen])
+
+    def tangent(self, sweep: Sweep, before: Floats | None) -> Floats:
+        """Return the direction of the family, of unit length."""
+        matrix = np.concatenate([sweep.matrix, self.phases(sweep)])
+        _, _, basis = np.linalg.svd(matrix)
+        direction = basis[-1]
+        if before is not None:
+            return np.asarray(direction if direction @ before >= 0 else -direction)
+        return np.asarray(direction)
+
+    def ahead(self, point: Point, tangent: Floats, length: float) -> Point:
+        """Return the point at a distance along the tangent."""
+        shooting = self.search.shooting
+        return shooting.moved(point, length * tangent * shooting.units)
+
+    def correct(self, sweep: Sweep, tangent: Floats, length: float) -> Solution:
+        """Solve the equations beside a prediction, at a distance along the tangent."""
+        guess = self.ahead(sweep.point, tangent, length)
+        rows = np.concatenate([self.phases(sweep), tangent[None]])
+        at = self.scaled(guess)
+
+        def more(y: Floats, _: Sweep) -> tuple[Floats, Floats]:
+            return rows @ (y - at), rows
+
+        return self.search.shooting.solve(guess, more, MOST_ITERATIONS)
+
+    def at_value(self, start: Point, value: float) -> Solution:
+        """Solve the equations where the quantity has a value."""
+        shooting, place = self.search.shooting, None
+        if self._target is not None:
+            condition = replace(self._target, value=value)
+            with_value = replace(shooting, conditions=(*shooting.conditions, condition))
+            return replace(self.search, shooting=with_value).shooting.solve(start)
+        places = self.search.flow.places
+        place = [self.search.stepper.parameters.index(self.name) == k for k in places].index(True)
+        column = shooting.flow.segments * 2 * shooting.flow.n + shooting.flow.free_period + place
+        row = np.zeros((1, shooting.columns))
+        row[0, column] = 1.0
+        unit = shooting.units[column]
+        return shooting.solve(start, lambda y, _: (row @ y - value / unit, row))
+
+    def rate(self, orbit: Orbit, tangent: Floats, sweep: Sweep | None = None) -> float:
+        """Return the derivative of the quantity that changes along the tangent."""
+        shooting, flow = self.search.shooting, self.search.flow
+        change = tangent * shooting.units
+        if self.name == ENERGY:
+            z = np.concatenate([orbit.q0, orbit.p0])
+            return float(flow.energy_gradient(z, orbit.values) @ change[: 2 * flow.n])
+        column = flow.segments * 2 * flow.n
+        if self.name == PERIOD:
+            return float(change[column])
+        places = [self.search.stepper.parameters.index(self.name) == k for k in flow.places]
+        return float(change[column + flow.free_period + places.index(True)])
+
+    # -- the family
+
+    def run(
+        self,
+        to: float | None,
+        count: int,
+        step: float,
+        largest: float,
+        tangent: Floats | None,
+        progress: bool | None,
+    ) -> Family:
+        """Take up to ``count`` steps along the family."""
+        first = self.search.shooting.solve(self.start)
+        sweep, orbit = first.sweep, self.search.orbit(first)
+        if not orbit.success:
+            return self._family([orbit], [np.zeros(0)], FamilyStatus.STEP_FAILED)
+        begun = self.value(sweep.point)
+        direction = self.tangent(sweep, tangent)
+        if tangent is None:
+            rate = self.value(self.ahead(sweep.point, direction, 1e-6)) - begun
+            forward = np.sign(to - begun) if to is not None else np.sign(step)
+            direction = direction if rate * forward >= 0 else -direction
+        orbits, tangents, length = [orbit], [direction], abs(step)
+        status = FamilyStatus.COUNT
+        with Progress(count, progress) as bar:
+            try:
+                while len(orbits) <= count:
+                    bar.add(1)
+                    length, solution, following = self._step(sweep, direction, length)
+                    if solution is None or following is None:
+                        status = self._end(sweep, orbits[-1])
+                        break
+                    value, before = self.value(solution.sweep.point), self.value(sweep.point)
+                    if to is not None and (value - to) * (before - to) <= 0:
+                        last = self.at_value(solution.sweep.point, to)
+                        orbits.append(self.search.orbit(last if last.converged else solution))
+                        tangents.append(following)
+                        status = FamilyStatus.REACHED
+                        break
+                    sweep, direction = solution.sweep, following
+                    latest = self.search.orbit(solution)
+                    if _passed_equilibrium(orbits[-1], latest):
+                        status = FamilyStatus.EQUILIBRIUM
+                        break
+                    orbits.append(latest)
+                    tangents.append(direction)
+                    sweep = self._refine(sweep, orbits)
+                    if self._returned(first.sweep, sweep, tangents, length):
+                        status = FamilyStatus.CLOSED
+                        break
+                    length = self._next_length(solution, length, largest)
+            except KeyboardInterrupt:
+                status = FamilyStatus.INTERRUPTED
+        return self._family(orbits, tangents, status)
+
+    def _refine(self, sweep: Sweep, orbits: list[Orbit]) -> Sweep:
+        """Double the steps if the last orbit needs it, and solve it again."""
+        orbit, flow = orbits[-1], self.search.flow
+        coarse = orbit.unfolding > UNFOLDED or not orbit.trivial < TRIVIAL
+        longer = flow.free_period and orbit.period > LONGER * self._resolved_period
+        if not (coarse or longer) or flow.steps > MOST_STEPS // 2 or flow.to_event:
+            return sweep
+        self.search, self._resolved_period = self.search.refined(2), orbit.period
+        finer = self.search.shooting.solve(sweep.point)
+        if not finer.converged:
+            return sweep
+        orbits[-1] = self.search.orbit(finer)
+        return finer.sweep
+
+    def _family(
+        self, orbits: Sequence[Orbit], tangents: Sequence[Floats], status: FamilyStatus
+    ) -> Family:
+        return Family(
+            tuple(orbits), self.name, status, status.message, tuple(tangents), self.search
+        )
+
+    def _step(
+        self, sweep: Sweep, tangent: Floats, length: float
+    ) -> tuple[float, Solution | None, Floats | None]:
+        """Take one step, shorter if necessary; return its length, solution and new tangent."""
+        while length >= SHORTEST:
+            solution = self.correct(sweep, tangent, length)
+            if solution.converged:
+                moved = self.scaled(solution.sweep.point) - self.scaled(sweep.point)
+                beside = np.linalg.norm(moved - length * tangent)
+                following = self.tangent(solution.sweep, tangent)
+                if beside <= FROM_PREDICTION * length and following @ tangent >= LARGEST_TURN:
+                    return length, solution, following
+            length /= 2
+        return length, None, None
+
+    def _next_length(self, solution: Solution, length: float, largest: float) -> float:
+        faster = 2.0 ** ((USUAL_ITERATIONS - len(solution.corrections)) / 3)
+        return float(min(length * min(2.0, faster), largest))
+
+    def _end(self, sweep: Sweep, orbit: Orbit) -> FamilyStatus:
+        """Return why no further orbit was found."""
+        if orbit.status is OrbitStatus.EQUILIBRIUM:
+            return FamilyStatus.EQUILIBRIUM
+        failed = sweep.failure is not None
+        return FamilyStatus.STEP_FAILED if failed else FamilyStatus.STEP_TOO_SMALL
+
+    def _returned(
+        self, first: Sweep, sweep: Sweep, tangents: Sequence[Floats], length: float
+    ) -> bool:
+        """Return whether the family passes its first orbit in the same direction."""
+        gap = self.scaled(first.point) - self.scaled(sweep.point)
+        close = np.linalg.norm(gap) < length and len(tangents) > 4
+        return bool(close and tangents[0] @ tangents[-1] > LARGEST_TURN)
