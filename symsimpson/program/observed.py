@@ -413,16 +413,20 @@ def make_evaluator(
     header, numbers = program.header, program.numbers
     (prepare, energy, kernel), W = prepare_observation(program, observed, values, kernel)
     # callers often pass a single state, so everything else is prepared once
-    addresses = prepare, energy if any(quantity.energetic for quantity in observed) else 0, kernel
+    others = energy if any(quantity.energetic for quantity in observed) else 0, kernel
     driver = numbers.driver("evaluate")
     first, about, count = header.rows, header.driver_layout, len(observed)
     given = NO_INPUTS, np.atleast_2d(numbers.read(values))
+    prepared = False
 
     def watch(t: Reals, q: Reals, p: Reals) -> Reals:
+        nonlocal prepared
         out = numbers.zeros((len(q), count))
         # copies, because arrays from files and from other processes may be read-only
         states = tuple(np.array(x, dtype=out.dtype, order="C") for x in (t, q, p))
-        driver(addresses, 1.0, W, about, states, first, out, given)
+        again = prepared and len(given[1]) == 1
+        driver((0 if again else prepare, *others), 1.0, W, about, states, first, out, given)
+        prepared = True
         return out
 
     return watch

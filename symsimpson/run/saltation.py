@@ -202,6 +202,7 @@ class EventDerivatives:
         self._program = replace(program, numbers=numbers, kernels=known[text])
         self._events, self._parameters = run_events, parameters
         self._difference = numbers.read(DIFFERENCE).item()
+        self._known: dict[tuple[Any, ...], EventMaps] = {}
 
     def point(self, t: float, q: Floats, p: Floats) -> Reals:
         """Return the point of a state, in multiprecision."""
@@ -249,6 +250,9 @@ class EventDerivatives:
         """Split a point; return the event maps for its parameters, its time and its state."""
         program, n = self._program, self._program.n
         q, p, values = np.split(z[1:], [n, 2 * n])
-        kernel = program.kernels.address("observe")
-        rows = make_evaluator(program, self._events.watched, values, kernel)
-        return EventMaps(program, self._events, values, rows), z[0], (q, p)
+        key = tuple(values)
+        if key not in self._known:
+            kernel = program.kernels.address("observe")
+            rows = make_evaluator(program, self._events.watched, values, kernel)
+            self._known[key] = EventMaps(program, self._events, values, rows)
+        return self._known[key], z[0], (q, p)

@@ -186,7 +186,7 @@ def other_orbit(family: Family, bifurcation: Bifurcation) -> Orbit:
         states[0] = states[0] + side * BESIDE * unit
         guess: Point = replace(start, states=states)
         at = shooting.pack(guess) / shooting.units
-        solution = shooting.solve(guess, lambda y, _, at=at: (row @ (y - at), row))  # type: ignore[misc]
+        solution = shooting.solve(guess, lambda y, at=at: (row @ (y - at), row))  # type: ignore[misc]
         if solution.converged:
             break
     return search.orbit(solution)

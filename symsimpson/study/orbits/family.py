@@ -481,7 +481,7 @@ class Continuation:
         rows = np.concatenate([self.phases(sweep), tangent[None]])
         at = self.scaled(guess)
 
-        def more(y: Floats, _: Sweep) -> tuple[Floats, Floats]:
+        def more(y: Floats) -> tuple[Floats, Floats]:
             return rows @ (y - at), rows
 
         return self.search.shooting.solve(guess, more, MOST_ITERATIONS)
@@ -499,7 +499,7 @@ class Continuation:
         row = np.zeros((1, shooting.columns))
         row[0, column] = 1.0
         unit = shooting.units[column]
-        return shooting.solve(start, lambda y, _: (row @ y - value / unit, row))
+        return shooting.solve(start, lambda y: (row @ y - value / unit, row))
 
     def rate(self, orbit: Orbit, tangent: Floats, sweep: Sweep | None = None) -> float:
         """Return the derivative of the quantity that changes along the tangent."""

@@ -62,6 +62,10 @@ class Sweep:
         return largest if np.isfinite(largest) else np.inf
 
 
+#: Further rows and their derivatives, from the unknowns in scaled units.
+More = Callable[[Floats], tuple[Floats, Floats]]
+
+
 @dataclass(frozen=True)
 class Solution:
     """The end of Newton's method."""
@@ -244,7 +248,7 @@ class Shooting:
     def solve(
         self,
         start: Point,
-        more: Callable[[Floats, Sweep], tuple[Floats, Floats]] | None = None,
+        more: More | None = None,
         most: int = MOST_ITERATIONS,
     ) -> Solution:
         """Solve the equations by Newton's method with the smallest corrections.
@@ -257,7 +261,7 @@ class Shooting:
             size = float(abs(change).max())
             close = size < LAST and corrections and corrections[-1] < CLOSE
             corrections.append(size)
-            following = self._improved(sweep, change)
+            following = self._improved(sweep, change, more)
             if following is None:
                 break
             sweep = following
@@ -268,12 +272,12 @@ class Shooting:
         return Solution(sweep, False, tuple(corrections), run)
 
     def _correction(
-        self, sweep: Sweep, more: Callable[[Floats, Sweep], tuple[Floats, Floats]] | None
+        self, sweep: Sweep, more: More | None
     ) -> Floats:
         """Return Newton's correction in scaled units, limited to a part of the scale."""
         rows, matrix = sweep.residual, sweep.matrix
         if more is not None:
-            extra, slopes = more(self.pack(sweep.point) / self.units, sweep)
+            extra, slopes = more(self.pack(sweep.point) / self.units)
             rows, matrix = np.concatenate([rows, extra]), np.concatenate([matrix, slopes])
         change = np.linalg.lstsq(matrix, -rows, rcond=RANK)[0]
         states = self.flow.segments * 2 * self.flow.n
@@ -282,12 +286,17 @@ class Shooting:
             limit = max(limit, abs(change[states]) / PERIOD_PART)
         return change / max(1.0, limit)
 
-    def _improved(self, sweep: Sweep, change: Floats) -> Sweep | None:
+    def _improved(self, sweep: Sweep, change: Floats, more: More | None) -> Sweep | None:
         """Return the rows after a correction or a part of it, if they do not grow much."""
-        part = 1.0
+
+        def size(sweep: Sweep) -> float:
+            others = () if more is None else more(self.pack(sweep.point) / self.units)[0]
+            return max(sweep.size, abs(np.asarray(others)).max(initial=0.0))
+
+        part, before = 1.0, max(size(sweep), LAST)
         for _ in range(MOST_HALVINGS):
             following = self.sweep(self.moved(sweep.point, part * change * self.units))
-            if following.size <= GROWTH * max(sweep.size, LAST):
+            if size(following) <= GROWTH * before:
                 return following
             part /= 2
         return None

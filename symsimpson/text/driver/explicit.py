@@ -99,7 +99,8 @@ def take_explicit_steps(kernels, setting, progress, stop, every, stores, inputs)
 def evaluate(addresses, h, W, at, states, block, out, given):
     """Evaluate a kernel that maps (t, q, p) or (t, q, v) to the rows of a block, at many states.
 
-    ``addresses`` has the addresses of prepare, of a kernel to call first (or 0), and of the kernel.
+    ``addresses`` has the addresses of prepare (or 0 if W is prepared), of a kernel to call first
+    (or 0), and of the kernel.
     ``given`` has the inputs of each state, and a row of parameters for each member. All members
     have the same number of consecutive states.
     """
@@ -109,7 +110,8 @@ def evaluate(addresses, h, W, at, states, block, out, given):
         if i % together == 0:
             for k in range(values.shape[1]):
                 W[at[PARAMETER] + k, 0] = values[i // together, k]
-            call(prepare, h, 0.0, W)
+            if prepare != 0:
+                call(prepare, h, 0.0, W)
         for a in range(n):
             W[at[POSITION] + a, 0] = q[i, a]
             W[at[MOMENTUM] + a, 0] = p[i, a]
