@@ -106,7 +106,7 @@ class OrbitFinder(Analyser):
 
         Notes
         -----
-        Each first integral I adds an unknown a and a term a grad I to the closing of the orbit [1]_.
+        Each first integral I adds an unknown a, and a term a grad I to the closing [1]_.
         The matrix of Newton's method is then regular, and a = 0 at a resolved orbit. Conditions
         that are missing are replaced by the smallest correction.
 

@@ -271,7 +271,9 @@ def gradient_of(
             why="A change of h moves the times of all steps.",
             remedy="Remove h from wrt, or write the cost without the time.",
         )
-    program = program_with_derivatives(program, read_variables(program, names, adjoint=True), running)
+    program = program_with_derivatives(
+        program, read_variables(program, names, adjoint=True), running
+    )
     spec = read_run(program, request)
     every = read_count("every", wanted.every, least=1)
     samples = read_samples(program, wanted.samples, spec.steps, every)

@@ -543,6 +543,8 @@ class Continuation:
                 while len(orbits) <= count:
                     bar.add(1)
                     length, solution, following = self._step(sweep, direction, length)
+                    if solution is not None and solution.interrupted:
+                        raise KeyboardInterrupt
                     if solution is None or following is None:
                         status = self._end(sweep, orbits[-1])
                         break
@@ -596,6 +598,8 @@ class Continuation:
         """Take one step, shorter if necessary; return its length, solution and new tangent."""
         while length >= SHORTEST:
             solution = self.correct(sweep, tangent, length)
+            if solution.interrupted:
+                return length, solution, None
             if solution.converged:
                 moved = self.scaled(solution.sweep.point) - self.scaled(sweep.point)
                 beside = np.linalg.norm(moved - length * tangent)

@@ -30,8 +30,10 @@ from symsimpson.support.names import did_you_mean, spelled
 
 #: Segments of searches that begin with states along the whole path.
 SEGMENTS = 8
-#: The most steps to an event, and the most steps that error= may lead to.
-MOST_TO_EVENT, MOST_STEPS = 100_000, 2**16
+#: The most steps to an event without a guess of the period, and the most periods with one.
+STEPS_TO_EVENT, PERIODS_TO_EVENT = 1000, 4
+#: The most steps that error= may lead to.
+MOST_STEPS = 2**16
 #: Relative difference of two steps a period of the drive apart.
 SAME = 1e-9
 
@@ -80,7 +82,9 @@ def read_search(stepper: Stepper, given: OrbitArguments) -> tuple[Search, Point]
     states = _read_guess(stepper, given, period)
     segments = 1 if states is None or to_event or header.retimed else SEGMENTS
     fixed_steps = not (to_event or header.retimed)
-    steps = MOST_TO_EVENT
+    steps = STEPS_TO_EVENT
+    if to_event and given.period is not None:
+        steps = int(np.ceil(PERIODS_TO_EVENT * period / abs(_number("h", abs(given.h)))))
     if fixed_steps:
         steps = read_count("steps", 64 if given.steps is None else given.steps, least=1)
         segments = 1 if steps < SEGMENTS else segments
@@ -116,7 +120,7 @@ def read_search(stepper: Stepper, given: OrbitArguments) -> tuple[Search, Point]
     )
     _check_freedom(stepper, shooting)
     symplectic = header.conservative and not to_event and header.autonomous
-    mirror = _reversal(stepper, given.fixed) if middle else None
+    mirror = _reversal(stepper, given.middle) if middle else None
     names = tuple(map(str, unknowns))
     search = Search(stepper, shooting, names, given, symplectic, mirror)
     values = flow.spec.parameters
@@ -393,11 +397,11 @@ def _check_freedom(stepper: Stepper, shooting: Shooting) -> None:
     )
 
 
-def _reversal(stepper: Stepper, fixed: Any) -> Floats:
+def _reversal(stepper: Stepper, middle: Any) -> Floats:
     """Return the reversal of (q, p) whose fixed points satisfy the conditions."""
     n, names = stepper.n, stepper.program.names.coordinates
     signs = np.concatenate([np.ones(n), -np.ones(n)])
-    for key in fixed or {}:
+    for key in middle:
         place = names.place(key)
         if place is not None:
             signs[place], signs[n + place] = -1.0, 1.0

@@ -22,6 +22,8 @@ FOUND, COARSE = 1e-11, 1e-8
 UNFOLDED, TRIVIAL = 1e-9, 1e-4
 #: The speed of an equilibrium, and the error of a shorter period, relative to the scale.
 AT_REST, REPEATED = 1e-8, 1e-7
+#: A period that is a smaller part of its guess is no solution.
+SHRUNK = 1e-3
 #: The largest number of repetitions that is looked for.
 MOST_REPEATED = 12
 #: Singular values of D - I below this part of the largest derivative are zeros.
@@ -144,6 +146,8 @@ class Search:
 
     def _status_of_rows(self, solution: Solution, growth: float) -> OrbitStatus:
         """Return the status that follows from the residual alone."""
+        if solution.interrupted:
+            return OrbitStatus.INTERRUPTED
         if solution.sweep.failure is not None:
             return OrbitStatus.WRONG_EVENT if self.flow.to_event else OrbitStatus.STEP_FAILED
         size = solution.sweep.size
@@ -186,6 +190,10 @@ class Search:
             return OrbitStatus.STEP_FAILED, where + run.message, None
         states = np.concatenate([run.q, run.p], axis=1)
         moved = abs(states - states[0]).max(axis=0) / scale
+        if abs(orbit.period) < SHRUNK * abs(self.shooting.reference_period):
+            why = " The period fell to zero: give a nearer guess of it."
+            message = where + OrbitStatus.NOT_CONVERGED.message + why
+            return OrbitStatus.NOT_CONVERGED, message, None
         if moved.max() < AT_REST:
             return OrbitStatus.EQUILIBRIUM, "", None
         growth = max(1.0, float(abs(orbit.derivative).max()))

@@ -74,6 +74,7 @@ class Solution:
     converged: bool
     corrections: tuple[float, ...]
     failed: Trajectory | None = None
+    interrupted: bool = False
 
 
 @dataclass(frozen=True)
@@ -246,14 +247,12 @@ class Shooting:
         return whole[sizes[:, 0] > 0] / sizes[sizes[:, 0] > 0]
 
     def solve(
-        self,
-        start: Point,
-        more: More | None = None,
-        most: int = MOST_ITERATIONS,
+        self, start: Point, more: More | None = None, most: int = MOST_ITERATIONS
     ) -> Solution:
         """Solve the equations by Newton's method with the smallest corrections.
 
-        ``more`` returns further rows and derivatives, from scaled unknowns.
+        ``more`` returns further rows and derivatives, from scaled unknowns. Ctrl-C returns the
+        last iterate.
         """
         sweep, corrections = self.sweep(start), list[float]()
         while np.isfinite(sweep.size) and len(corrections) < most:
@@ -261,7 +260,10 @@ class Shooting:
             size = float(abs(change).max())
             close = size < LAST and corrections and corrections[-1] < CLOSE
             corrections.append(size)
-            following = self._improved(sweep, change, more)
+            try:
+                following = self._improved(sweep, change, more)
+            except KeyboardInterrupt:
+                return Solution(sweep, False, tuple(corrections), interrupted=True)
             if following is None:
                 break
             sweep = following
@@ -271,9 +273,7 @@ class Shooting:
         run = None if failure is None else failure.failure
         return Solution(sweep, False, tuple(corrections), run)
 
-    def _correction(
-        self, sweep: Sweep, more: More | None
-    ) -> Floats:
+    def _correction(self, sweep: Sweep, more: More | None) -> Floats:
         """Return Newton's correction in scaled units, limited to a part of the scale."""
         rows, matrix = sweep.residual, sweep.matrix
         if more is not None:
