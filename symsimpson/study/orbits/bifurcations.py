@@ -113,20 +113,22 @@ def _crossings(family: Family, kind: str, test: Test) -> list[Bifurcation]:
         turns = rates[k] * rates[k + 1] < 0
         if not values[k] * values[k + 1] < 0 or (kind == BRANCH and turns):
             continue
-        if (place := _locate(family, k, test)) is not None:
+        here = line.at(family.orbits[k])
+        if (place := _locate(family, here, k, test)) is not None:
             solution, tangent = place
-            orbit = line.search.orbit(solution)
-            direction = _direction(line, solution.sweep, tangent, kind, orbit)
-            value = line.value(solution.sweep.point)
+            orbit = here.search.orbit(solution)
+            direction = _direction(here, solution.sweep, tangent, kind, orbit)
+            value = here.value(solution.sweep.point)
             found.append(Bifurcation(kind, value, orbit, direction, k))
     return found
 
 
-def _locate(family: Family, k: int, test: Test) -> tuple[Solution, Floats] | None:
+def _locate(
+    family: Family, line: Continuation, k: int, test: Test
+) -> tuple[Solution, Floats] | None:
     """Find the zero of a test function beyond the orbit k."""
-    line = family.continuation
     point = line.search.point_of(family.orbits[k])
-    sweep, before = line.search.shooting.sweep(point), family.tangents[k]
+    sweep, before = line.search.shooting.sweep(point), line.unit(family.tangents[k])
     known: dict[float, tuple[Solution, Floats]] = {}
 
     def at(length: float) -> float:
@@ -134,7 +136,7 @@ def _locate(family: Family, k: int, test: Test) -> tuple[Solution, Floats] | Non
         tangent = line.tangent(solution.sweep, before)
         known[length] = solution, tangent
         orbit = line.search.orbit(solution, examined=False)
-        return test(orbit, line.rate(orbit, tangent, solution.sweep))
+        return test(orbit, line.rate(orbit, tangent * line.search.shooting.units))
 
     last = line.scaled(line.search.point_of(family.orbits[k + 1])) - line.scaled(point)
     whole = float(last @ before)
@@ -169,8 +171,9 @@ def other_orbit(family: Family, bifurcation: Bifurcation) -> Orbit:
             where=family.search.stepper.system,
             remedy="Switch at a branch point or a period doubling.",
         )
-    line = family.continuation
-    search, orbit = line.search, bifurcation.orbit
+    orbit = bifurcation.orbit
+    line = family.continuation.at(orbit)
+    search = line.search
     if bifurcation.kind == DOUBLING:
         search = _doubled(line, orbit)
     shooting = search.shooting

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import enum
 import json
 from collections.abc import Iterator, Sequence
@@ -37,6 +38,8 @@ RANK = 1e-8
 #: The number of steps is doubled if unfolding or trivial multipliers exceed this, or the period
 #: grew by this factor, up to this number.
 UNFOLDED, TRIVIAL, LONGER, MOST_STEPS = 1e-11, 1e-6, 1.5, 2**14
+#: The scale follows the orbits if their size changed by this factor.
+GREW = 1.3
 #: The shortest step.
 SHORTEST = 1e-8
 
@@ -108,7 +111,7 @@ class Family:
     parameter: str
     status: FamilyStatus
     message: str
-    tangents: tuple[Floats, ...] = field(repr=False)  #: In scaled units.
+    tangents: tuple[Floats, ...] = field(repr=False)  #: Directions of the unknowns.
     search: Search = field(repr=False)
 
     @overload
@@ -157,6 +160,22 @@ class Family:
         from symsimpson.study.orbits.bifurcations import find_bifurcations
 
         return find_bifurcations(self)
+
+    def resonances(self, a: int, b: int) -> tuple[Bifurcation, ...]:
+        """Return the orbits with a multiplier exp(2 pi i a/b).
+
+        Parameters
+        ----------
+        a, b : int
+            Numerator and denominator.
+
+        Returns
+        -------
+        tuple of Bifurcation
+        """
+        from symsimpson.study.orbits.bifurcations import find_resonances
+
+        return find_resonances(self, a, b)
 
     def switch(self, bifurcation: Bifurcation, *, count: int = 50, **options: Any) -> Family:
         """Follow the other family at a branch point or a period doubling.
@@ -415,6 +434,15 @@ class Continuation:
 
     # -- geometry
 
+    def at(self, orbit: Orbit) -> Continuation:
+        """Return the continuation with the scale and the steps of an orbit."""
+        line = copy.copy(self)
+        flow = replace(self.search.flow, steps=orbit.search.flow.steps)
+        line.search = replace(self.search, shooting=self.search.shooting.with_flow(flow)).scaled_to(
+            orbit
+        )
+        return line
+
     def _rank(self, sweep: Sweep) -> int:
         """Return the rank of the equations."""
         sizes = np.linalg.svd(sweep.matrix, compute_uv=False)
@@ -461,8 +489,13 @@ class Continuation:
             chosen.append(place)
         return np.asarray(rows[chosen])
 
+    def unit(self, direction: Floats) -> Floats:
+        """Return a direction in scaled units, of unit length."""
+        scaled = direction / self.search.shooting.units
+        return np.asarray(scaled / (np.linalg.norm(scaled) or 1.0))
+
     def tangent(self, sweep: Sweep, before: Floats | None) -> Floats:
-        """Return the direction of the family, of unit length."""
+        """Return the direction of the family in scaled units, of unit length."""
         matrix = np.concatenate([sweep.matrix, self.phases(sweep)])
         _, _, basis = np.linalg.svd(matrix)
         direction = basis[-1]
@@ -501,10 +534,9 @@ class Continuation:
         unit = shooting.units[column]
         return shooting.solve(start, lambda y: (row @ y - value / unit, row))
 
-    def rate(self, orbit: Orbit, tangent: Floats, sweep: Sweep | None = None) -> float:
-        """Return the derivative of the quantity that changes along the tangent."""
-        shooting, flow = self.search.shooting, self.search.flow
-        change = tangent * shooting.units
+    def rate(self, orbit: Orbit, change: Floats) -> float:
+        """Return the derivative of the quantity that changes along a direction."""
+        flow = self.search.flow
         if self.name == ENERGY:
             z = np.concatenate([orbit.q0, orbit.p0])
             return float(flow.energy_gradient(z, orbit.values) @ change[: 2 * flow.n])
@@ -531,12 +563,13 @@ class Continuation:
         if not orbit.success:
             return self._family([orbit], [np.zeros(0)], FamilyStatus.STEP_FAILED)
         begun = self.value(sweep.point)
-        direction = self.tangent(sweep, tangent)
+        direction = self.tangent(sweep, None if tangent is None else self.unit(tangent))
         if tangent is None:
             rate = self.value(self.ahead(sweep.point, direction, 1e-6)) - begun
             forward = np.sign(to - begun) if to is not None else np.sign(step)
             direction = direction if rate * forward >= 0 else -direction
-        orbits, tangents, length = [orbit], [direction], abs(step)
+        orbits, length = [orbit], abs(step)
+        tangents = [direction * self.search.shooting.units]
         status = FamilyStatus.COUNT
         with Progress(count, progress) as bar:
             try:
@@ -552,7 +585,7 @@ class Continuation:
                     if to is not None and (value - to) * (before - to) <= 0:
                         last = self.at_value(solution.sweep.point, to)
                         orbits.append(self.search.orbit(last if last.converged else solution))
-                        tangents.append(following)
+                        tangents.append(following * self.search.shooting.units)
                         status = FamilyStatus.REACHED
                         break
                     sweep, direction = solution.sweep, following
@@ -561,8 +594,9 @@ class Continuation:
                         status = FamilyStatus.EQUILIBRIUM
                         break
                     orbits.append(latest)
-                    tangents.append(direction)
+                    tangents.append(direction * self.search.shooting.units)
                     sweep = self._refine(sweep, orbits)
+                    direction = self.unit(tangents[-1])
                     if self._returned(first.sweep, sweep, tangents, length):
                         status = FamilyStatus.CLOSED
                         break
@@ -572,13 +606,18 @@ class Continuation:
         return self._family(orbits, tangents, status)
 
     def _refine(self, sweep: Sweep, orbits: list[Orbit]) -> Sweep:
-        """Double the steps if the last orbit needs it, and solve it again."""
+        """Take the scale of the last orbit, and double its steps if needed; solve it again."""
         orbit, flow = orbits[-1], self.search.flow
         coarse = orbit.unfolding > UNFOLDED or not orbit.trivial < TRIVIAL
         longer = flow.free_period and orbit.period > LONGER * self._resolved_period
-        if not (coarse or longer) or flow.steps > MOST_STEPS // 2 or flow.to_event:
+        finer_steps = (coarse or longer) and flow.steps <= MOST_STEPS // 2 and not flow.to_event
+        scaled = self.search.scaled_to(orbit)
+        change = np.log(scaled.shooting.scale / self.search.shooting.scale)
+        if not finer_steps and abs(change).max() < np.log(GREW):
             return sweep
-        self.search, self._resolved_period = self.search.refined(2), orbit.period
+        self.search = scaled
+        if finer_steps:
+            self.search, self._resolved_period = self.search.refined(2), orbit.period
         finer = self.search.shooting.solve(sweep.point)
         if not finer.converged:
             return sweep
@@ -626,4 +665,4 @@ class Continuation:
         """Return whether the family passes its first orbit in the same direction."""
         gap = self.scaled(first.point) - self.scaled(sweep.point)
         close = np.linalg.norm(gap) < length and len(tangents) > 4
-        return bool(close and tangents[0] @ tangents[-1] > LARGEST_TURN)
+        return bool(close and self.unit(tangents[0]) @ self.unit(tangents[-1]) > LARGEST_TURN)

@@ -105,6 +105,11 @@ def read_search(stepper: Stepper, given: OrbitArguments) -> tuple[Search, Point]
     flow = replace(flow, segments=segments)
     conditions = read_conditions(flow, "fixed", given.fixed)
     middle = read_conditions(flow, "middle", given.middle)
+    if len(table) > 1 and conditions and header.autonomous:  # begin where the conditions hold best
+        rows = [
+            [c.row(flow, x, period, flow.spec.parameters)[0] for c in conditions] for x in table
+        ]
+        table = np.roll(table, -int(abs(np.array(rows)).max(axis=1).argmin()), axis=0)
     integrals = find_integrals(stepper, flow, closing, z)
     extra = np.zeros(len(closing.symbols))
     sizes = sizes_of_unknowns(flow.spec.parameters[list(flow.places)], extra.tolist(), scale[0])
@@ -217,7 +222,8 @@ def _states_of_mode(stepper: Stepper, given: OrbitArguments) -> OrbitArguments:
         )
     k = turning[number]
     n, vector = stepper.n, vectors[:, k]
-    vector = vector / abs(vector[:n]).max()
+    largest = vector[:n][abs(vector[:n]).argmax()]
+    vector = vector / largest  # this coordinate starts at its extreme
     turns = np.exp(2j * np.pi * np.arange(SEGMENTS) / SEGMENTS)
     states = z + given.size * np.real(turns[:, None] * vector)
     period = 2 * np.pi / angles[k]

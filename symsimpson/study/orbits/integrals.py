@@ -17,6 +17,8 @@ from symsimpson.support.array_types import Floats
 
 #: Gradients of unit length are independent if their least singular value exceeds this.
 INDEPENDENT = 1e-6
+#: Sizes of the region in which symmetries are searched for, relative to the state.
+WIDER = (1, 64, 4096)
 
 
 @dataclass(frozen=True)
@@ -66,10 +68,15 @@ def find_integrals(stepper: Stepper, flow: Flow, closing: Closing, z: Floats) ->
         exact = DiscreteFlow(stepper, values, SYMMETRY_DIGITS)
         context, n = exact.context, flow.n
         scale = [abs(z[:n]).max() or 1.0] * n + [abs(z[n:]).max() or 1.0] * n
-        powers = np.round(np.log2(scale)).astype(int).tolist()
-        exact.sizes = np.array([context.ldexp(1, power) for power in powers], dtype=object)
         point: Any = np.array([context.mpf(float(x)) for x in z], dtype=object)
-        symmetries = linear_symmetries(exact, point)
+        for factor in WIDER:
+            powers = np.round(np.log2(np.array(scale) * factor)).astype(int).tolist()
+            exact.sizes = np.array([context.ldexp(1, power) for power in powers], dtype=object)
+            try:
+                symmetries = linear_symmetries(exact, point)
+                break
+            except ArithmeticError:  # at a small amplitude, the system is nearly linear
+                continue
     R = closing.R
     kept = [x for x in symmetries if np.allclose(R @ x.A, x.A @ R) and np.allclose(R @ x.b, x.b)]
     independent = Integrals(True, (), timeless)

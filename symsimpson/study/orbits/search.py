@@ -58,6 +58,16 @@ class Search:
             reject(f"factor is {factor!r}.", remedy="Pass a whole number from 2 on.")
         return replace(self, shooting=self.shooting.with_flow(self.flow.refined(factor)))
 
+    def scaled_to(self, orbit: Orbit) -> Search:
+        """Return the search with the scale of an orbit."""
+        n, run = self.flow.n, orbit.trajectory
+        sizes = [abs(run.q).max() or 1.0, abs(run.p).max() or 1.0]
+        half = 2 if self.mirror is not None else 1
+        scaled = replace(
+            self.shooting, scale=np.repeat(sizes, n), reference_period=orbit.period / half
+        )
+        return replace(self, shooting=scaled)
+
     def point_of(self, path: Path) -> Point:
         """Return the unknowns of a result, in as many segments as the search has."""
         states = np.concatenate([path.q0, path.p0])[None]
