@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, NoReturn, overload
 
 import numpy as np
 
@@ -17,12 +17,13 @@ from symsimpson.errors import StorageError, reject
 from symsimpson.program.input_values import read_count
 from symsimpson.study.orbits.conditions import ENERGY, PERIOD, Condition
 from symsimpson.study.orbits.find import OrbitArguments, read_search
-from symsimpson.study.orbits.orbit import Orbit, OrbitStatus
+from symsimpson.study.orbits.orbit import Orbit
 from symsimpson.study.orbits.search import Search
 from symsimpson.study.orbits.shooting import Point, Solution, Sweep
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explain_methods
 from symsimpson.support.files import read_path
+from symsimpson.support.interpreter import catch_interrupts
 from symsimpson.support.names import did_you_mean, spelled
 from symsimpson.support.progress import Progress
 
@@ -40,6 +41,10 @@ RANK = 1e-8
 UNFOLDED, TRIVIAL, LONGER, MOST_STEPS = 1e-11, 1e-6, 1.5, 2**14
 #: The scale follows the orbits if their size changed by this factor.
 GREW = 1.3
+#: An orbit that is this much smaller than the largest one of the family is an equilibrium.
+VANISHING = 1e-3
+#: A symmetry is free if the conditions leave this part of its direction.
+FREE = 1e-6
 #: The shortest step.
 SHORTEST = 1e-8
 
@@ -313,6 +318,11 @@ class Family:
         )
 
 
+def _extent(orbit: Orbit) -> float:
+    """Return the largest range of a coordinate over an orbit."""
+    return float(np.ptp(orbit.trajectory.q, axis=0).max())
+
+
 def _passed_equilibrium(before: Orbit, after: Orbit) -> bool:
     """Return whether an orbit lies on the other side of an equilibrium, half a period later."""
     starts = []
@@ -473,21 +483,24 @@ class Continuation:
         rows, missing = shooting.phases(sweep), self.freedom - 1
         if missing == 0:
             return rows[:0]
-        if missing > len(rows):
-            reject(
-                f"the conditions leave {missing - len(rows)} more quantities free than "
-                f"{self.name}.",
-                where=self.search.stepper.system,
-                remedy="Add conditions to fixed=, which hold for all orbits of the family.",
-            )
         null = np.linalg.svd(sweep.matrix)[2][len(rows[0]) - self.freedom :]
         left, chosen = rows @ null.T, list[int]()
         for _ in range(missing):  # those that the conditions restrict least
-            place = int(np.argmax(np.linalg.norm(left, axis=1)))
-            unit = left[place] / (np.linalg.norm(left[place]) or 1.0)
+            sizes = np.linalg.norm(left, axis=1)
+            place = int(np.argmax(sizes)) if len(sizes) else 0
+            if not len(sizes) or sizes[place] < FREE:
+                self._reject_freedom(missing - len(chosen))
+            unit = left[place] / sizes[place]
             left = left - np.outer(left @ unit, unit)
             chosen.append(place)
         return np.asarray(rows[chosen])
+
+    def _reject_freedom(self, count: int) -> NoReturn:
+        reject(
+            f"the conditions leave {count} more quantities free than {self.name}.",
+            where=self.search.stepper.system,
+            remedy="Search with more conditions in fixed=, which hold for the whole family.",
+        )
 
     def unit(self, direction: Floats) -> Floats:
         """Return a direction in scaled units, of unit length."""
@@ -568,41 +581,41 @@ class Continuation:
             rate = self.value(self.ahead(sweep.point, direction, 1e-6)) - begun
             forward = np.sign(to - begun) if to is not None else np.sign(step)
             direction = direction if rate * forward >= 0 else -direction
-        orbits, length = [orbit], abs(step)
+        orbits, length, largest_orbit = [orbit], abs(step), _extent(orbit)
         tangents = [direction * self.search.shooting.units]
         status = FamilyStatus.COUNT
-        with Progress(count, progress) as bar:
-            try:
-                while len(orbits) <= count:
-                    bar.add(1)
-                    length, solution, following = self._step(sweep, direction, length)
-                    if solution is not None and solution.interrupted:
-                        raise KeyboardInterrupt
-                    if solution is None or following is None:
-                        status = self._end(sweep, orbits[-1])
-                        break
-                    value, before = self.value(solution.sweep.point), self.value(sweep.point)
-                    if to is not None and (value - to) * (before - to) <= 0:
-                        last = self.at_value(solution.sweep.point, to)
-                        orbits.append(self.search.orbit(last if last.converged else solution))
-                        tangents.append(following * self.search.shooting.units)
-                        status = FamilyStatus.REACHED
-                        break
-                    sweep, direction = solution.sweep, following
-                    latest = self.search.orbit(solution)
-                    if _passed_equilibrium(orbits[-1], latest):
-                        status = FamilyStatus.EQUILIBRIUM
-                        break
-                    orbits.append(latest)
-                    tangents.append(direction * self.search.shooting.units)
-                    sweep = self._refine(sweep, orbits)
-                    direction = self.unit(tangents[-1])
-                    if self._returned(first.sweep, sweep, tangents, length):
-                        status = FamilyStatus.CLOSED
-                        break
-                    length = self._next_length(solution, length, largest)
-            except KeyboardInterrupt:
-                status = FamilyStatus.INTERRUPTED
+        with Progress(count, progress) as bar, catch_interrupts() as stopped:
+            while len(orbits) <= count:
+                bar.add(1)
+                length, solution, following = self._step(sweep, direction, length)
+                if stopped:
+                    status = FamilyStatus.INTERRUPTED
+                    break
+                if solution is None or following is None:
+                    status = self._end(sweep)
+                    break
+                value, before = self.value(solution.sweep.point), self.value(sweep.point)
+                if to is not None and (value - to) * (before - to) <= 0:
+                    last = self.at_value(solution.sweep.point, to)
+                    orbits.append(self.search.orbit(last if last.converged else solution))
+                    tangents.append(following * self.search.shooting.units)
+                    status = FamilyStatus.REACHED
+                    break
+                sweep, direction = solution.sweep, following
+                latest = self.search.orbit(solution)
+                largest_orbit = max(largest_orbit, _extent(latest))
+                small = _extent(latest) < VANISHING * largest_orbit
+                if small or _passed_equilibrium(orbits[-1], latest):
+                    status = FamilyStatus.EQUILIBRIUM
+                    break
+                orbits.append(latest)
+                tangents.append(direction * self.search.shooting.units)
+                sweep = self._refine(sweep, orbits)
+                direction = self.unit(tangents[-1])
+                if self._returned(first.sweep, sweep, tangents, length):
+                    status = FamilyStatus.CLOSED
+                    break
+                length = self._next_length(solution, length, largest)
         return self._family(orbits, tangents, status)
 
     def _refine(self, sweep: Sweep, orbits: list[Orbit]) -> Sweep:
@@ -638,7 +651,7 @@ class Continuation:
         while length >= SHORTEST:
             solution = self.correct(sweep, tangent, length)
             if solution.interrupted:
-                return length, solution, None
+                return length, None, None
             if solution.converged:
                 moved = self.scaled(solution.sweep.point) - self.scaled(sweep.point)
                 beside = np.linalg.norm(moved - length * tangent)
@@ -652,10 +665,8 @@ class Continuation:
         faster = 2.0 ** ((USUAL_ITERATIONS - len(solution.corrections)) / 3)
         return float(min(length * min(2.0, faster), largest))
 
-    def _end(self, sweep: Sweep, orbit: Orbit) -> FamilyStatus:
+    def _end(self, sweep: Sweep) -> FamilyStatus:
         """Return why no further orbit was found."""
-        if orbit.status is OrbitStatus.EQUILIBRIUM:
-            return FamilyStatus.EQUILIBRIUM
         failed = sweep.failure is not None
         return FamilyStatus.STEP_FAILED if failed else FamilyStatus.STEP_TOO_SMALL
 

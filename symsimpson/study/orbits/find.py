@@ -184,7 +184,7 @@ def _with_defaults(stepper: Stepper, given: OrbitArguments) -> OrbitArguments:
         given = given._replace(
             period=orbit.period if given.period is None else given.period,
             steps=orbit.steps if given.steps is None else given.steps,
-            parameters=orbit.parameters | dict(given.parameters or {}),
+            parameters={**orbit.parameters, **(given.parameters or {})},
             guess=orbit.trajectory,
         )
     elif isinstance(given.guess, Trajectory) and given.period is None:
@@ -259,6 +259,12 @@ def _read_period(
         reject(
             f"the period contains {strange[0]}.", remedy="Write it with parameters of the system."
         )
+    if not whole.free_symbols:
+        period = _number("period", given.period)
+        if tied:
+            _check_drive(stepper, given, period)
+        count = sum(x in unknowns for x in symbols)
+        return period, (lambda _: (period, np.zeros(count))) if tied else None
     free = [x for x in symbols if x in unknowns]
     evaluate = sp.lambdify(symbols, [whole, *(whole.diff(x) for x in free)], "math")
 
@@ -267,11 +273,7 @@ def _read_period(
         return float(length), np.array(slopes, dtype=np.float64)
 
     period = _number("period", period_of(values)[0])
-    if not tied:
-        return period, None
-    if not whole.free_symbols:
-        _check_drive(stepper, given, period)
-    return period, period_of
+    return period, period_of if tied else None
 
 
 def _check_drive(stepper: Stepper, given: OrbitArguments, period: float) -> None:

@@ -11,7 +11,6 @@ import numpy as np
 from symsimpson.errors import ConvergenceError, InputError
 from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
-from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.integrate import integrate
 from symsimpson.run.requested import run_at_fixed_times
@@ -99,8 +98,6 @@ class Flow:
             h, count = period / self.steps, self.steps // self.segments
             spec = replace(spec, h=h, steps=count, t0=self.spec.t0 + h * (count * number))
         run = self._run(spec)
-        if run is not None and run.status is Status.INTERRUPTED:
-            raise KeyboardInterrupt
         missed = run is not None and self.to_event and run.ended_by is None
         if run is None or missed or not run.success or run.variations is None:
             nothing = np.full((2 * n, 2 * n + k), np.nan)

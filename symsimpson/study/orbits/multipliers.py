@@ -78,27 +78,24 @@ def _projected(W: Floats, Q: Floats) -> Floats:
 
 def multipliers_of(D: Floats, trivial: int, *, symplectic: bool, power: int) -> Multipliers:
     """Return the multipliers of D^power; the ``trivial`` ones nearest to 1 are left out."""
-    if symplectic:
-        indices = symplectic_indices(D)
-        order = np.argsort(abs(indices - 1))
-        left = _paired(indices[order[trivial:]])
-        off = float(abs(indices[order[:trivial]] - 1).max(initial=0.0))
-        root = np.sqrt(left**2 - 1 + 0j)
-        large = np.where(abs(left + root) >= abs(left - root), left + root, left - root)
-        values = np.ravel(np.column_stack([large, 1 / large]))
-    else:
-        values = np.linalg.eigvals(D).astype(np.complex128)
-        order = np.argsort(abs(values - 1))
-        off = float(abs(values[order[:trivial]] - 1).max(initial=0.0))
-        values = values[order[trivial:]]
-        values = values[np.argsort(-abs(values))]
-    values = values**power
-    indices = (values[::2] + 1 / values[::2]) / 2 if symplectic else np.zeros(0, np.complex128)
-    return Multipliers(values, indices, off)
+    values: Complexes = np.linalg.eigvals(D).astype(np.complex128)
+    indices = symplectic_indices(D) if symplectic else values
+    order = np.argsort(abs(indices - 1))
+    off = float(abs(indices[order[:trivial]] - 1).max(initial=0.0))
+    left = indices[order[trivial:]]
+    if not symplectic:
+        values = left[np.argsort(-abs(left))]
+        return Multipliers(np.power(values, power, dtype=np.complex128), np.zeros(0, complex), off)
+    left = _paired(left)
+    root = np.sqrt(left**2 - 1 + 0j)
+    large = np.where(abs(left + root) >= abs(left - root), left + root, left - root)
+    large = np.power(large, power, dtype=np.complex128)
+    pairs = np.column_stack([large, 1 / large])
+    return Multipliers(np.ravel(pairs), (large + 1 / large) / 2, off)
 
 
 def _paired(indices: Complexes) -> Complexes:
     """Sort indices from large to small; round-off of real ones is removed."""
     real = abs(indices.imag) <= 1e-12 * np.maximum(1.0, abs(indices))
-    indices = np.where(real, indices.real + 0j, indices)
-    return indices[np.argsort(-abs(indices))]
+    cleaned = np.where(real, indices.real + 0j, indices)
+    return cleaned[np.argsort(-abs(indices))]

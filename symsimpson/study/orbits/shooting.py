@@ -18,6 +18,7 @@ from symsimpson.study.orbits.conditions import Closing, Condition
 from symsimpson.study.orbits.flow import Flow, Leg
 from symsimpson.study.orbits.integrals import Integrals
 from symsimpson.support.array_types import Floats
+from symsimpson.support.interpreter import catch_interrupts
 
 #: Newton's method stops after a correction below ``LAST``, if the one before was below ``CLOSE``.
 LAST, CLOSE = 1e-8, 1e-4
@@ -128,7 +129,7 @@ class Shooting:
         """Return the unknowns as a vector."""
         period = [point.period] if self.flow.free_period else []
         parameters = point.values[list(self.flow.places)]
-        extra = point.extra if self.closing is not None else []
+        extra = point.extra if self.closing is not None else np.zeros(0)
         return np.concatenate([point.states.ravel(), period, parameters, extra, point.unfolding])
 
     def moved(self, point: Point, change: Floats) -> Point:
@@ -236,7 +237,7 @@ class Shooting:
         starts = point.states
         moved = [leg.by_period * m for leg in sweep.legs]  # at the ends of segments
         if self.closing is not None:
-            moved = [np.linalg.solve(self.closing.matrix, moved[-1]), *moved[:-1]]
+            moved = [np.asarray(np.linalg.solve(self.closing.matrix, moved[-1])), *moved[:-1]]
         rows = [
             self.integrals.fields(self.flow, z, point.values, rate)
             for z, rate in zip(starts, moved, strict=True)
@@ -254,24 +255,23 @@ class Shooting:
         ``more`` returns further rows and derivatives, from scaled unknowns. Ctrl-C returns the
         last iterate.
         """
-        sweep, corrections = self.sweep(start), list[float]()
-        while np.isfinite(sweep.size) and len(corrections) < most:
-            change = self._correction(sweep, more)
-            size = float(abs(change).max())
-            close = size < LAST and corrections and corrections[-1] < CLOSE
-            corrections.append(size)
-            try:
+        corrections = list[float]()
+        with catch_interrupts() as stopped:
+            sweep = self.sweep(start)
+            while np.isfinite(sweep.size) and len(corrections) < most:
+                change = self._correction(sweep, more)
+                size = float(abs(change).max())
+                close = size < LAST and corrections and corrections[-1] < CLOSE
                 following = self._improved(sweep, change, more)
-            except KeyboardInterrupt:
-                return Solution(sweep, False, tuple(corrections), interrupted=True)
-            if following is None:
-                break
-            sweep = following
-            if close:
-                return Solution(sweep, True, tuple(corrections))
-        failure = sweep.failure
-        run = None if failure is None else failure.failure
-        return Solution(sweep, False, tuple(corrections), run)
+                if stopped or following is None:
+                    break
+                corrections.append(size)
+                sweep = following
+                if close:
+                    return Solution(sweep, True, tuple(corrections))
+            failure = sweep.failure
+            run = None if failure is None else failure.failure
+            return Solution(sweep, False, tuple(corrections), run, interrupted=bool(stopped))
 
     def _correction(self, sweep: Sweep, more: More | None) -> Floats:
         """Return Newton's correction in scaled units, limited to a part of the scale."""

@@ -2,6 +2,7 @@
 
 from itertools import combinations
 
+import mpmath as mp
 import numpy as np
 import pytest
 import sympy as sp
@@ -267,3 +268,55 @@ def test_a_constant_mass_keeps_its_factors_beside_variations():
     assert "range(NODES)" in stepper.source
     assert plain.newton_iterations.tolist() == varied.newton_iterations.tolist()
     assert abs(plain.q - varied.q).max() < 1e-18
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", sweep(["midpoint", "simpson", "gauss6", "gauss10"], 2))
+@pytest.mark.parametrize("name", ["one", "two", "canonical"])
+def test_driven_runs_are_differentiated_by_h(name, scheme):
+    """A change of h moves the times of all steps; a difference in many digits sees it."""
+    x, y = ss.coordinates("x y")
+    w, c = sp.symbols("w c", positive=True)
+    px, py = sp.symbols("px py", real=True)
+    drive, values = sp.cos(w * ss.time), {w: 1.3, c: 0.1}
+    if name == "one":
+        system = ss.MechanicalSystem(
+            name,
+            coordinates=(x,),
+            kinetic=x.diff() ** 2 / 2,
+            potential=x**2 / 2 + x**4 / 4 - x * drive,
+            parameters=values,
+            forces={x: -c * x.diff()},
+        )
+    elif name == "two":
+        system = ss.MechanicalSystem(
+            name,
+            coordinates=(x, y),
+            kinetic=(1 + y**2) * x.diff() ** 2 / 2 + y.diff() ** 2 / 2,
+            potential=x**2 / 2 + y**4 / 4,
+            parameters=values,
+            forces={x: -c * x.diff() + drive, y: x * drive},
+        )
+    else:
+        if scheme == "simpson":
+            pytest.skip("it does not integrate a Hamiltonian")
+        system = ss.HamiltonianSystem(
+            name,
+            coordinates=(x, y),
+            momenta=(px, py),
+            hamiltonian=(px**2 + py**2) / 2 + px * y / 3 + x**2 / 2 + y**4 / 4 + x * drive,
+            parameters={w: 1.3},
+        )
+    n = system.n
+    start = {"q0": [0.3, 0.4][:n], "p0": [0.1, 0.2][:n], "steps": 9, "t0": 0.4}
+    run = ss.compile(system, scheme).integrate(**start, h=0.1, sensitivities="h")
+    exact = ss.compile(system, scheme, precision=40)
+    with mp.workdps(40):
+        step = mp.mpf(10) ** -14
+        ends = [exact.integrate(**start, h=mp.mpf(0.1) + e).y[:, -1] for e in (step, -step)]
+        difference = np.array((ends[0] - ends[1]) / (2 * step), dtype=float)
+    assert np.abs(run.sensitivity["h"][-1] - difference).max() < 1e-12
+    many = ss.compile(system, scheme).ensemble(**start, h=0.1, sensitivities="h")
+    assert np.abs(many.sensitivity["h"][0] - difference).max() < 1e-12
+    with pytest.raises(ss.InputError, match="gradient by h is not available"):
+        ss.compile(system, scheme).gradient(**start, h=0.1, cost=x**2, wrt="h")

@@ -48,9 +48,17 @@ def test_what_is_wrong_with_them_is_said_once():
     assert caught.value.__context__ is None
 
 
-def test_changes_are_read_each_time(reads):
+def test_changes_are_read_once(reads):
     program = ss.compile(BALL).program
-    lifted = ss.Event(z, name="floor", action=ss.Change(positions={z: 1.0}))
-    for _ in range(2):
+    for height in (1.0, 1.0, 2.0):
+        lifted = ss.Event(z, name="floor", action=ss.Change(positions={z: height}))
         run_events.read_run_events(program, Request([1.0], events=[lifted]))
     assert len(reads) == 2
+
+
+def test_a_change_keeps_what_it_was_given():
+    given = {z: 1.0}
+    change = ss.Change(positions=given)
+    given[z] = 2.0
+    assert change == ss.Change(positions={z: 1.0})
+    assert hash(change) == hash(ss.Change(positions={z: 1.0}))

@@ -1,0 +1,107 @@
+"""Families of orbits: ends, bifurcations, files and figures."""
+
+import signal
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from support.orbit_cases import found
+
+import symsimpson as ss
+from symsimpson.study.orbits.family import Continuation
+
+mpl.use("Agg")
+
+
+@pytest.fixture(scope="module")
+def swing():
+    stepper = ss.compile(ss.systems.pendulum(), "gauss8")
+    return stepper.periodic([0.5], [0.0], period=2.04, steps=32, fixed={"v_theta": 0})
+
+
+def test_to_a_value_and_beyond(swing, tmp_path):
+    family = swing.family("energy", to=-5.0, count=40)
+    assert family.status is ss.FamilyStatus.REACHED
+    assert family["energy"][-1] == pytest.approx(-5.0, abs=1e-13)
+    assert (np.diff(family["period"]) > 0).all()
+    assert not family.bifurcations
+    longer = family.extend(count=2)
+    assert len(longer) == len(family) + 2
+    assert longer["energy"][-1] > -5.0
+    family.save(tmp_path / "swings")
+    again = swing.search.stepper.open_family(tmp_path / "swings")
+    assert again.status is family.status
+    np.testing.assert_array_equal(again["period"], family["period"])
+    assert len(again.extend(count=1)) == len(family) + 1
+    with pytest.raises(ss.InputError, match="no quantity 'foo'"):
+        family["foo"]
+    with pytest.raises(ss.StorageError, match="another system or scheme"):
+        ss.compile(ss.systems.pendulum(), "gauss4").open_family(tmp_path / "swings.npz")
+    with pytest.raises(ss.StorageError, match="has no family"):
+        swing.search.stepper.open_family(tmp_path / "nothing")
+
+
+@pytest.mark.slow
+def test_along_a_parameter_and_the_period(swing):
+    with pytest.raises(ss.InputError, match="leave 1 more quantities free than l"):
+        swing.family("l", to=2.0)
+    slower = swing.family("period", to=3.0)
+    assert slower["period"][-1] == pytest.approx(3.0, abs=1e-13)
+    with pytest.raises(ss.InputError, match="is unknown"):
+        swing.family("mass")
+    fixed = swing.search.stepper.periodic(
+        [0.5], [0.0], period=2.04, steps=32, fixed={"theta": 0.5, "v_theta": 0}
+    )
+    with pytest.raises(ss.InputError, match="leave no family along energy"):
+        fixed.family("energy")
+    longer = fixed.family("l", to=2.0)
+    assert longer.status is ss.FamilyStatus.REACHED
+    np.testing.assert_allclose(longer["period"] / longer["l"] ** 0.5, fixed.period, rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_ends_at_an_equilibrium(swing):
+    family = swing.family("energy", step=-0.01, count=200)
+    assert family.status is ss.FamilyStatus.EQUILIBRIUM
+    assert family["energy"][-1] < -9.7
+
+
+@pytest.mark.slow
+def test_ctrl_c_keeps_the_family(swing, monkeypatch):
+    step, calls = Continuation._step, []
+
+    def interrupted(self, *given):
+        calls.append(given)
+        if len(calls) == 4:
+            signal.raise_signal(signal.SIGINT)
+        return step(self, *given)
+
+    monkeypatch.setattr(Continuation, "_step", interrupted)
+    family = swing.family("energy", count=50)
+    assert family.status is ss.FamilyStatus.INTERRUPTED
+    assert len(family) == 4
+
+
+@pytest.mark.slow
+def test_figures(swing):
+    family = swing.family("energy", to=-5.0, count=40)
+    assert family.plot().get_ylabel() == "period"
+    assert family.plot("energy", "frequency").get_xlabel() == "energy"
+    assert swing.plot().get_ylabel() == "p_theta"
+    assert swing.plot_multipliers().get_ylabel() == "imaginary part"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["unstable", "stable"])
+def test_an_unstable_orbit_has_manifolds(kind):
+    """Deviations grow by the multiplier in each period."""
+    orbit = found("lyapunov_L1", "gauss8", 96)
+    runs = orbit.manifold(kind, size=1e-9, count=6, periods=1)
+    assert len(runs) == 6
+    assert np.abs(runs.energy - orbit.energy).max() < 1e-8
+    states = np.concatenate([runs.q, runs.p], axis=2)
+    ends = np.concatenate([orbit.trajectory.q, orbit.trajectory.p], axis=1)
+    places = np.unique(np.linspace(0, 96, 6, endpoint=False).round().astype(int))
+    first, last = (np.linalg.norm(states[:, k] - ends[places], axis=1) for k in (0, -1))
+    growth = last / first
+    assert np.abs(growth / abs(orbit.multipliers[0]) - 1).max() < 0.01
