@@ -77,8 +77,8 @@ from .study.control.problem import OptimalControl as OptimalControl
 from .study.control.result import ControlResult as ControlResult
 from .study.control.result import ControlStatus as ControlStatus
 from .study.orbits.bifurcations import Bifurcation as Bifurcation
+from .study.orbits.continuation import FamilyStatus as FamilyStatus
 from .study.orbits.family import Family as Family
-from .study.orbits.family import FamilyStatus as FamilyStatus
 from .study.orbits.orbit import Orbit as Orbit
 from .study.orbits.orbit import OrbitStatus as OrbitStatus
 from .study.orbits.orbit import Path as Path

@@ -17,7 +17,8 @@ from symsimpson.study.orbits.shooting import Point, Solution, Sweep
 from symsimpson.support.array_types import Floats
 
 if TYPE_CHECKING:
-    from symsimpson.study.orbits.family import Continuation, Family
+    from symsimpson.study.orbits.continuation import Continuation
+    from symsimpson.study.orbits.family import Family
 
 #: Tolerance of the place of a bifurcation, relative to the scale.
 PLACE = 1e-13

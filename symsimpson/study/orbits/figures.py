@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -44,9 +45,7 @@ def plot_family(family: Family, x: str, y: str, ax: Any) -> Any:
     def values(key: str, some: Any) -> Any:
         if key == "frequency":
             return 1 / np.array([orbit.period for orbit in some])
-        return type(family)(
-            tuple(some), family.parameter, family.status, "", family.tangents, family.search
-        )[key]
+        return replace(family, orbits=tuple(some))[key]
 
     horizontal, vertical = values(x, family.orbits), values(y, family.orbits)
     stable = np.array([orbit.stable for orbit in family])

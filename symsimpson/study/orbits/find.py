@@ -34,6 +34,8 @@ SEGMENTS = 8
 STEPS_TO_EVENT, PERIODS_TO_EVENT = 1000, 4
 #: The most steps that error= may lead to.
 MOST_STEPS = 2**16
+#: Relative damping of an oscillation that counts as none.
+UNDAMPED = 1e-9
 #: Relative difference of two steps a period of the drive apart.
 SAME = 1e-9
 
@@ -204,30 +206,36 @@ def _states_of_mode(stepper: Stepper, given: OrbitArguments) -> OrbitArguments:
     """Return the arguments with the states of a linear mode as the guess."""
     if not (isinstance(given.mode, (tuple, list)) and len(given.mode) == 2):
         reject(f"mode is {given.mode!r}.", remedy="Pass (position of the equilibrium, number).")
-    place, number = given.mode
-    start = stepper.integrate(
-        place, v0=np.zeros(stepper.n), h=1.0, steps=0, parameters=given.parameters
-    )
-    z = np.concatenate([start.q[0], start.p[0]])
-    D = stepper.tangent(z[: stepper.n], p=z[stepper.n :], h=1e-4, parameters=given.parameters)[2]
-    # the eigenvalues of a short step are exp(i w h) up to its order
-    values, vectors = np.linalg.eig(np.asarray(D, dtype=np.float64))
-    angles = np.angle(values) / 1e-4
-    turning = [k for k in np.argsort(angles) if angles[k] > 1e-6 and abs(abs(values[k]) - 1) < 1e-9]
+    (place, number), n = given.mode, stepper.n
+    options = {"h": 1.0, "steps": 0, "parameters": given.parameters}
+    rest = stepper.integrate(place, v0=np.zeros(n), **options)
+    system, canonical = stepper.program.declared, stepper.program.header.canonical
+    assert system is not None
+    second = rest.p[0] if canonical else np.zeros(n)
+    A, _ = system.linearise(rest.q[0], second, parameters=given.parameters)
+    values, vectors = np.linalg.eig(A)
+    turning = [
+        k
+        for k in np.argsort(values.imag)
+        if values[k].imag > 0 and abs(values[k].real) < UNDAMPED * values[k].imag
+    ]
     if not isinstance(number, int) or not 0 <= number < len(turning):
         reject(
             f"mode has the number {number!r}, but the equilibrium has {len(turning)} oscillations.",
             where=stepper.system,
             remedy="Count from 0, the slowest one.",
         )
-    k = turning[number]
-    n, vector = stepper.n, vectors[:, k]
-    largest = vector[:n][abs(vector[:n]).argmax()]
-    vector = vector / largest  # this coordinate starts at its extreme
+    vector = vectors[:, turning[number]]
+    vector = vector / vector[:n][abs(vector[:n]).argmax()]  # one coordinate starts at its extreme
     turns = np.exp(2j * np.pi * np.arange(SEGMENTS) / SEGMENTS)
-    states = z + given.size * np.real(turns[:, None] * vector)
-    period = 2 * np.pi / angles[k]
-    return given._replace(period=period, guess=(states[:, :n], states[:, n:]), mode=None)
+    states = np.concatenate([rest.q[0], second]) + given.size * np.real(turns[:, None] * vector)
+    q, p = states[:, :n], states[:, n:]
+    if not canonical:
+        p = np.array(
+            [stepper.integrate(a, v0=b, **options).p[0] for a, b in zip(q, p, strict=True)]
+        )
+    period = 2 * np.pi / values[turning[number]].imag
+    return given._replace(period=period, guess=(q, p), mode=None)
 
 
 def _number(name: str, given: Any) -> float:
@@ -374,22 +382,19 @@ def _scale_and_states(
     flow: Flow, z: Floats, states: Floats | None, period: float, segments: int
 ) -> tuple[Floats, Floats]:
     """Return the scale of (q, p), and the states at the starts of the segments."""
-    n = flow.n
-    if states is None:
-        points, length = [z], 1 if flow.to_event else 8
-        parts = replace(flow, segments=length, steps=max(flow.steps // length, 1) * length)
-        for k in range(length):
-            leg = (parts if not flow.retimed else flow).leg(
-                k, points[-1], period, flow.spec.parameters
-            )
+    n, whole, table = flow.n, [z], z[None]
+    if states is not None:
+        whole, table = list(states), states if segments > 1 else states[:1]
+    elif flow.free_period or flow.period_of is not None:
+        parts = replace(flow, segments=SEGMENTS, steps=-(-flow.steps // SEGMENTS) * SEGMENTS)
+        for k in range(SEGMENTS if not flow.retimed else 1):
+            leg = (flow if flow.retimed else parts).leg(k, whole[-1], period, flow.spec.parameters)
             if not np.isfinite(leg.end).all():
                 break
-            points.append(leg.end)
-        whole, table = np.array(points), z[None]
-    else:
-        whole, table = states, states[:1] if segments == 1 else states
-    sizes = [abs(whole[:, :n]).max() or 1.0, abs(whole[:, n:]).max() or 1.0]
-    return np.repeat(sizes, n), table.copy()
+            whole.append(leg.end)
+    sizes = abs(np.array(whole))
+    scale = [sizes[:, :n].max() or 1.0, sizes[:, n:].max() or 1.0]
+    return np.repeat(scale, n), table.copy()
 
 
 def _check_freedom(stepper: Stepper, shooting: Shooting) -> None:

@@ -84,14 +84,14 @@ def multipliers_of(D: Floats, trivial: int, *, symplectic: bool, power: int) -> 
     off = float(abs(indices[order[:trivial]] - 1).max(initial=0.0))
     left = indices[order[trivial:]]
     if not symplectic:
-        values = left[np.argsort(-abs(left))]
-        return Multipliers(np.power(values, power, dtype=np.complex128), np.zeros(0, complex), off)
+        left = left[np.argsort(-abs(left))] ** power
+        return Multipliers(left, left[:0], off)
     left = _paired(left)
     root = np.sqrt(left**2 - 1 + 0j)
-    large = np.where(abs(left + root) >= abs(left - root), left + root, left - root)
-    large = np.power(large, power, dtype=np.complex128)
-    pairs = np.column_stack([large, 1 / large])
-    return Multipliers(np.ravel(pairs), (large + 1 / large) / 2, off)
+    large = np.where(abs(left + root) >= abs(left - root), left + root, left - root) ** power
+    pairs: Complexes = np.ravel(np.column_stack([large, 1 / large]))
+    indices = np.asarray((large + 1 / large) / 2, dtype=np.complex128)
+    return Multipliers(pairs, indices, off)
 
 
 def _paired(indices: Complexes) -> Complexes:

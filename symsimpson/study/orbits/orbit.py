@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from symsimpson.errors import reject
 from symsimpson.results.trajectory import Trajectory
@@ -440,8 +440,3 @@ class Orbit(Path):
     def _title(self) -> str:
         stable = "stable" if self.stable else "unstable"
         return f"period {self.period:.10g}, {self.steps} steps, {stable}"
-
-
-def as_rows(states: ArrayLike) -> Floats:
-    """Return states as rows of numbers."""
-    return np.atleast_2d(np.asarray(states, dtype=np.float64))

@@ -120,12 +120,12 @@ class Search:
         """Return an orbit with its multipliers, and a verdict if it is to be ``examined``."""
         fields, sweep = self.fields(solution), solution.sweep
         D = self._derivative(sweep)
-        growth = max(1.0, float(abs(D).max())) if np.isfinite(D).all() else 1.0
+        growth = self._growth(D) if np.isfinite(D).all() else 1.0
         status = self._status_of_rows(solution, growth)
         unfolding = float(abs(sweep.point.unfolding).max(initial=0.0))
         more: dict[str, Any] = {
             "derivative": D,
-            "floquet": self._multipliers(D) if np.isfinite(D).all() else NOTHING,
+            "floquet": self._multipliers(self._scaled(D)) if np.isfinite(D).all() else NOTHING,
             "unfolding": unfolding,
         }
         if self.mirror is not None:
@@ -146,6 +146,15 @@ class Search:
         if self.mirror is not None:
             D = self.mirror @ np.linalg.solve(D, self.mirror @ D)
         return D
+
+    def _scaled(self, D: Floats) -> Floats:
+        """Return a derivative in units of the scale."""
+        scale = self.shooting.scale
+        return np.asarray(D * scale / scale[:, None])
+
+    def _growth(self, D: Floats) -> float:
+        """Return how much deviations grow, at least 1."""
+        return max(1.0, float(abs(self._scaled(D)).max()))
 
     def _multipliers(self, D: Floats) -> Multipliers:
         """Return the multipliers of a period, or of all parts of a symmetric orbit."""
@@ -176,10 +185,10 @@ class Search:
             names = self._row_names()
             name = names[row] if row < len(names) else "a condition"
             message += f" The largest residual is {sweep.size:.1e}, of {name}."
-            D = self._derivative(sweep)
-            if abs(D).max() > 100:
+            growth = self._growth(self._derivative(sweep))
+            if growth > 100:
                 message += (
-                    f" The motion multiplies deviations by {abs(D).max():.0f}: give the initial "
+                    f" The motion multiplies deviations by {growth:.0f}: give the initial "
                     "state to more digits, or a guess along the whole orbit."
                 )
         return message
@@ -206,7 +215,7 @@ class Search:
             return OrbitStatus.NOT_CONVERGED, message, None
         if moved.max() < AT_REST:
             return OrbitStatus.EQUILIBRIUM, "", None
-        growth = max(1.0, float(abs(orbit.derivative).max()))
+        growth = self._growth(orbit.derivative)
         closing = self.shooting.closing
         if closing is not None and not self.flow.to_event:
             extra = np.array([orbit.unknowns[str(x)] for x in closing.symbols], dtype=np.float64)
@@ -228,7 +237,7 @@ class Search:
         if (primitive := self._primitive(orbit, states)) is not None:
             return OrbitStatus.SHORTER, "", primitive
         if self.symplectic and self.mirror is None:
-            off = (orbit.derivative - np.eye(len(scale))) * scale / scale[:, None]
+            off = self._scaled(orbit.derivative) - np.eye(len(scale))
             sizes = np.linalg.svd(off, compute_uv=False)
             if (sizes < NULL * max(1.0, sizes[0])).sum() > self.shooting.integrals.count:
                 return OrbitStatus.NOT_ISOLATED, "", None

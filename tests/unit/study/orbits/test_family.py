@@ -8,7 +8,7 @@ import pytest
 from support.orbit_cases import found
 
 import symsimpson as ss
-from symsimpson.study.orbits.family import Continuation
+from symsimpson.study.orbits.continuation import Continuation
 
 mpl.use("Agg")
 
