@@ -205,5 +205,5 @@ def _doubled(line: Continuation, orbit: Orbit) -> Any:
         given = given._replace(events=twice)
     else:
         given = given._replace(period=2 * given.period, steps=2 * given.steps)
-    search, _ = read_search(line.search.stepper, given)
+    search, _ = read_search(line.search.stepper, given, line.search.shooting.integrals)
     return search

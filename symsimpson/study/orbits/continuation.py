@@ -125,7 +125,7 @@ class Continuation:
             parameters=search._free_parameters(orbit),
         )  # fmt: skip
         self.arguments = arguments
-        self.search, self.start = read_search(stepper, arguments)
+        self.search, self.start = read_search(stepper, arguments, search.shooting.integrals)
         names = self.search.shooting.closing.symbols if self.search.shooting.closing else ()
         extra = np.array([orbit.unknowns[str(x)] for x in names], dtype=np.float64)
         self.start = replace(self.start, extra=extra)

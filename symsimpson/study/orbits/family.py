@@ -291,7 +291,7 @@ def open_family(stepper: Any, path: Any) -> Family:
         raise StorageError(f"{place} has no family of orbits: {error}") from error
     if (about["digest"], about["scheme"]) != (stepper.program.header.digest, stepper.scheme):
         raise StorageError(f"{place} belongs to another system or scheme than this stepper.")
-    orbits = []
+    orbits, integrals = [], None
     parameter = str(about["parameter"])
     names = [*about["unknowns"][0]]
     if parameter in stepper.parameters and parameter not in names:
@@ -307,7 +307,8 @@ def open_family(stepper: Any, path: Any) -> Family:
             unknowns=tuple(names),
             parameters=known,
         )
-        search, point = read_search(stepper, given)
+        search, point = read_search(stepper, given, integrals)
+        integrals = search.shooting.integrals
         orbits.append(search.orbit(Solution(search.shooting.sweep(point), True, ())))
     status = FamilyStatus(int(about["status"]))
     return Family(tuple(orbits), parameter, status, tuple(tangents), orbits[0].search)

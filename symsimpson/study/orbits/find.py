@@ -72,8 +72,13 @@ def find_periodic(stepper: Stepper, given: OrbitArguments) -> Orbit:
     return search.refined_to(orbit, error, MOST_STEPS)
 
 
-def read_search(stepper: Stepper, given: OrbitArguments) -> tuple[Search, Point]:
-    """Read the arguments; return the equations and the first values of the unknowns."""
+def read_search(
+    stepper: Stepper, given: OrbitArguments, integrals: Integrals | None = None
+) -> tuple[Search, Point]:
+    """Read the arguments; return the equations and the first values of the unknowns.
+
+    The first ``integrals`` of the system are searched for if they are not known.
+    """
     _check_system(stepper)
     header = stepper.program.header
     unknowns = _read_unknowns(stepper, given.unknowns)
@@ -112,7 +117,7 @@ def read_search(stepper: Stepper, given: OrbitArguments) -> tuple[Search, Point]
             [c.row(flow, x, period, flow.spec.parameters)[0] for c in conditions] for x in table
         ]
         table = np.roll(table, -int(abs(np.array(rows)).max(axis=1).argmin()), axis=0)
-    integrals = find_integrals(stepper, flow, closing, z)
+    integrals = integrals or find_integrals(stepper, flow, closing, z)
     extra = np.zeros(len(closing.symbols))
     sizes = sizes_of_unknowns(flow.spec.parameters[list(flow.places)], extra.tolist(), scale[0])
     shooting = Shooting(

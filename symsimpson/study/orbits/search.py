@@ -249,11 +249,13 @@ class Search:
         plain = closing is not None and closing.order == 1 and not closing.moves
         if not plain or not self.flow.free_period or self.flow.retimed:
             return None
+        moves = abs(np.diff(states, axis=0)).max(axis=0)
         for k in range(MOST_REPEATED, 1, -1):
+            at = states[round(self.flow.steps / k)]
+            if (abs(at - states[0]) > moves).any():  # more than a step away
+                continue
             if self.flow.steps % k:
                 at = orbit.trajectory.sol(orbit.trajectory.t[0] + orbit.period / k)
-            else:
-                at = states[self.flow.steps // k]
             if (abs(at - states[0]) / self.shooting.scale).max() > REPEATED:
                 continue
             flow = replace(self.flow, steps=max(1, self.flow.steps // k), segments=1)
