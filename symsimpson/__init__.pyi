@@ -76,12 +76,12 @@ from .study.bench.work_precision import work_precision as work_precision
 from .study.control.problem import OptimalControl as OptimalControl
 from .study.control.result import ControlResult as ControlResult
 from .study.control.result import ControlStatus as ControlStatus
-from .study.orbits.bifurcations import Bifurcation as Bifurcation
-from .study.orbits.continuation import FamilyStatus as FamilyStatus
-from .study.orbits.family import Family as Family
+from .study.orbits.boundary_path import Path as Path
+from .study.orbits.orbit import Bifurcation as Bifurcation
+from .study.orbits.orbit import Family as Family
 from .study.orbits.orbit import Orbit as Orbit
-from .study.orbits.orbit import OrbitStatus as OrbitStatus
-from .study.orbits.orbit import Path as Path
+from .study.orbits.outcome import FamilyStatus as FamilyStatus
+from .study.orbits.outcome import OrbitStatus as OrbitStatus
 from .support.derivation import Report as Report
 
 __version__: str

@@ -40,25 +40,24 @@ if TYPE_CHECKING:
 
 
 def _call(module: str, name: str, *arguments: Any, **options: Any) -> Any:
-    """Call a function of ``study.analysis``, and import its module at the first call."""
-    return getattr(import_module(f"symsimpson.study.analysis.{module}"), name)(
-        *arguments, **options
-    )
+    """Call a function of ``study``, and import its module at the first call."""
+    return getattr(import_module(f"symsimpson.study.{module}"), name)(*arguments, **options)
 
 
 LOG = logging.getLogger(__name__)
 #: Functions that need T and V, which rooms below ``api`` cannot import.
 TOOLS = Tools(
-    certify=partial(_call, "certify", "certify"),
-    check_step=partial(_call, "stability.frequency", "warn_of_step"),
-    force_terms=partial(_call, "stability.cancelling", "force_terms"),
-    changes_of_potential=partial(_call, "stability.cancelling", "changes_of_potential"),
-    at_pole=partial(_call, "stability.passages", "at_pole"),
-    unresolved_pole=partial(_call, "stability.passages", "unresolved_pole"),
-    unresolved_step=partial(_call, "stability.passages", "unresolved_step"),
-    kink_passed=partial(_call, "stability.kinks", "kink_passed"),
-    regular_box=partial(_call, "stability.passages", "regular_box"),
+    certify=partial(_call, "analysis.certify", "certify"),
+    check_step=partial(_call, "analysis.stability.frequency", "warn_of_step"),
+    force_terms=partial(_call, "analysis.stability.cancelling", "force_terms"),
+    changes_of_potential=partial(_call, "analysis.stability.cancelling", "changes_of_potential"),
+    at_pole=partial(_call, "analysis.stability.passages", "at_pole"),
+    unresolved_pole=partial(_call, "analysis.stability.passages", "unresolved_pole"),
+    unresolved_step=partial(_call, "analysis.stability.passages", "unresolved_step"),
+    kink_passed=partial(_call, "analysis.stability.kinks", "kink_passed"),
+    regular_box=partial(_call, "analysis.stability.passages", "regular_box"),
     points_of=points_of,
+    find_orbits=partial(_call, "orbits.stepper_searches"),
 )
 
 

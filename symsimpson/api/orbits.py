@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
 from symsimpson.api.evaluator import Parameters
 from symsimpson.api.examining import Analyser
+from symsimpson.errors import reject
 from symsimpson.support.calling import explain_methods
 
 if TYPE_CHECKING:
     from symsimpson.stepping.event import Event
-    from symsimpson.study.orbits.family import Family
-    from symsimpson.study.orbits.orbit import Orbit, Path
+    from symsimpson.study.orbits.boundary_path import Path
+    from symsimpson.study.orbits.orbit import Family, Orbit
 
 
 @explain_methods()
@@ -45,8 +46,8 @@ class OrbitFinder(Analyser):
     ) -> Orbit:
         """Find a periodic orbit near a guess, with its multipliers.
 
-        The orbit is one of the scheme: its states repeat up to round-off. Its error is that of the
-        scheme. Pass exactly one guess: an initial state, ``guess`` or ``mode``.
+        The orbit is one of the scheme: its states repeat up to round-off, and its error has the
+        order of the scheme. Pass exactly one guess: an initial state, ``guess`` or ``mode``.
 
         Parameters
         ----------
@@ -123,13 +124,13 @@ class OrbitFinder(Analyser):
         >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=32,
         ...                          fixed={"theta": 1, "v_theta": 0})
         >>> orbit.status.name, round(orbit.period, 9)
-        ('FOUND', 2.139135803)
+        ('FOUND', 2.139137601)
         """
-        from symsimpson.study.orbits.find import OrbitArguments, find_periodic
-
-        state = q0, v0, p0, guess, mode, size, period, steps, h, fixed, middle
-        given = OrbitArguments(*state, conditions, unknowns, parameters, events, t0, error)
-        return find_periodic(cast(Any, self), given)
+        given = {"q0": q0, "v0": v0, "p0": p0, "guess": guess, "mode": mode, "size": size}
+        given |= {"period": period, "steps": steps, "h": h, "fixed": fixed, "middle": middle}
+        given |= {"conditions": conditions, "unknowns": unknowns, "parameters": parameters}
+        orbit: Orbit = self._search("periodic", events=events, t0=t0, error=error, **given)
+        return orbit
 
     def boundary(
         self,
@@ -174,9 +175,8 @@ class OrbitFinder(Analyser):
         >>> path.success, path.trajectory.q[-1].round(9).tolist()
         (True, [2.0])
         """
-        from symsimpson.study.orbits.find import find_path
-
-        return find_path(cast(Any, self), q0, q1, duration, steps, parameters, t0)
+        path: Path = self._search("boundary", (q0, q1), duration, steps, (parameters, t0))
+        return path
 
     def open_family(self, path: str | os.PathLike[str]) -> Family:
         """Read a family of orbits from a file.
@@ -206,6 +206,16 @@ class OrbitFinder(Analyser):
         >>> len(stepper.open_family(place))
         1
         """
-        from symsimpson.study.orbits.family import open_family
+        family: Family = self._search("open_family", path)
+        return family
 
-        return open_family(cast(Any, self), path)
+    def _search(self, name: str, *given: Any, **options: Any) -> Any:
+        """Call a function of the search for orbits."""
+        tools = self.program.tools
+        if tools is None:
+            reject(
+                "this stepper cannot search for orbits, because it belongs to a stored result.",
+                where=self.system,
+                remedy="Make a stepper with symsimpson.compile.",
+            )
+        return tools.find_orbits(name, self, *given, **options)

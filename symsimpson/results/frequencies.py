@@ -41,9 +41,10 @@ def frequencies_of(run: Any, count: Any, of: Any) -> tuple[Floats, Complexes]:
     if np.iscomplexobj(signal):
         return main_frequencies(t, signal.astype(np.complex128), count)
     real = signal.astype(np.float64)
-    found, amplitudes = main_frequencies(t, (real - real.mean()).astype(np.complex128), 2 * count)
-    positive = found > 0
-    return found[positive][:count], amplitudes[positive][:count]
+    centred = (real - real.mean()).astype(np.complex128)
+    frequencies, amplitudes = main_frequencies(t, centred, 2 * count)
+    positive = frequencies > 0
+    return frequencies[positive][:count], amplitudes[positive][:count]
 
 
 def main_frequencies(t: Floats, signal: Complexes, count: int) -> tuple[Floats, Complexes]:
@@ -65,8 +66,7 @@ def main_frequencies(t: Floats, signal: Complexes, count: int) -> tuple[Floats, 
     amplitudes = np.zeros(0, dtype=np.complex128)
     left = signal.astype(np.complex128)
     for _ in range(count):
-        found = _largest(place, window, left)
-        frequencies = np.append(frequencies, found)
+        frequencies = np.append(frequencies, _largest(place, window, left))
         frequencies, amplitudes = _together(place, window, signal, frequencies)
         left = signal - np.exp(1j * np.outer(place, frequencies)) @ amplitudes
     order = np.argsort(-abs(amplitudes))

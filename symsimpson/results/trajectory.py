@@ -245,23 +245,19 @@ class Trajectory(Savable, Energies, StateDerivatives):
         Parameters
         ----------
         count : int
-            Number of frequencies.
         of : str or array_like, shape (N + 1,), optional
-            The signal: a quantity by its name, or real or complex numbers, one for each state. The
-            default is the first coordinate.
+            The signal: a quantity by its name, or numbers. The default is the first coordinate.
 
         Returns
         -------
-        frequencies : ndarray, shape (count,)
-            Angular frequencies in the order of their amplitudes; those of real signals are
-            positive.
-        amplitudes : ndarray of complex, shape (count,)
-            The signal is the sum of A exp(i w t). Of a real signal, it is twice the real part.
+        frequencies, amplitudes : ndarray, shape (count,)
+            The signal is the sum of A exp(i w t), the largest abs(A) first. A real signal is twice
+            the real part, with positive w.
 
         Raises
         ------
         InputError
-            If the stored states are too few, or not evenly spaced.
+            If the states are too few, or not evenly spaced.
 
         Examples
         --------
@@ -269,7 +265,7 @@ class Trajectory(Savable, Energies, StateDerivatives):
         >>> stepper = ss.compile(ss.systems.henon_heiles(), "gauss8")
         >>> run = stepper.integrate([0.1, 0.0], v0=[0.0, 0.1], h=0.1, t_end=600.0)
         >>> run.frequencies(1)[0].round(6).tolist()
-        [1.003211]
+        [1.002927]
         """
         from symsimpson.results.frequencies import frequencies_of
 

@@ -56,14 +56,14 @@ def run_ensemble(
     check_on_failure(on_failure)
     read_progress(progress)
     program = _program_for_ensemble(program, request)
-    own = has_own_steps(request)
-    if own and (store is not None or client is not None):
+    differing = has_own_steps(request)
+    if differing and (store is not None or client is not None):
         reject(
             "store= and client= need a common step size and initial time.",
             where=program.system,
             remedy="Pass numbers for h and t0, or keep the ensemble in memory.",
         )
-    if own:
+    if differing:
         h, t0, request = read_own_steps(program, request)
     task = read_ensemble_spec(program, request, threads, progress, on_disk=store is not None)
 
@@ -77,7 +77,7 @@ def run_ensemble(
             raise Interrupted(ensemble.message, trajectory=ensemble)
         return ensemble
 
-    return run_groups(program, task, (h, t0), run) if own else run(task)
+    return run_groups(program, task, (h, t0), run) if differing else run(task)
 
 
 def _program_for_ensemble(program: Program, request: Request) -> Program:

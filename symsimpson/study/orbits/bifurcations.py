@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
 
 from symsimpson.errors import reject
+from symsimpson.study.orbits.continuation import Continuation
 from symsimpson.study.orbits.find import read_search
-from symsimpson.study.orbits.orbit import Orbit
-from symsimpson.study.orbits.shooting import Point, Solution, Sweep
+from symsimpson.study.orbits.orbit import Bifurcation, Family, Orbit
+from symsimpson.study.orbits.outcome import FamilyStatus
+from symsimpson.study.orbits.shooting import Solution, Sweep, Unknowns
 from symsimpson.support.array_types import Floats
-
-if TYPE_CHECKING:
-    from symsimpson.study.orbits.continuation import Continuation
-    from symsimpson.study.orbits.family import Family
 
 #: Tolerance of the place of a bifurcation, relative to the scale.
 PLACE = 1e-13
@@ -27,32 +25,6 @@ BESIDE = 0.004
 
 FOLD, BRANCH, DOUBLING = "fold", "branch point", "period doubling"
 KREIN, TORUS, RESONANCE = "Krein collision", "torus", "resonance"
-
-
-@dataclass(frozen=True, eq=False)
-class Bifurcation:
-    """An orbit at which a family turns, or other families branch off.
-
-    Attributes
-    ----------
-    kind : str
-        "fold", "branch point", "period doubling", "Krein collision", "torus" or "resonance".
-    value : float
-        The value of the quantity that changes along the family.
-    orbit : Orbit
-        The orbit.
-    direction : ndarray, shape (2 n,)
-        The direction (dq, dp) of the initial state in which other orbits lie.
-    """
-
-    kind: str
-    value: float
-    orbit: Orbit
-    direction: Floats
-    place: int  #: The number of the orbit before it.
-
-    def __repr__(self) -> str:
-        return f"Bifurcation({self.kind!r}, value={self.value:.12g})"
 
 
 def find_bifurcations(family: Family) -> tuple[Bifurcation, ...]:
@@ -106,10 +78,10 @@ def _on_circle(orbit: Orbit, rate: float) -> float:
 
 def _crossings(family: Family, kind: str, test: Test) -> list[Bifurcation]:
     """Locate the zeros of a test function between neighbours."""
-    line = family.continuation
+    line = line_of(family)
     rates = [line.rate(x, t) for x, t in zip(family.orbits, family.tangents, strict=True)]
     values = [test(x, rate) for x, rate in zip(family.orbits, rates, strict=True)]
-    found = []
+    places = []
     for k in range(len(family) - 1):
         turns = rates[k] * rates[k + 1] < 0
         if not values[k] * values[k + 1] < 0 or (kind == BRANCH and turns):
@@ -120,8 +92,8 @@ def _crossings(family: Family, kind: str, test: Test) -> list[Bifurcation]:
             orbit = here.search.orbit(solution)
             direction = _direction(here, solution.sweep, tangent, kind, orbit)
             value = here.value(solution.sweep.point)
-            found.append(Bifurcation(kind, value, orbit, direction, k))
-    return found
+            places.append(Bifurcation(kind, value, orbit, direction, k))
+    return places
 
 
 def _locate(
@@ -173,7 +145,7 @@ def other_orbit(family: Family, bifurcation: Bifurcation) -> Orbit:
             remedy="Switch at a branch point or a period doubling.",
         )
     orbit = bifurcation.orbit
-    line = family.continuation.at(orbit)
+    line = line_of(family).at(orbit)
     search = line.search
     if bifurcation.kind == DOUBLING:
         search = _doubled(line, orbit)
@@ -188,7 +160,7 @@ def other_orbit(family: Family, bifurcation: Bifurcation) -> Orbit:
     for side in (1, -1):
         states = start.states.copy()
         states[0] = states[0] + side * BESIDE * unit
-        guess: Point = replace(start, states=states)
+        guess: Unknowns = replace(start, states=states)
         at = shooting.pack(guess) / shooting.units
         solution = shooting.solve(guess, lambda y, at=at: (row @ (y - at), row))  # type: ignore[misc]
         if solution.converged:
@@ -202,8 +174,28 @@ def _doubled(line: Continuation, orbit: Orbit) -> Any:
     if given.events is not None:
         events = [given.events] if not isinstance(given.events, (list, tuple)) else given.events
         twice = [replace(x, terminal=2 * int(x.terminal)) if x.terminal else x for x in events]
-        given = given._replace(events=twice)
+        given = replace(given, events=twice)
     else:
-        given = given._replace(period=2 * given.period, steps=2 * given.steps)
-    search, _ = read_search(line.search.stepper, given, line.search.shooting.integrals)
+        given = replace(given, period=2 * given.period, steps=2 * given.steps)
+    search, _ = read_search(
+        line.search.stepper, given, line.search.tools, line.search.shooting.integrals
+    )
     return search
+
+
+def line_of(family: Family) -> Continuation:
+    """Return the equations of a family."""
+    return Continuation(family.search, family.parameter, family.orbits[0])
+
+
+def switch(family: Family, bifurcation: Bifurcation, count: int, options: Any) -> Family:
+    """Follow the other family at a bifurcation; see :meth:`Family.switch`."""
+    first = other_orbit(family, bifurcation)
+    state = np.concatenate([first.q0, first.p0])
+    states = [np.concatenate([x.q0, x.p0]) for x in family.orbits]
+    gaps = [abs(x - state).max() for x in states] if first.success else [0.0]
+    near = abs(np.diff(states, axis=0)).max(axis=1) if len(states) > 1 else np.zeros(1)
+    if min(gaps) < 1e-12 * near[min(bifurcation.place, len(near) - 1)]:
+        status, tangent = FamilyStatus.SAME_FAMILY, np.zeros(first.search.shooting.columns)
+        return Family((first,), family.parameter, status, (tangent,), first.search)
+    return first.family(family.parameter, count=count, **options)

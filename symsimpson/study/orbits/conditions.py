@@ -13,12 +13,11 @@ import sympy as sp
 from symsimpson.declare.coordinates import time
 from symsimpson.errors import reject
 from symsimpson.run.state_costs import StateCost
+from symsimpson.study.orbits.boundary_path import ENERGY, PERIOD
 from symsimpson.study.orbits.flow import Flow
 from symsimpson.support.array_types import Floats
 from symsimpson.support.names import did_you_mean, spelled
 
-#: Names of conditions that are no expressions.
-ENERGY, PERIOD = "energy", "period"
 #: Relative displacement of a parameter for the derivative of the energy.
 SMALL = 2.0**-17
 
@@ -100,7 +99,7 @@ def _read_condition(flow: Flow, what: str, key: Any, value: Any) -> Condition:
 
 @dataclass(frozen=True)
 class Closing:
-    """What the final state is: q = R q0 + shift, p = R^-T p0.
+    """The map that closes an orbit: q = R q0 + shift, p = R^-T p0.
 
     ``shift`` depends on parameters and on ``symbols``, which are unknowns beside the parameters.
     """
@@ -179,7 +178,7 @@ def read_closing(program: Any, given: Any, unknowns: Sequence[Any]) -> Closing:
                 where=program.system,
                 why="The final state has to be an affine function of the initial coordinates, "
                 "with numbers as factors.",
-                remedy="Other symbols have to be parameters, or stand in unknowns=.",
+                remedy="List other symbols in unknowns=, if they are no parameters.",
             )
         R[place], shift[place] = [float(c) for c in row], rest
     for place, value in later:

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import copy
-import enum
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
 from symsimpson.errors import reject
-from symsimpson.study.orbits.conditions import ENERGY, PERIOD, Condition
+from symsimpson.program.input_values import read_count
+from symsimpson.study.orbits.boundary_path import ENERGY, PERIOD
+from symsimpson.study.orbits.conditions import Condition
 from symsimpson.study.orbits.find import read_search
-from symsimpson.study.orbits.orbit import Orbit
+from symsimpson.study.orbits.orbit import Family, Orbit
+from symsimpson.study.orbits.outcome import FamilyStatus
 from symsimpson.study.orbits.search import Search
-from symsimpson.study.orbits.shooting import Point, Solution, Sweep
+from symsimpson.study.orbits.shooting import Solution, Sweep, Unknowns
 from symsimpson.support.array_types import Floats
 from symsimpson.support.interpreter import catch_interrupts
 from symsimpson.support.names import did_you_mean, spelled
@@ -38,40 +40,6 @@ VANISHING = 1e-3
 FREE = 1e-6
 #: The shortest step.
 SHORTEST = 1e-8
-
-
-class FamilyStatus(enum.IntEnum):
-    """Why a family ended.
-
-    Examples
-    --------
-    >>> import symsimpson as ss
-    >>> ss.FamilyStatus.REACHED.name
-    'REACHED'
-    """
-
-    REACHED = 0
-    COUNT = 1
-    CLOSED = 2
-    EQUILIBRIUM = 3
-    STEP_FAILED = 4
-    STEP_TOO_SMALL = 5
-    INTERRUPTED = 6
-    SAME_FAMILY = 7
-
-    @property
-    def message(self) -> str:
-        """The status as a sentence."""
-        return (
-            "The family reached the value that you asked for.",
-            "The family has as many orbits as you asked for.",
-            "The family returned to its first orbit.",
-            "The family ends at an equilibrium.",
-            "A step of an orbit failed.",
-            "No orbit was found beyond the last one, however near.",
-            "The family was interrupted with Ctrl-C.",
-            "The search returned to the family that it was to leave.",
-        )[self]
 
 
 class Course(NamedTuple):
@@ -118,14 +86,28 @@ class Continuation:
                 where=stepper.system,
                 remedy=f"Choose from {', '.join(known)}.",
             )
-        arguments = given._replace(
-            q0=orbit.q0, v0=None, p0=orbit.p0, guess=None, mode=None, error=None,
-            period=given.period if search.flow.period_of is not None else orbit.period,
-            steps=orbit.steps, fixed=fixed, unknowns=tuple(unknowns),
-            parameters=search._free_parameters(orbit),
-        )  # fmt: skip
+        period = given.period if search.flow.period_of is not None else orbit.period
+        arguments = replace(
+            given,
+            q0=orbit.q0,
+            v0=None,
+            p0=orbit.p0,
+            guess=None,
+            mode=None,
+            error=None,
+            period=period,
+        )
+        arguments = replace(
+            arguments,
+            steps=orbit.steps,
+            fixed=fixed,
+            unknowns=tuple(unknowns),
+            parameters=search.free_parameters(orbit),
+        )
         self.arguments = arguments
-        self.search, self.start = read_search(stepper, arguments, search.shooting.integrals)
+        self.search, self.start = read_search(
+            stepper, arguments, search.tools, search.shooting.integrals
+        )
         names = self.search.shooting.closing.symbols if self.search.shooting.closing else ()
         extra = np.array([orbit.unknowns[str(x)] for x in names], dtype=np.float64)
         self.start = replace(self.start, extra=extra)
@@ -157,7 +139,7 @@ class Continuation:
         sizes = np.linalg.svd(sweep.matrix, compute_uv=False)
         return int(np.count_nonzero(sizes > RANK * sizes[0]))
 
-    def value(self, point: Point) -> float:
+    def value(self, point: Unknowns) -> float:
         """Return the quantity that changes."""
         flow = self.search.flow
         if self.name == ENERGY:
@@ -166,7 +148,7 @@ class Continuation:
             return point.period * (2 if self.search.mirror is not None else 1)
         return float(point.values[self.search.stepper.parameters.index(self.name)])
 
-    def scaled(self, point: Point) -> Floats:
+    def scaled(self, point: Unknowns) -> Floats:
         """Return the unknowns in scaled units."""
         shooting = self.search.shooting
         return shooting.pack(point) / shooting.units
@@ -215,7 +197,7 @@ class Continuation:
             return np.asarray(direction if direction @ before >= 0 else -direction)
         return np.asarray(direction)
 
-    def ahead(self, point: Point, tangent: Floats, length: float) -> Point:
+    def ahead(self, point: Unknowns, tangent: Floats, length: float) -> Unknowns:
         """Return the point at a distance along the tangent."""
         shooting = self.search.shooting
         return shooting.moved(point, length * tangent * shooting.units)
@@ -231,7 +213,7 @@ class Continuation:
 
         return self.search.shooting.solve(guess, more, MOST_ITERATIONS)
 
-    def at_value(self, start: Point, value: float) -> Solution:
+    def at_value(self, start: Unknowns, value: float) -> Solution:
         """Solve the equations where the quantity has a value."""
         shooting, place = self.search.shooting, None
         if self._target is not None:
@@ -369,3 +351,41 @@ class Continuation:
         gap = self.scaled(first.point) - self.scaled(sweep.point)
         close = np.linalg.norm(gap) < length and len(tangents) > 4
         return bool(close and self.unit(tangents[0]) @ self.unit(tangents[-1]) > LARGEST_TURN)
+
+
+def follow(
+    orbit: Orbit,
+    parameter: Any,
+    to: float | None,
+    count: Any,
+    step: float,
+    largest: float,
+    progress: bool | None,
+) -> Family:
+    """Follow a family from an orbit; see :meth:`Orbit.family`."""
+    if not orbit.success:
+        reject(
+            f"this orbit was not found: {orbit.status.name}.",
+            where=orbit.search.stepper.system,
+            remedy="A family begins at an orbit whose success is True.",
+        )
+    continuation = Continuation(orbit.search, spelled(parameter), orbit)
+    count = read_count("count", count, least=1)
+    course = continuation.run(to, count, step, largest, None, progress)
+    return Family(course.orbits, continuation.name, course.status, course.tangents, course.search)
+
+
+def extend(family: Family, to: float | None, count: int) -> Family:
+    """Continue a family beyond its last orbit; see :meth:`Family.extend`."""
+    last = Continuation(family.search, family.parameter, family.orbits[-1])
+    step = 0.01
+    if len(family) > 1:
+        step = last.distance(family.orbits[-2], family.orbits[-1])
+    course = last.run(to, count, step, 10 * step, family.tangents[-1], None)
+    return Family(
+        (*family.orbits, *course.orbits[1:]),
+        family.parameter,
+        course.status,
+        (*family.tangents, *course.tangents[1:]),
+        course.search,
+    )

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from symsimpson.plotting.axes import get_axes
-
-if TYPE_CHECKING:
-    from symsimpson.study.orbits.family import Family
-    from symsimpson.study.orbits.orbit import Orbit
+from symsimpson.study.orbits.orbit import Family, Orbit
 
 
 def plot_orbit(orbit: Orbit, ax: Any) -> Any:

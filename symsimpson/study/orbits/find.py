@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -19,12 +19,13 @@ from symsimpson.run.integrate import integrate
 from symsimpson.stepping.inputs import program_with_derivatives
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec, read_run
+from symsimpson.study.orbits.boundary_path import Path
 from symsimpson.study.orbits.conditions import read_closing, read_conditions
 from symsimpson.study.orbits.flow import Flow
 from symsimpson.study.orbits.integrals import Integrals, find_integrals
-from symsimpson.study.orbits.orbit import Orbit, Path
+from symsimpson.study.orbits.orbit import Orbit
 from symsimpson.study.orbits.search import Search
-from symsimpson.study.orbits.shooting import Point, Shooting, sizes_of_unknowns
+from symsimpson.study.orbits.shooting import Shooting, Unknowns, sizes_of_unknowns
 from symsimpson.support.array_types import Floats
 from symsimpson.support.names import did_you_mean, spelled
 
@@ -40,7 +41,8 @@ UNDAMPED = 1e-9
 SAME = 1e-9
 
 
-class OrbitArguments(NamedTuple):
+@dataclass(frozen=True)
+class OrbitArguments:
     """Arguments of :meth:`Stepper.periodic`."""
 
     q0: Any = None
@@ -62,9 +64,9 @@ class OrbitArguments(NamedTuple):
     error: Any = None
 
 
-def find_periodic(stepper: Stepper, given: OrbitArguments) -> Orbit:
+def find_periodic(stepper: Stepper, tools: Any, given: OrbitArguments) -> Orbit:
     """Search for a periodic orbit; see :meth:`Stepper.periodic`."""
-    search, start = read_search(stepper, given)
+    search, start = read_search(stepper, given, tools)
     orbit = search.orbit(search.shooting.solve(start))
     if given.error is None:
         return orbit
@@ -73,8 +75,8 @@ def find_periodic(stepper: Stepper, given: OrbitArguments) -> Orbit:
 
 
 def read_search(
-    stepper: Stepper, given: OrbitArguments, integrals: Integrals | None = None
-) -> tuple[Search, Point]:
+    stepper: Stepper, given: OrbitArguments, tools: Any, integrals: Integrals | None = None
+) -> tuple[Search, Unknowns]:
     """Read the arguments; return the equations and the first values of the unknowns.
 
     The first ``integrals`` of the system are searched for if they are not known.
@@ -134,10 +136,10 @@ def read_search(
     symplectic = header.conservative and not to_event and header.autonomous
     mirror = _reversal(stepper, given.middle) if middle else None
     names = tuple(map(str, unknowns))
-    search = Search(stepper, shooting, names, given, symplectic, mirror)
+    search = Search(stepper, shooting, names, given, symplectic, tools, mirror)
     values = flow.spec.parameters
     length = period / half if period_of is None else period_of(values)[0]
-    return search, Point(table, length, values, extra, np.zeros(shooting.unfolded))
+    return search, Unknowns(table, length, values, extra, np.zeros(shooting.unfolded))
 
 
 def _check_system(stepper: Stepper) -> None:
@@ -177,7 +179,7 @@ def _read_unknowns(stepper: Stepper, given: Any) -> tuple[sp.Symbol, ...]:
             reject(
                 f"unknowns contains {x!r}, which is no parameter."
                 f"{did_you_mean(spelled(x), [*declared])}",
-                remedy="Pass parameters, or symbols that stand in conditions=.",
+                remedy="Pass parameters, or symbols of conditions=.",
             )
         symbols.append(symbol)
     # parameters come first
@@ -188,14 +190,15 @@ def _with_defaults(stepper: Stepper, given: OrbitArguments) -> OrbitArguments:
     """Fill in what a guess or a mode determines."""
     if isinstance(given.guess, Path):
         orbit = given.guess
-        given = given._replace(
+        given = replace(
+            given,
             period=orbit.period if given.period is None else given.period,
             steps=orbit.steps if given.steps is None else given.steps,
             parameters={**orbit.parameters, **(given.parameters or {})},
             guess=orbit.trajectory,
         )
     elif isinstance(given.guess, Trajectory) and given.period is None:
-        given = given._replace(period=float(given.guess.t[-1] - given.guess.t[0]))
+        given = replace(given, period=float(given.guess.t[-1] - given.guess.t[0]))
     if given.mode is not None:
         given = _states_of_mode(stepper, given)
     if given.q0 is None and given.guess is None:
@@ -240,7 +243,7 @@ def _states_of_mode(stepper: Stepper, given: OrbitArguments) -> OrbitArguments:
             [stepper.integrate(a, v0=b, **options).p[0] for a, b in zip(q, p, strict=True)]
         )
     period = 2 * np.pi / values[turning[number]].imag
-    return given._replace(period=period, guess=(q, p), mode=None)
+    return replace(given, period=period, guess=(q, p), mode=None)
 
 
 def _number(name: str, given: Any) -> float:
@@ -333,7 +336,7 @@ def _read_guess(stepper: Stepper, given: OrbitArguments, period: float) -> Float
             where=stepper.system,
             remedy="Pass stepper.integrate(...), another orbit, or (q, p) at equal intervals.",
         )
-    # states between those of the table by trigonometric interpolation
+    # trigonometric interpolation between the states of the table
     states = np.concatenate([q, p], axis=1)
     if len(states) == SEGMENTS:
         return states
@@ -427,7 +430,7 @@ def _reversal(stepper: Stepper, middle: Any) -> Floats:
 
 
 def find_path(
-    stepper: Stepper, q0: Any, q1: Any, duration: Any, steps: Any, parameters: Any, t0: Any
+    stepper: Stepper, tools: Any, ends: tuple[Any, Any], duration: Any, steps: Any, run: Any
 ) -> Path:
     """Search for a path between two boundaries; see :meth:`Stepper.boundary`."""
     _check_system(stepper)
@@ -437,7 +440,7 @@ def find_path(
             where=stepper.system,
             remedy="Use the system without the time transformation.",
         )
-    ends, n = (q0, q1), stepper.n
+    (parameters, t0), n = run, stepper.n
     values = [_end_values(stepper, f"q{k}", x) for k, x in enumerate(ends)]
     free, period = duration is None, 1.0 if duration is None else _number("duration", duration)
     steps = read_count("steps", 64 if steps is None else steps, least=1)
@@ -463,9 +466,9 @@ def find_path(
     none = Integrals(False, (), timeless=False)
     shooting = Shooting(flow, None, conditions[0], none, scale, period, last=conditions[1])
     _check_freedom(stepper, shooting)
-    search = Search(stepper, shooting, (), given, symplectic=False)
+    search = Search(stepper, shooting, (), given, symplectic=False, tools=tools)
     table = states if segments > 1 else states[:1]
-    point = Point(table, period, flow.spec.parameters, np.zeros(0), np.zeros(0))
+    point = Unknowns(table, period, flow.spec.parameters, np.zeros(0), np.zeros(0))
     return search.path(shooting.solve(point))
 
 

@@ -2,178 +2,24 @@
 
 from __future__ import annotations
 
-import enum
-from collections.abc import Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import reject
-from symsimpson.results.trajectory import Trajectory
+from symsimpson.study.orbits.boundary_path import ENERGY, PERIOD, Path
 from symsimpson.study.orbits.multipliers import Multipliers
+from symsimpson.study.orbits.outcome import FamilyStatus
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explain_methods
+from symsimpson.support.names import did_you_mean
 
 if TYPE_CHECKING:
     from symsimpson.run.ensemble.ensemble import Ensemble
-    from symsimpson.study.orbits.family import Family
-    from symsimpson.study.orbits.search import Search
-
-
-class OrbitStatus(enum.IntEnum):
-    """How the search for an orbit ended.
-
-    Examples
-    --------
-    >>> import symsimpson as ss
-    >>> ss.OrbitStatus.SHORTER.success, ss.OrbitStatus.NOT_CONVERGED.success
-    (True, False)
-    """
-
-    FOUND = 0
-    FOUND_COARSE = 1
-    SHORTER = 2
-    NOT_ISOLATED = 3
-    NOT_CONVERGED = 4
-    STEP_FAILED = 5
-    NOT_RESOLVED = 6
-    EQUILIBRIUM = 7
-    WRONG_EVENT = 8
-    INTERRUPTED = 9
-
-    @property
-    def success(self) -> bool:
-        """Whether the result is an orbit."""
-        return self <= OrbitStatus.NOT_ISOLATED
-
-    @property
-    def message(self) -> str:
-        """The status as a sentence, with what to do."""
-        return _MESSAGES[self]
-
-
-_MESSAGES = {
-    OrbitStatus.FOUND: "The orbit closes up to round-off.",
-    OrbitStatus.FOUND_COARSE: "The orbit closes, but not up to round-off. Take more steps.",
-    OrbitStatus.SHORTER: "The orbit repeats one of a shorter period, orbit.primitive.",
-    OrbitStatus.NOT_ISOLATED: "All motions nearby are periodic, too. This one is the nearest to "
-    "the guess.",
-    OrbitStatus.NOT_CONVERGED: "Newton's method did not converge. Give a nearer guess, a guess "
-    "along the whole orbit (guess=), or take more steps.",
-    OrbitStatus.STEP_FAILED: "A step failed. Give a nearer guess, or take more steps.",
-    OrbitStatus.NOT_RESOLVED: "The steps do not resolve the orbit. Take more steps.",
-    OrbitStatus.EQUILIBRIUM: "The state does not move: it is an equilibrium.",
-    OrbitStatus.WRONG_EVENT: "The run missed the event that ends it. Give a nearer guess.",
-    OrbitStatus.INTERRUPTED: "The search was interrupted with Ctrl-C.",
-}
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Path:
-    """A motion between two boundaries; :meth:`Stepper.boundary` returns it.
-
-    Attributes
-    ----------
-    duration : float
-        The time from one boundary to the other.
-    steps : int
-        Number of steps.
-    q0, v0, p0 : ndarray, shape (n,)
-        The initial state.
-    energy : float
-        H at the initial state.
-    parameters : mapping from str to float
-        Values of the parameters.
-    unknowns : mapping from str to float
-        Values of the unknowns.
-    status : OrbitStatus
-        How the search ended.
-    success : bool
-        True if the path was found.
-    message : str
-        The outcome as text.
-    residual : float
-        The largest error of the boundary conditions, relative to the scale of the motion.
-    iterations : int
-        Number of Newton iterations.
-
-    Examples
-    --------
-    >>> import symsimpson as ss
-    >>> stepper = ss.compile(ss.systems.kepler_plane(), "gauss8")
-    >>> path = stepper.boundary([1.0, 0.0], [-0.5, 1.2], duration=2.0, steps=24)
-    >>> path.success, path.v0.round(9).tolist()
-    (True, [-0.094933487, 1.134076482])
-    """
-
-    period: float = field(kw_only=True)
-    steps: int = field(kw_only=True)
-    q0: Floats = field(kw_only=True)
-    p0: Floats = field(kw_only=True)
-    values: Floats = field(kw_only=True)  #: Of the parameters.
-    unknowns: Mapping[str, float] = field(kw_only=True)
-    status: OrbitStatus = field(kw_only=True)
-    message: str = field(kw_only=True)
-    residual: float = field(kw_only=True)
-    iterations: int = field(kw_only=True)
-    #: Sizes of Newton's corrections, relative to the scale.
-    corrections: tuple[float, ...] = field(kw_only=True)
-    search: Search = field(kw_only=True)
-
-    @property
-    def duration(self) -> float:
-        """The time from one boundary to the other."""
-        return self.period
-
-    @property
-    def success(self) -> bool:
-        """True if the search found what it was to find."""
-        return self.status.success
-
-    @property
-    def parameters(self) -> Mapping[str, float]:
-        """Values of the parameters."""
-        names = self.search.stepper.parameters
-        return dict(zip(names, self.values.tolist(), strict=True))
-
-    @property
-    def h(self) -> float:
-        """The step size; of retimed systems, in transformed time."""
-        flow = self.search.shooting.flow
-        fixed = flow.to_event or flow.retimed
-        return float(flow.spec.h) if fixed else self.period / self.steps
-
-    @cached_property
-    def trajectory(self) -> Trajectory:
-        """The run over the whole path."""
-        return self.search.run(self, every=1)
-
-    @property
-    def v0(self) -> Floats:
-        """The initial velocities, shape (n,)."""
-        if not np.isfinite([*self.q0, *self.p0]).all():
-            return np.full(len(self.q0), np.nan)
-        return np.asarray(self._start.v[0])
-
-    @property
-    def energy(self) -> float:
-        """H at the initial state."""
-        return float(self._start.energy[0])
-
-    @cached_property
-    def _start(self) -> Trajectory:
-        """A run of no steps from the initial state."""
-        return self.search.run(self, every=1, whole=False)
-
-    def _title(self) -> str:
-        return f"duration {self.period:.10g}, {self.steps} steps"
-
-    def __repr__(self) -> str:
-        name = f"{type(self).__name__}({self.search.stepper.system}, {self.search.stepper.scheme}"
-        return f"{name}: {self._title()}; {self.status.name})"
 
 
 @explain_methods()
@@ -306,14 +152,14 @@ class Orbit(Path):
         >>> import symsimpson as ss
         >>> stepper = ss.compile(ss.systems.pendulum(), "gauss8")
         >>> orbit = stepper.periodic([0.5], v0=[0.0], period=2.04, steps=32,
-        ...                          fixed={"theta": 0.5, "v_theta": 0})
-        >>> family = orbit.family("energy", to=-5.0, count=20)
+        ...                          fixed={"v_theta": 0})
+        >>> family = orbit.family("energy", to=-5.0)
         >>> family.status.name, bool(family["period"][-1] > family["period"][0])
         ('REACHED', True)
         """
-        from symsimpson.study.orbits.family import follow
-
-        return follow(self, parameter, to, count, step, largest_step, progress)
+        course = to, count, step, largest_step
+        family: Family = self.search.tools.follow(self, parameter, *course, progress)
+        return family
 
     def manifold(
         self, kind: str = "unstable", *, size: float = 1e-6, count: int = 20, periods: float = 2.0
@@ -346,10 +192,9 @@ class Orbit(Path):
         >>> import symsimpson as ss
         >>> stepper = ss.compile(ss.systems.pendulum(), "gauss8")
         >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=40, fixed={"theta": 1})
-        >>> orbit.manifold()
+        >>> orbit.manifold()  # doctest: +ELLIPSIS
         Traceback (most recent call last):
-        symsimpson.errors.InputError: pendulum: this orbit has no unstable manifold.
-        Its multipliers are those of a stable orbit, or complex.
+        symsimpson.errors.InputError: pendulum: this orbit has no unstable manifold. ...
         """
         unstable = kind == "unstable"
         if kind not in ("unstable", "stable"):
@@ -361,9 +206,11 @@ class Orbit(Path):
             reject(
                 f"this orbit has no {kind} manifold.",
                 where=self.search.stepper.system,
-                why="Its multipliers are those of a stable orbit, or complex.",
+                why="It is stable, or its multipliers are complex.",
             )
-        return self.search.runs_beside(self, vectors[:, place].real, size, count, periods, unstable)
+        direction = vectors[:, place].real
+        runs: Ensemble = self.search.runs_beside(self, direction, size, count, periods, unstable)
+        return runs
 
     def plot(self, *, ax: Any = None) -> Any:
         """Draw the orbit in the plane of its first two coordinates, or of q and p.
@@ -385,9 +232,7 @@ class Orbit(Path):
         >>> orbit.plot().get_xlabel()
         'theta'
         """
-        from symsimpson.study.orbits.figures import plot_orbit
-
-        return plot_orbit(self, ax)
+        return self.search.tools.plot_orbit(self, ax)
 
     def plot_multipliers(self, *, ax: Any = None) -> Any:
         """Draw the multipliers and the unit circle in the complex plane.
@@ -409,9 +254,7 @@ class Orbit(Path):
         >>> orbit.plot_multipliers().get_xlabel()
         'real part'
         """
-        from symsimpson.study.orbits.figures import plot_multipliers
-
-        return plot_multipliers([self], ax)
+        return self.search.tools.plot_multipliers([self], ax)
 
     def save(self, path: Any) -> None:
         """Write the orbit to a file, which :meth:`Stepper.open_family` reads as a family of one.
@@ -433,10 +276,224 @@ class Orbit(Path):
         >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=40, fixed={"theta": 1})
         >>> orbit.save(pathlib.Path(tempfile.mkdtemp()) / "swing")
         """
-        from symsimpson.study.orbits.family import family_of
-
-        family_of(self).save(path)
+        tangent = np.zeros(self.search.shooting.columns)
+        Family((self,), "period", FamilyStatus.COUNT, (tangent,), self.search).save(path)
 
     def _title(self) -> str:
         stable = "stable" if self.stable else "unstable"
         return f"period {self.period:.10g}, {self.steps} steps, {stable}"
+
+
+@dataclass(frozen=True, eq=False)
+class Bifurcation:
+    """An orbit at which a family turns, or other families branch off.
+
+    Attributes
+    ----------
+    kind : str
+        "fold", "branch point", "period doubling", "Krein collision", "torus" or "resonance".
+    value : float
+        The value of the quantity that changes along the family.
+    orbit : Orbit
+        The orbit.
+    direction : ndarray, shape (2 n,)
+        The direction (dq, dp) of the initial state in which other orbits lie.
+    """
+
+    kind: str
+    value: float
+    orbit: Orbit
+    direction: Floats
+    place: int  #: The number of the orbit before it.
+
+    def __repr__(self) -> str:
+        return f"Bifurcation({self.kind!r}, value={self.value:.12g})"
+
+
+@explain_methods()
+@dataclass(frozen=True, eq=False, repr=False)
+class Family:
+    """A family of periodic orbits; :meth:`Orbit.family` returns it.
+
+    Attributes
+    ----------
+    orbits : tuple of Orbit
+        The orbits in the order of the family.
+    parameter : str
+        The name of the quantity that changes.
+    status : FamilyStatus
+        Why the family ended.
+    message : str
+        The outcome as text.
+    bifurcations : tuple of Bifurcation
+        Orbits at which the family turns, or others branch off.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> stepper = ss.compile(ss.systems.pendulum(), "gauss8")
+    >>> orbit = stepper.periodic([0.5], v0=[0.0], period=2.04, steps=32,
+    ...                          fixed={"v_theta": 0})
+    >>> family = orbit.family("period", to=2.2)
+    >>> family.status.name, round(float(family["period"][-1]), 9)
+    ('REACHED', 2.2)
+    """
+
+    orbits: tuple[Orbit, ...]
+    parameter: str
+    status: FamilyStatus
+    tangents: tuple[Floats, ...] = field(repr=False)  #: Directions of the unknowns.
+    search: Any = field(repr=False)
+
+    @overload
+    def __getitem__(self, key: str) -> Floats: ...
+    @overload
+    def __getitem__(self, key: int) -> Orbit: ...
+    def __getitem__(self, key: Any) -> Any:
+        """Return an orbit by its number, or a quantity of all orbits by its name.
+
+        Names are "period", "energy", "stability", parameters, and coordinates and momenta of the
+        initial states.
+        """
+        if not isinstance(key, str):
+            return self.orbits[key]
+        names, parameters = self.search.stepper.coordinates, self.search.stepper.parameters
+        if key in names:
+            return np.array([x.q0[names.index(key)] for x in self.orbits])
+        if key.removeprefix("p_") in names:
+            return np.array([x.p0[names.index(key.removeprefix("p_"))] for x in self.orbits])
+        if key in parameters:
+            return np.array([x.values[parameters.index(key)] for x in self.orbits])
+        if key == "stability":
+            return np.array([abs(x.multipliers).max(initial=1.0) for x in self.orbits])
+        if key in (PERIOD, ENERGY):
+            return np.array([getattr(x, key) for x in self.orbits])
+        known = [PERIOD, ENERGY, "stability", *parameters, *names, *(f"p_{x}" for x in names)]
+        reject(
+            f"a family has no quantity {key!r}.{did_you_mean(key, known)}",
+            remedy=f"Choose from {', '.join(known)}.",
+        )
+
+    @property
+    def message(self) -> str:
+        """The outcome as text."""
+        return self.status.message
+
+    def __len__(self) -> int:
+        return len(self.orbits)
+
+    def __iter__(self) -> Iterator[Orbit]:
+        return iter(self.orbits)
+
+    @cached_property
+    def bifurcations(self) -> tuple[Bifurcation, ...]:
+        """Orbits at which the family turns, or at which others branch off."""
+        places: tuple[Bifurcation, ...] = self.search.tools.bifurcations(self)
+        return places
+
+    def resonances(self, a: int, b: int) -> tuple[Bifurcation, ...]:
+        """Return the orbits with a multiplier exp(2 pi i a/b).
+
+        Parameters
+        ----------
+        a, b : int
+            Numerator and denominator.
+
+        Returns
+        -------
+        tuple of Bifurcation
+        """
+        places: tuple[Bifurcation, ...] = self.search.tools.resonances(self, a, b)
+        return places
+
+    def switch(self, bifurcation: Bifurcation, *, count: int = 50, **options: Any) -> Family:
+        """Follow the other family at a branch point or a period doubling.
+
+        Parameters
+        ----------
+        bifurcation : Bifurcation
+            One of ``family.bifurcations``.
+        count : int, default 50
+            Largest number of new orbits.
+        **options
+            The other arguments of :meth:`Orbit.family`.
+
+        Returns
+        -------
+        Family
+            The other family, which begins beside the bifurcation.
+
+        Raises
+        ------
+        InputError
+            If no other family branches off, or none was found.
+        """
+        family: Family = self.search.tools.switch(self, bifurcation, count, options)
+        return family
+
+    def extend(self, *, to: float | None = None, count: int = 200) -> Family:
+        """Continue the family beyond its last orbit.
+
+        Parameters
+        ----------
+        to : float, optional
+            The value at which the family ends.
+        count : int, default 200
+            Largest number of new orbits.
+
+        Returns
+        -------
+        Family
+            The whole family.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum(), "gauss8")
+        >>> orbit = stepper.periodic([0.5], v0=[0.0], period=2.04, steps=32,
+        ...                          fixed={"v_theta": 0})
+        >>> len(orbit.family("energy", count=3).extend(count=2))
+        6
+        """
+        family: Family = self.search.tools.extend(self, to, count)
+        return family
+
+    def plot(self, x: str | None = None, y: str = PERIOD, *, ax: Any = None) -> Any:
+        """Draw one quantity of the orbits against another; unstable orbits are dashed.
+
+        Parameters
+        ----------
+        x, y : str
+            Names of the quantities, as for ``family["..."]``. The defaults are the quantity that
+            changes and the period; "frequency" is 1/period.
+        ax : matplotlib axes, optional
+            Axes to draw in. By default, the method creates new axes.
+
+        Returns
+        -------
+        matplotlib axes
+        """
+        return self.search.tools.plot_family(self, x or self.parameter, y, ax)
+
+    def save(self, path: Any) -> None:
+        """Write the family to a file, which :meth:`Stepper.open_family` reads.
+
+        Parameters
+        ----------
+        path : path
+            The file; its name gets the suffix ``.npz``.
+
+        Raises
+        ------
+        StorageError
+            If the file cannot be written.
+        """
+        self.search.tools.save(self, path)
+
+    def __repr__(self) -> str:
+        low, high = self[self.parameter][[0, -1]]
+        name = f"Family({self.search.stepper.system}, {self.search.stepper.scheme}"
+        return (
+            f"{name}: {len(self)} orbits, {self.parameter} from {low:.6g} to {high:.6g}; "
+            f"{self.status.name})"
+        )

@@ -10,10 +10,12 @@ import numpy as np
 from symsimpson.api.stepper import Stepper
 from symsimpson.errors import reject
 from symsimpson.results.trajectory import Trajectory
+from symsimpson.study.orbits.boundary_path import Path
 from symsimpson.study.orbits.flow import Flow
 from symsimpson.study.orbits.multipliers import Multipliers, multipliers_of
-from symsimpson.study.orbits.orbit import Orbit, OrbitStatus, Path
-from symsimpson.study.orbits.shooting import Point, Shooting, Solution, Sweep
+from symsimpson.study.orbits.orbit import Orbit
+from symsimpson.study.orbits.outcome import OrbitStatus
+from symsimpson.study.orbits.shooting import Shooting, Solution, Sweep, Unknowns
 from symsimpson.support.array_types import Floats
 
 #: Residuals of found orbits, relative to the scale.
@@ -44,6 +46,7 @@ class Search:
     unknown_names: tuple[str, ...]
     given: Any  #: The arguments of the search, for families.
     symplectic: bool
+    tools: Any  #: The functions that results call: they need other parts of this room.
     mirror: Floats | None = None  #: The reversal of (q, p), for orbits with conditions half-way.
     error: float | None = None
 
@@ -68,7 +71,7 @@ class Search:
         )
         return replace(self, shooting=scaled)
 
-    def point_of(self, path: Path) -> Point:
+    def point_of(self, path: Path) -> Unknowns:
         """Return the unknowns of a result, in as many segments as the search has."""
         states = np.concatenate([path.q0, path.p0])[None]
         if self.flow.segments > 1:
@@ -76,7 +79,7 @@ class Search:
         names = self.shooting.closing.symbols if self.shooting.closing is not None else ()
         extra = np.array([path.unknowns[str(x)] for x in names], dtype=np.float64)
         unfolding = np.zeros(self.shooting.unfolded)
-        return Point(states, path.period, path.values, extra, unfolding)
+        return Unknowns(states, path.period, path.values, extra, unfolding)
 
     def split(self, run: Trajectory) -> Floats:
         """Return the states of a run at the starts of the segments."""
@@ -138,7 +141,7 @@ class Search:
         return replace(draft, status=status, message=message, primitive=primitive)
 
     def _derivative(self, sweep: Sweep) -> Floats:
-        """Return the derivative of the period map; of a mirrored orbit, that of both halves."""
+        """Return the derivative of the period map; a mirrored orbit has two halves."""
         size = 2 * self.flow.n
         if sweep.failure is not None:
             return np.full((size, size), np.nan)
@@ -268,7 +271,7 @@ class Search:
 
     def run(self, path: Path, *, every: int | None, whole: bool = True) -> Trajectory:
         """Integrate a result over its whole length, with the public method."""
-        options: dict[str, Any] = {"p0": path.p0, "parameters": self._free_parameters(path)}
+        options: dict[str, Any] = {"p0": path.p0, "parameters": self.free_parameters(path)}
         options |= {"t0": float(self.flow.spec.t0), "every": every, "progress": False}
         if not whole:
             return self.stepper.integrate(path.q0, h=1.0, steps=0, **options)
@@ -283,7 +286,8 @@ class Search:
             return self.stepper.integrate(path.q0, h=path.h, t_end=end, **options)
         return self.stepper.integrate(path.q0, h=path.h, steps=path.steps, **options)
 
-    def _free_parameters(self, path: Path) -> dict[str, float]:
+    def free_parameters(self, path: Path) -> dict[str, float]:
+        """Return the parameters that a run may be given."""
         fixed = self.stepper.program.header.from_start
         return {name: x for name, x in path.parameters.items() if name not in fixed}
 
@@ -305,7 +309,7 @@ class Search:
             steps=steps,
             tangents=start,
             t0=float(self.flow.spec.t0),
-            parameters=self._free_parameters(orbit),
+            parameters=self.free_parameters(orbit),
         )
         some = np.unique(np.linspace(0, steps, count, endpoint=False).round().astype(int))
         beside = run.tangent[some][..., 0]
@@ -318,7 +322,7 @@ class Search:
             steps=max(1, round(periods * steps)),
             t0=run.t[some] if not self.stepper.program.header.autonomous else 0.0,
             every=1,
-            parameters=self._free_parameters(orbit),
+            parameters=self.free_parameters(orbit),
             progress=False,
         )
 
