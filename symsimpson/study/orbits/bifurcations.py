@@ -15,7 +15,7 @@ from symsimpson.study.orbits.continuation import Continuation
 from symsimpson.study.orbits.find import read_search
 from symsimpson.study.orbits.orbit import Bifurcation, Family, Orbit
 from symsimpson.study.orbits.outcome import FamilyStatus
-from symsimpson.study.orbits.shooting import Solution, Sweep, Unknowns
+from symsimpson.study.orbits.shooting import OrbitUnknowns, Solution, Sweep
 from symsimpson.support.array_types import Floats
 
 #: Tolerance of the place of a bifurcation, relative to the scale.
@@ -160,7 +160,7 @@ def other_orbit(family: Family, bifurcation: Bifurcation) -> Orbit:
     for side in (1, -1):
         states = start.states.copy()
         states[0] = states[0] + side * BESIDE * unit
-        guess: Unknowns = replace(start, states=states)
+        guess: OrbitUnknowns = replace(start, states=states)
         at = shooting.pack(guess) / shooting.units
         solution = shooting.solve(guess, lambda y, at=at: (row @ (y - at), row))  # type: ignore[misc]
         if solution.converged:

@@ -106,7 +106,7 @@ class Closing:
 
     R: Floats  #: Shape (n, n).
     shift: tuple[sp.Expr, ...]
-    symbols: tuple[sp.Symbol, ...]  #: Unknowns that are no parameters.
+    symbols: tuple[sp.Symbol, ...]  #: OrbitUnknowns that are no parameters.
     parameters: tuple[sp.Symbol, ...]  #: All parameters of the system.
     order: int  #: The least power of R that is the identity; 1 if there is none up to 60.
 
@@ -135,6 +135,7 @@ class Closing:
         return shift, slopes
 
 
+AS_SYMBOLS = "Texts are never evaluated: write it with the symbols themselves."
 #: The largest power of R that is tried.
 MOST_POWERS = 60
 
@@ -159,6 +160,8 @@ def read_closing(program: Any, given: Any, unknowns: Sequence[Any]) -> Closing:
     for key, value in (given or {}).items():
         place = program.names.coordinates.place(key)
         if place is None and key in velocities:
+            if isinstance(value, str):
+                reject(f"conditions[{key}] is the text {value!r}.", remedy=AS_SYMBOLS)
             later.append((velocities.index(key), sp.sympify(value)))
             continue
         if place is None:
@@ -168,6 +171,8 @@ def read_closing(program: Any, given: Any, unknowns: Sequence[Any]) -> Closing:
                 f"{did_you_mean(spelled(key), known)}",
                 remedy=f"The coordinates are {', '.join(known)}.",
             )
+        if isinstance(value, str):
+            reject(f"conditions[{spelled(key)}] is the text {value!r}.", remedy=AS_SYMBOLS)
         whole = sp.expand(sp.sympify(value))
         row = [whole.coeff(q) for q in coordinates]
         rest = sp.expand(whole - sum(c * q for c, q in zip(row, coordinates, strict=True)))

@@ -17,7 +17,7 @@ from symsimpson.study.orbits.find import read_search
 from symsimpson.study.orbits.orbit import Family, Orbit
 from symsimpson.study.orbits.outcome import FamilyStatus
 from symsimpson.study.orbits.search import Search
-from symsimpson.study.orbits.shooting import Solution, Sweep, Unknowns
+from symsimpson.study.orbits.shooting import OrbitUnknowns, Solution, Sweep
 from symsimpson.support.array_types import Floats
 from symsimpson.support.interpreter import catch_interrupts
 from symsimpson.support.names import did_you_mean, spelled
@@ -139,7 +139,7 @@ class Continuation:
         sizes = np.linalg.svd(sweep.matrix, compute_uv=False)
         return int(np.count_nonzero(sizes > RANK * sizes[0]))
 
-    def value(self, point: Unknowns) -> float:
+    def value(self, point: OrbitUnknowns) -> float:
         """Return the quantity that changes."""
         flow = self.search.flow
         if self.name == ENERGY:
@@ -148,7 +148,7 @@ class Continuation:
             return point.period * (2 if self.search.mirror is not None else 1)
         return float(point.values[self.search.stepper.parameters.index(self.name)])
 
-    def scaled(self, point: Unknowns) -> Floats:
+    def scaled(self, point: OrbitUnknowns) -> Floats:
         """Return the unknowns in scaled units."""
         shooting = self.search.shooting
         return shooting.pack(point) / shooting.units
@@ -197,7 +197,7 @@ class Continuation:
             return np.asarray(direction if direction @ before >= 0 else -direction)
         return np.asarray(direction)
 
-    def ahead(self, point: Unknowns, tangent: Floats, length: float) -> Unknowns:
+    def ahead(self, point: OrbitUnknowns, tangent: Floats, length: float) -> OrbitUnknowns:
         """Return the point at a distance along the tangent."""
         shooting = self.search.shooting
         return shooting.moved(point, length * tangent * shooting.units)
@@ -213,7 +213,7 @@ class Continuation:
 
         return self.search.shooting.solve(guess, more, MOST_ITERATIONS)
 
-    def at_value(self, start: Unknowns, value: float) -> Solution:
+    def at_value(self, start: OrbitUnknowns, value: float) -> Solution:
         """Solve the equations where the quantity has a value."""
         shooting, place = self.search.shooting, None
         if self._target is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Any
@@ -13,7 +13,7 @@ import sympy as sp
 
 from symsimpson.api.stepper import Stepper
 from symsimpson.errors import SymsimpsonError, reject
-from symsimpson.program.input_values import read_count
+from symsimpson.program.input_values import read_count, whole_number
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.integrate import integrate
 from symsimpson.stepping.inputs import program_with_derivatives
@@ -25,7 +25,7 @@ from symsimpson.study.orbits.flow import Flow
 from symsimpson.study.orbits.integrals import Integrals, find_integrals
 from symsimpson.study.orbits.orbit import Orbit
 from symsimpson.study.orbits.search import Search
-from symsimpson.study.orbits.shooting import Shooting, Unknowns, sizes_of_unknowns
+from symsimpson.study.orbits.shooting import OrbitUnknowns, Shooting, sizes_of_unknowns
 from symsimpson.support.array_types import Floats
 from symsimpson.support.names import did_you_mean, spelled
 
@@ -70,18 +70,18 @@ def find_periodic(stepper: Stepper, tools: Any, given: OrbitArguments) -> Orbit:
     orbit = search.orbit(search.shooting.solve(start))
     if given.error is None:
         return orbit
-    error = _number("error", given.error)
+    error = read_number("error", given.error)
     return search.refined_to(orbit, error, MOST_STEPS)
 
 
 def read_search(
     stepper: Stepper, given: OrbitArguments, tools: Any, integrals: Integrals | None = None
-) -> tuple[Search, Unknowns]:
+) -> tuple[Search, OrbitUnknowns]:
     """Read the arguments; return the equations and the first values of the unknowns.
 
     The first ``integrals`` of the system are searched for if they are not known.
     """
-    _check_system(stepper)
+    check_system(stepper)
     header = stepper.program.header
     unknowns = _read_unknowns(stepper, given.unknowns)
     tied = not header.autonomous and given.events is None
@@ -93,7 +93,7 @@ def read_search(
     fixed_steps = not (to_event or header.retimed)
     steps = STEPS_TO_EVENT
     if to_event and given.period is not None:
-        steps = int(np.ceil(PERIODS_TO_EVENT * period / abs(_number("h", abs(given.h)))))
+        steps = int(np.ceil(PERIODS_TO_EVENT * period / abs(read_number("h", abs(given.h)))))
     if fixed_steps:
         steps = read_count("steps", 64 if given.steps is None else given.steps, least=1)
         segments = 1 if steps < SEGMENTS else segments
@@ -107,7 +107,7 @@ def read_search(
     if fixed_steps and given.middle is not None and steps % 2:
         reject(f"steps={steps} is odd, but middle= divides the orbit.", where=stepper.system)
     half = 2 if given.middle is not None else 1
-    flow = _make_flow(stepper, given, states, unknowns, steps // half, period_of, period / half)
+    flow = make_flow(stepper, given, states, unknowns, steps // half, period_of, period / half)
     closing = read_closing(stepper.program, given.conditions, unknowns)
     z = np.concatenate([flow.spec.q0, flow.spec.other0])
     scale, table = _scale_and_states(flow, z, states, period / half, segments)
@@ -132,17 +132,17 @@ def read_search(
         last=middle,
         sizes=sizes,
     )
-    _check_freedom(stepper, shooting)
+    check_freedom(stepper, shooting)
     symplectic = header.conservative and not to_event and header.autonomous
     mirror = _reversal(stepper, given.middle) if middle else None
     names = tuple(map(str, unknowns))
     search = Search(stepper, shooting, names, given, symplectic, tools, mirror)
     values = flow.spec.parameters
     length = period / half if period_of is None else period_of(values)[0]
-    return search, Unknowns(table, length, values, extra, np.zeros(shooting.unfolded))
+    return search, OrbitUnknowns(table, length, values, extra, np.zeros(shooting.unfolded))
 
 
-def _check_system(stepper: Stepper) -> None:
+def check_system(stepper: Stepper) -> None:
     """Reject steppers whose orbits cannot be searched for."""
     program = stepper.program
     if program.declared is None:
@@ -227,7 +227,8 @@ def _states_of_mode(stepper: Stepper, given: OrbitArguments) -> OrbitArguments:
         for k in np.argsort(values.imag)
         if values[k].imag > 0 and abs(values[k].real) < UNDAMPED * values[k].imag
     ]
-    if not isinstance(number, int) or not 0 <= number < len(turning):
+    number = whole_number(number)
+    if number is None or not 0 <= number < len(turning):
         reject(
             f"mode has the number {number!r}, but the equilibrium has {len(turning)} oscillations.",
             where=stepper.system,
@@ -246,7 +247,8 @@ def _states_of_mode(stepper: Stepper, given: OrbitArguments) -> OrbitArguments:
     return replace(given, period=period, guess=(q, p), mode=None)
 
 
-def _number(name: str, given: Any) -> float:
+def read_number(name: str, given: Any) -> float:
+    """Read a positive number."""
     if not isinstance(given, Real) and not getattr(given, "is_number", False):
         reject(f"{name} is {given!r}.", remedy="Pass a number.")
     number = float(given)
@@ -267,6 +269,8 @@ def _read_period(
         return float(given.period or 1.0), None
     if given.period is None:
         reject("a search needs the period, or a guess of it.", remedy="Pass period=.")
+    if isinstance(given.period, str):
+        reject(f"period is {given.period!r}, a text.", remedy="Pass a number or an expression.")
     symbols = tuple(program.declared.parameters)
     values = program.values(given.parameters)
     whole = sp.sympify(given.period)
@@ -276,7 +280,7 @@ def _read_period(
             f"the period contains {strange[0]}.", remedy="Write it with parameters of the system."
         )
     if not whole.free_symbols:
-        period = _number("period", given.period)
+        period = read_number("period", given.period)
         if tied:
             _check_drive(stepper, given, period)
         count = sum(x in unknowns for x in symbols)
@@ -288,7 +292,7 @@ def _read_period(
         length, *slopes = evaluate(*at.tolist())
         return float(length), np.array(slopes, dtype=np.float64)
 
-    period = _number("period", period_of(values)[0])
+    period = read_number("period", period_of(values)[0])
     return period, period_of if tied else None
 
 
@@ -346,7 +350,7 @@ def _read_guess(stepper: Stepper, given: OrbitArguments, period: float) -> Float
     return np.asarray(whole[:: len(whole) // SEGMENTS])
 
 
-def _make_flow(
+def make_flow(
     stepper: Stepper,
     given: OrbitArguments,
     states: Floats | None,
@@ -405,7 +409,7 @@ def _scale_and_states(
     return np.repeat(scale, n), table.copy()
 
 
-def _check_freedom(stepper: Stepper, shooting: Shooting) -> None:
+def check_freedom(stepper: Stepper, shooting: Shooting) -> None:
     """Reject more conditions than an orbit can satisfy."""
     if shooting.freedom >= 0:
         return
@@ -427,67 +431,3 @@ def _reversal(stepper: Stepper, middle: Any) -> Floats:
         if place is not None:
             signs[place], signs[n + place] = -1.0, 1.0
     return np.diag(signs)
-
-
-def find_path(
-    stepper: Stepper, tools: Any, ends: tuple[Any, Any], duration: Any, steps: Any, run: Any
-) -> Path:
-    """Search for a path between two boundaries; see :meth:`Stepper.boundary`."""
-    _check_system(stepper)
-    if stepper.program.header.retimed:
-        reject(
-            "boundaries of retimed systems are not available.",
-            where=stepper.system,
-            remedy="Use the system without the time transformation.",
-        )
-    (parameters, t0), n = run, stepper.n
-    values = [_end_values(stepper, f"q{k}", x) for k, x in enumerate(ends)]
-    free, period = duration is None, 1.0 if duration is None else _number("duration", duration)
-    steps = read_count("steps", 64 if steps is None else steps, least=1)
-    segments = SEGMENTS if steps % SEGMENTS == 0 else 1
-    places = [np.array([x.get(k, 0.0) for k in range(n)]) for x in values]
-    parts = np.arange(SEGMENTS)[:, None] / SEGMENTS
-    line = places[0] + parts * (places[1] - places[0])
-    slope = (places[1] - places[0]) / period
-    start = stepper.integrate(line[0], v0=slope, h=1.0, steps=0, parameters=parameters, t0=t0).p[0]
-    many = [
-        stepper.integrate(q, v0=slope, h=1.0, steps=0, parameters=parameters, t0=t0).p[0]
-        for q in line
-    ]
-    states = np.concatenate([line, many], axis=1)
-    given = OrbitArguments(line[0], None, start, parameters=parameters, t0=t0)
-    constant = None if free else (lambda _: (period, np.zeros(0)))
-    flow = _make_flow(stepper, given, None, (), steps, constant, period)
-    flow = replace(flow, segments=segments)
-    conditions = [
-        read_conditions(flow, f"q{k}", _as_mapping(stepper, x)) for k, x in enumerate(ends)
-    ]
-    scale = np.repeat([abs(states[:, :n]).max() or 1.0, abs(states[:, n:]).max() or 1.0], n)
-    none = Integrals(False, (), timeless=False)
-    shooting = Shooting(flow, None, conditions[0], none, scale, period, last=conditions[1])
-    _check_freedom(stepper, shooting)
-    search = Search(stepper, shooting, (), given, symplectic=False, tools=tools)
-    table = states if segments > 1 else states[:1]
-    point = Unknowns(table, period, flow.spec.parameters, np.zeros(0), np.zeros(0))
-    return search.path(shooting.solve(point))
-
-
-def _as_mapping(stepper: Stepper, given: Any) -> Mapping[Any, Any]:
-    """Return conditions on positions as a mapping."""
-    if isinstance(given, Mapping):
-        return given
-    numbers = np.asarray(given, dtype=np.float64)
-    if numbers.shape != (stepper.n,):
-        reject(
-            f"a boundary has shape {numbers.shape}, expected ({stepper.n},).",
-            where=stepper.system,
-            remedy="Pass a number for each coordinate, or a mapping.",
-        )
-    return dict(zip(stepper.coordinates, numbers.tolist(), strict=True))
-
-
-def _end_values(stepper: Stepper, what: str, given: Any) -> dict[int, float]:
-    """Return the numbers that are given for coordinates, by place."""
-    names = stepper.program.names.coordinates
-    pairs = ((names.place(key), x) for key, x in _as_mapping(stepper, given).items())
-    return {k: float(x) for k, x in pairs if k is not None and isinstance(x, Real)}

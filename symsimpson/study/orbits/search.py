@@ -15,7 +15,7 @@ from symsimpson.study.orbits.flow import Flow
 from symsimpson.study.orbits.multipliers import Multipliers, multipliers_of
 from symsimpson.study.orbits.orbit import Orbit
 from symsimpson.study.orbits.outcome import OrbitStatus
-from symsimpson.study.orbits.shooting import Shooting, Solution, Sweep, Unknowns
+from symsimpson.study.orbits.shooting import OrbitUnknowns, Shooting, Solution, Sweep
 from symsimpson.support.array_types import Floats
 
 #: Residuals of found orbits, relative to the scale.
@@ -71,7 +71,7 @@ class Search:
         )
         return replace(self, shooting=scaled)
 
-    def point_of(self, path: Path) -> Unknowns:
+    def point_of(self, path: Path) -> OrbitUnknowns:
         """Return the unknowns of a result, in as many segments as the search has."""
         states = np.concatenate([path.q0, path.p0])[None]
         if self.flow.segments > 1:
@@ -79,7 +79,7 @@ class Search:
         names = self.shooting.closing.symbols if self.shooting.closing is not None else ()
         extra = np.array([path.unknowns[str(x)] for x in names], dtype=np.float64)
         unfolding = np.zeros(self.shooting.unfolded)
-        return Unknowns(states, path.period, path.values, extra, unfolding)
+        return OrbitUnknowns(states, path.period, path.values, extra, unfolding)
 
     def split(self, run: Trajectory) -> Floats:
         """Return the states of a run at the starts of the segments."""

@@ -32,7 +32,7 @@ RANK = 1e-13
 
 
 @dataclass(frozen=True)
-class Unknowns:
+class OrbitUnknowns:
     """Values of all unknowns."""
 
     states: Floats  #: At the start of each segment, shape (m, 2 n).
@@ -46,7 +46,7 @@ class Unknowns:
 class Sweep:
     """The rows at a point, and their derivatives in scaled units."""
 
-    point: Unknowns
+    point: OrbitUnknowns
     legs: tuple[Leg, ...]
     residual: Floats
     matrix: Floats
@@ -125,14 +125,14 @@ class Shooting:
         states = np.tile(self.scale, self.flow.segments)
         return np.concatenate([states, period, self.sizes, np.ones(self.unfolded)])
 
-    def pack(self, point: Unknowns) -> Floats:
+    def pack(self, point: OrbitUnknowns) -> Floats:
         """Return the unknowns as a vector."""
         period = [point.period] if self.flow.free_period else []
         parameters = point.values[list(self.flow.places)]
         extra = point.extra if self.closing is not None else np.zeros(0)
         return np.concatenate([point.states.ravel(), period, parameters, extra, point.unfolding])
 
-    def moved(self, point: Unknowns, change: Floats) -> Unknowns:
+    def moved(self, point: OrbitUnknowns, change: Floats) -> OrbitUnknowns:
         """Return a point after a change of its unknowns, in their own units."""
         n, m, k = 2 * self.flow.n, self.flow.segments, len(self.flow.places)
         states, rest = np.split(change, [n * m])
@@ -145,7 +145,7 @@ class Shooting:
         length = point.period + (float(period[0]) if free else 0.0)
         if self.flow.period_of is not None:
             length, _ = self.flow.period_of(values)
-        return Unknowns(
+        return OrbitUnknowns(
             point.states + states.reshape(m, n),
             length,
             values,
@@ -153,7 +153,7 @@ class Shooting:
             point.unfolding + unfolding,
         )
 
-    def sweep(self, point: Unknowns) -> Sweep:
+    def sweep(self, point: OrbitUnknowns) -> Sweep:
         """Run all segments, and evaluate the rows and their derivatives."""
         flow, n = self.flow, 2 * self.flow.n
         m, k, free = flow.segments, len(flow.places), int(flow.free_period)
@@ -209,7 +209,7 @@ class Shooting:
         size = abs(slopes * self.units).max() or 1.0
         return np.append(rows, value / size), np.concatenate([matrix, slopes[None] / size])
 
-    def _close(self, leg: Leg, point: Unknowns, block: Floats) -> Floats:
+    def _close(self, leg: Leg, point: OrbitUnknowns, block: Floats) -> Floats:
         """Return the gap of the last segment, and set its derivatives."""
         assert self.closing is not None
         n, k = 2 * self.flow.n, len(self.flow.places)
@@ -248,7 +248,7 @@ class Shooting:
         return whole[sizes[:, 0] > 0] / sizes[sizes[:, 0] > 0]
 
     def solve(
-        self, start: Unknowns, more: More | None = None, most: int = MOST_ITERATIONS
+        self, start: OrbitUnknowns, more: More | None = None, most: int = MOST_ITERATIONS
     ) -> Solution:
         """Solve the equations by Newton's method with the smallest corrections.
 

@@ -6,8 +6,9 @@ from types import SimpleNamespace
 from typing import Any
 
 from symsimpson.study.orbits import bifurcations, continuation, figures, orbit_files
+from symsimpson.study.orbits.boundaries import find_path
 from symsimpson.study.orbits.boundary_path import Path
-from symsimpson.study.orbits.find import OrbitArguments, find_path, find_periodic
+from symsimpson.study.orbits.find import OrbitArguments, find_periodic
 from symsimpson.study.orbits.orbit import Family, Orbit
 
 #: The functions that results call.
