@@ -178,7 +178,16 @@ class OrbitFinder(Analyser):
         path: Path = self._search("boundary", (q0, q1), duration, steps, (parameters, t0))
         return path
 
-    def open_family(self, path: str | os.PathLike[str]) -> Family:
+    def open_family(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        fixed: Mapping[Any, Any] | None = None,
+        middle: Mapping[Any, Any] | None = None,
+        conditions: Mapping[Any, Any] | None = None,
+        events: Sequence[Event] | None = None,
+        period: Any = None,
+    ) -> Family:
         """Read a family of orbits from a file.
 
         Parameters
@@ -186,6 +195,9 @@ class OrbitFinder(Analyser):
         path : path
             A file that ``family.save`` or ``orbit.save`` wrote with a stepper of the same system
             and scheme.
+        fixed, middle, conditions, events, period : optional
+            The arguments of the search for the first orbit. The file contains numbers only. Pass
+            ``period`` for driven systems.
 
         Returns
         -------
@@ -195,6 +207,8 @@ class OrbitFinder(Analyser):
         ------
         StorageError
             If the file cannot be read, or belongs to another system or scheme.
+        InputError
+            If the family was found with arguments that you do not pass.
 
         Examples
         --------
@@ -203,10 +217,11 @@ class OrbitFinder(Analyser):
         >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=32, fixed={"theta": 1})
         >>> place = pathlib.Path(tempfile.mkdtemp()) / "swing.npz"
         >>> orbit.save(place)
-        >>> len(stepper.open_family(place))
+        >>> len(stepper.open_family(place, fixed={"theta": 1}))
         1
         """
-        family: Family = self._search("open_family", path)
+        given = {"fixed": fixed, "middle": middle, "conditions": conditions, "events": events}
+        family: Family = self._search("open_family", path, **given, period=period)
         return family
 
     def _search(self, name: str, *given: Any, **options: Any) -> Any:

@@ -84,7 +84,7 @@ def test_orders(name, scheme, order):
 
 
 @pytest.mark.slow
-def test_a_gait_and_its_period_doubling():
+def test_a_gait_and_its_period_doubling(tmp_path):
     g, doubling = PROBLEMS["compass_gait"], PROBLEMS["compass_gait_doubling"]
     system, landing = walker()
     stepper = ss.compile(system, "gauss8")
@@ -102,6 +102,9 @@ def test_a_gait_and_its_period_doubling():
     (place,) = family.bifurcations
     assert place.kind == "period doubling"
     assert abs(place.value - float(doubling["slope"])) < 1e-12
+    family.save(tmp_path / "gaits.npz")
+    (again,) = stepper.open_family(tmp_path / "gaits.npz", events=[landing]).bifurcations
+    assert abs(again.value - place.value) < 1e-12
     other = family.switch(place, count=3, to=0.085)
     assert other[0].success
     lengths = other[0].search.run(other[0], every=1).events("landing").t

@@ -109,7 +109,7 @@ def first_calls(cache_folder):
 
 #: Lines of text in each room.
 LINES = {
-    "api": 1852,
+    "api": 1867,
     "cli": 783,
     "declare": 6411,
     "discrete": 1895,
@@ -119,12 +119,12 @@ LINES = {
     "program": 2965,
     "reference": 1010,
     "results": 3743,
-    "root": 576,
+    "root": 583,
     "run": 7162,
     "schemes": 790,
     "stepping": 2455,
-    "study": 13310,
-    "support": 1099,
+    "study": 13386,
+    "support": 1175,
     "systems": 1915,
     "targets": 4604,
     "text": 7930,
@@ -152,10 +152,10 @@ FIGURES = {
     "values called found, made, own or one": (0, lambda: sum(map(is_vague, every_node()))),
     "names that several files have": (1, repeated_names),
     "modules at the root": (3, lambda: len(list(PACKAGE.glob("*.py")))),
-    "lines of the package": (67887, lambda: sum(lines_of_rooms().values())),
-    "files": (287, lambda: len(FILES)),
+    "lines of the package": (68061, lambda: sum(lines_of_rooms().values())),
+    "files": (290, lambda: len(FILES)),
     "floors": (10, floors),
-    "class names that occur twice": (7, repeated_classes),
+    "class names that occur twice": (6, repeated_classes),
     "docstrings with private words": (32, private_words),
     "docstrings that cannot be read alone": (
         0,

@@ -29,8 +29,8 @@ from symsimpson.study.control.uses import (
     draw_sparsity,
     label_bounds,
     run_phases,
-    write_solution,
 )
+from symsimpson.support.array_files import write_arrays
 from symsimpson.support.array_types import Floats
 from symsimpson.support.names import counted
 
@@ -439,7 +439,8 @@ class ControlResult:
         text: dict[str, Any] = {name: getattr(self, name) for name in SAVED}
         steps = self.layout.grid.steps
         text |= {"scheme": self.layout.scheme.name, "steps": steps if len(steps) > 1 else steps[0]}
-        write_solution(path, text | {"status": self.status.name}, self.x, self.multipliers)
+        text["status"] = self.status.name
+        write_arrays(path, "solution", text, {"x": self.x, "multipliers": self.multipliers})
 
     def plot(self) -> Any:
         """Draw coordinates and inputs over time, with one panel for each unit.

@@ -41,7 +41,7 @@ from symsimpson.study.control.solver import (
 )
 from symsimpson.study.control.symbolic_problem import SymbolicProblem, read_galerkin_scheme
 from symsimpson.study.control.transcription import PointFunctions
-from symsimpson.study.control.uses import read_solution
+from symsimpson.support.array_files import read_arrays
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import warn
 from symsimpson.support.interpreter import catch_interrupts
@@ -391,7 +391,8 @@ def open_solution(
     if it contains the solution of another problem.
     """
     kinds = {**SAVED, "scheme": str, "steps": _read_saved_grid}
-    place, saved, x, multipliers = read_solution(path, kinds)
+    sizes = {"x": 1, "multipliers": 1}
+    place, saved, (x, multipliers) = read_arrays(path, "solution", kinds, sizes)
     name, grid = saved.pop("scheme"), saved.pop("steps")
     galerkin_scheme, fits = read_galerkin_scheme(scheme or name), 0
     # do not allocate memory for a damaged number of steps

@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import json
-import os
-import zipfile
-import zlib
 from collections.abc import Iterator
 from itertools import groupby
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from symsimpson.errors import StorageError, reject
+from symsimpson.errors import reject
 from symsimpson.plotting.axes import choose_colours, escape_label, get_axes, name_axis
 from symsimpson.program.input_values import read_reals
 from symsimpson.study.control.transcription import PointFunctions
 from symsimpson.support.array_types import Floats, Ints
-from symsimpson.support.files import atomic_path, read_path
 from symsimpson.support.names import shortened
 
 if TYPE_CHECKING:
@@ -208,60 +202,3 @@ def draw_sparsity(result: Any) -> Any:
             ylabel=row_sizes,
         )
     return left.figure
-
-
-#: Errors that reading a missing, incomplete or wrong file may raise.
-FILE_ERRORS = (
-    *(OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error),
-    *(NotImplementedError, RuntimeError, OverflowError, MemoryError),
-)
-
-
-def write_solution(
-    path: str | os.PathLike[str], saved: dict[str, Any], x: Floats, multipliers: Floats
-) -> None:
-    """Write arrays and the JSON text of a solution to an ``.npz`` file.
-
-    Raises StorageError if the file cannot be written, and InputError for another extension.
-    """
-    place, text = read_path("path", path), np.array(json.dumps(saved))
-    if place.suffix != ".npz":
-        reject(
-            f"path is {str(place)!r}, but solutions are saved in .npz files.",
-            remedy="Use the extension .npz. result.trajectory.save has other file formats.",
-        )
-    with atomic_path(place, "solution") as whole, whole.open("wb") as file:
-        np.savez_compressed(file, saved=text, x=x, multipliers=multipliers)
-
-
-def read_solution(
-    path: str | os.PathLike[str], kinds: dict[str, Any]
-) -> tuple[Path, dict[str, Any], Floats, Floats]:
-    """Read a file of :func:`write_solution`. ``kinds`` has the conversion of each JSON entry.
-
-    Raises StorageError if the file is not a solution, or is damaged.
-    """
-    place = read_path("path", path)
-    try:
-        with place.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            saved = json.loads(str(archive["saved"]))
-            x, multipliers = (np.asarray(archive[k]) for k in ("x", "multipliers"))
-        if any(vector.ndim != 1 or vector.dtype != np.float64 for vector in (x, multipliers)):
-            raise ValueError("not one-dimensional arrays of float64")
-        if not (np.isfinite(x).all() and np.isfinite(multipliers).all()):
-            raise ValueError("not all numbers are finite")
-        return place, {key: kind(saved[key]) for key, kind in kinds.items()}, x, multipliers
-    except (FileNotFoundError, PermissionError, IsADirectoryError) as error:
-        reject(
-            f"the solution cannot be read: {error.strerror}.",
-            where=str(place),
-            remedy="Save a solution with result.save(path), and pass the name of that file.",
-            error=StorageError,
-        )
-    except FILE_ERRORS as error:
-        reject(
-            f"the file is damaged, or not a solution of symsimpson: {type(error).__name__}.",
-            where=str(place),
-            remedy="Save a solution with result.save(path), and open it with the same problem.",
-            error=StorageError,
-        )

@@ -29,7 +29,7 @@ KREIN, TORUS, RESONANCE = "Krein collision", "torus", "resonance"
 
 def find_bifurcations(family: Family) -> tuple[Bifurcation, ...]:
     """Find all bifurcations between neighbouring orbits of a family."""
-    tests = _tests(family)
+    tests = _tests(family) if len(family) > 1 else {}
     return tuple(x for kind, test in tests.items() for x in _crossings(family, kind, test))
 
 
@@ -196,6 +196,6 @@ def switch(family: Family, bifurcation: Bifurcation, count: int, options: Any) -
     gaps = [abs(x - state).max() for x in states] if first.success else [0.0]
     near = abs(np.diff(states, axis=0)).max(axis=1) if len(states) > 1 else np.zeros(1)
     if min(gaps) < 1e-12 * near[min(bifurcation.place, len(near) - 1)]:
-        status, tangent = FamilyStatus.SAME_FAMILY, np.zeros(first.search.shooting.columns)
+        status, tangent = FamilyStatus.SAME_FAMILY, np.zeros(0)
         return Family((first,), family.parameter, status, (tangent,), first.search)
     return first.family(family.parameter, count=count, **options)

@@ -265,8 +265,9 @@ class Continuation:
         orbits, length, largest_orbit = [orbit], abs(step), _extent(orbit)
         tangents = [direction * self.search.shooting.units]
         status = FamilyStatus.COUNT
-        with Progress(count, progress) as bar, catch_interrupts() as stopped:
+        with Progress(count, progress, "orbit") as bar, catch_interrupts() as stopped:
             while len(orbits) <= count:
+                bar.say(f"{self.name} = {self.value(sweep.point):.6g}")
                 bar.add(1)
                 length, solution, following = self._step(sweep, direction, length)
                 if stopped:
@@ -381,7 +382,8 @@ def extend(family: Family, to: float | None, count: int) -> Family:
     step = 0.01
     if len(family) > 1:
         step = last.distance(family.orbits[-2], family.orbits[-1])
-    course = last.run(to, count, step, 10 * step, family.tangents[-1], None)
+    tangent = family.tangents[-1] if len(family) > 1 else None
+    course = last.run(to, count, step, 10 * step, tangent, None)
     return Family(
         (*family.orbits, *course.orbits[1:]),
         family.parameter,

@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import reject
-from symsimpson.study.orbits.boundary_path import ENERGY, PERIOD, Path
+from symsimpson.study.orbits.boundary_path import PERIOD, Path
+from symsimpson.study.orbits.family_quantities import quantity
 from symsimpson.study.orbits.multipliers import Multipliers
 from symsimpson.study.orbits.outcome import FamilyStatus
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explain_methods
-from symsimpson.support.names import did_you_mean
 
 if TYPE_CHECKING:
     from symsimpson.run.ensemble.ensemble import Ensemble
@@ -150,9 +149,8 @@ class Orbit(Path):
         Examples
         --------
         >>> import symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum(), "gauss8")
-        >>> orbit = stepper.periodic([0.5], v0=[0.0], period=2.04, steps=32,
-        ...                          fixed={"v_theta": 0})
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> orbit = stepper.periodic([0.5], v0=[0.0], period=2.0, steps=40, fixed={"v_theta": 0})
         >>> family = orbit.family("energy", to=-5.0)
         >>> family.status.name, bool(family["period"][-1] > family["period"][0])
         ('REACHED', True)
@@ -196,20 +194,7 @@ class Orbit(Path):
         Traceback (most recent call last):
         symsimpson.errors.InputError: pendulum: this orbit has no unstable manifold. ...
         """
-        unstable = kind == "unstable"
-        if kind not in ("unstable", "stable"):
-            reject(f"kind is {kind!r}.", remedy="Pass 'unstable' or 'stable'.")
-        values, vectors = np.linalg.eig(self.derivative)
-        sizes = abs(values) if unstable else 1 / np.maximum(abs(values), 1e-300)
-        place = int(np.argmax(np.where(abs(values.imag) <= 1e-9 * abs(values), sizes, 0.0)))
-        if sizes[place] < 1 + 1e-6:
-            reject(
-                f"this orbit has no {kind} manifold.",
-                where=self.search.stepper.system,
-                why="It is stable, or its multipliers are complex.",
-            )
-        direction = vectors[:, place].real
-        runs: Ensemble = self.search.runs_beside(self, direction, size, count, periods, unstable)
+        runs: Ensemble = self.search.manifold(self, kind, size, count, periods)
         return runs
 
     def plot(self, *, ax: Any = None) -> Any:
@@ -262,22 +247,23 @@ class Orbit(Path):
         Parameters
         ----------
         path : path
-            The file; its name gets the suffix ``.npz``.
+            The file, with a name that ends in ``.npz``.
 
         Raises
         ------
         StorageError
             If the file cannot be written.
+        InputError
+            If the name does not end in ``.npz``.
 
         Examples
         --------
         >>> import pathlib, tempfile, symsimpson as ss
         >>> stepper = ss.compile(ss.systems.pendulum())
         >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=40, fixed={"theta": 1})
-        >>> orbit.save(pathlib.Path(tempfile.mkdtemp()) / "swing")
+        >>> orbit.save(pathlib.Path(tempfile.mkdtemp()) / "swing.npz")
         """
-        tangent = np.zeros(self.search.shooting.columns)
-        Family((self,), "period", FamilyStatus.COUNT, (tangent,), self.search).save(path)
+        Family((self,), PERIOD, FamilyStatus.COUNT, (np.zeros(0),), self.search).save(path)
 
     def _title(self) -> str:
         stable = "stable" if self.stable else "unstable"
@@ -331,9 +317,8 @@ class Family:
     Examples
     --------
     >>> import symsimpson as ss
-    >>> stepper = ss.compile(ss.systems.pendulum(), "gauss8")
-    >>> orbit = stepper.periodic([0.5], v0=[0.0], period=2.04, steps=32,
-    ...                          fixed={"v_theta": 0})
+    >>> stepper = ss.compile(ss.systems.pendulum())
+    >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=40, fixed={"v_theta": 0})
     >>> family = orbit.family("period", to=2.2)
     >>> family.status.name, round(float(family["period"][-1]), 9)
     ('REACHED', 2.2)
@@ -355,24 +340,7 @@ class Family:
         Names are "period", "energy", "stability", parameters, and coordinates and momenta of the
         initial states.
         """
-        if not isinstance(key, str):
-            return self.orbits[key]
-        names, parameters = self.search.stepper.coordinates, self.search.stepper.parameters
-        if key in names:
-            return np.array([x.q0[names.index(key)] for x in self.orbits])
-        if key.removeprefix("p_") in names:
-            return np.array([x.p0[names.index(key.removeprefix("p_"))] for x in self.orbits])
-        if key in parameters:
-            return np.array([x.values[parameters.index(key)] for x in self.orbits])
-        if key == "stability":
-            return np.array([abs(x.multipliers).max(initial=1.0) for x in self.orbits])
-        if key in (PERIOD, ENERGY):
-            return np.array([getattr(x, key) for x in self.orbits])
-        known = [PERIOD, ENERGY, "stability", *parameters, *names, *(f"p_{x}" for x in names)]
-        reject(
-            f"a family has no quantity {key!r}.{did_you_mean(key, known)}",
-            remedy=f"Choose from {', '.join(known)}.",
-        )
+        return quantity(self, key) if isinstance(key, str) else self.orbits[key]
 
     @property
     def message(self) -> str:
@@ -402,6 +370,14 @@ class Family:
         Returns
         -------
         tuple of Bifurcation
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=40, fixed={"v_theta": 0})
+        >>> orbit.family("energy", count=3).resonances(1, 3)  # a pendulum has no multipliers
+        ()
         """
         places: tuple[Bifurcation, ...] = self.search.tools.resonances(self, a, b)
         return places
@@ -426,7 +402,16 @@ class Family:
         Raises
         ------
         InputError
-            If no other family branches off, or none was found.
+            If no other family branches off.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=40, fixed={"v_theta": 0})
+        >>> family = orbit.family("energy", count=3)
+        >>> [family.switch(place) for place in family.bifurcations]  # none of a pendulum
+        []
         """
         family: Family = self.search.tools.switch(self, bifurcation, count, options)
         return family
@@ -449,9 +434,8 @@ class Family:
         Examples
         --------
         >>> import symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum(), "gauss8")
-        >>> orbit = stepper.periodic([0.5], v0=[0.0], period=2.04, steps=32,
-        ...                          fixed={"v_theta": 0})
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=40, fixed={"v_theta": 0})
         >>> len(orbit.family("energy", count=3).extend(count=2))
         6
         """
@@ -472,6 +456,14 @@ class Family:
         Returns
         -------
         matplotlib axes
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=40, fixed={"v_theta": 0})
+        >>> orbit.family("energy", count=3).plot(y="frequency").get_ylabel()
+        'frequency'
         """
         return self.search.tools.plot_family(self, x or self.parameter, y, ax)
 
@@ -481,12 +473,21 @@ class Family:
         Parameters
         ----------
         path : path
-            The file; its name gets the suffix ``.npz``.
+            The file, with a name that ends in ``.npz``.
 
         Raises
         ------
         StorageError
             If the file cannot be written.
+        InputError
+            If the name does not end in ``.npz``.
+
+        Examples
+        --------
+        >>> import pathlib, tempfile, symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=40, fixed={"v_theta": 0})
+        >>> orbit.family("energy", count=3).save(pathlib.Path(tempfile.mkdtemp()) / "swings.npz")
         """
         self.search.tools.save(self, path)
 

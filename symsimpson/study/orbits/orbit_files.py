@@ -2,79 +2,117 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path as FilePath
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from symsimpson.errors import StorageError
+from symsimpson.errors import StorageError, reject
 from symsimpson.study.orbits.find import OrbitArguments, read_search
 from symsimpson.study.orbits.orbit import Family
 from symsimpson.study.orbits.outcome import FamilyStatus
+from symsimpson.study.orbits.search import Search
 from symsimpson.study.orbits.shooting import Solution
-from symsimpson.support.files import read_path
+from symsimpson.support.array_files import read_arrays, write_arrays
+from symsimpson.support.names import spelled
+
+#: Arguments of a search that a file cannot contain.
+SYMBOLIC = ("fixed", "middle", "conditions", "events", "period")
+KINDS = {
+    **{"digest": str, "scheme": str, "parameter": str, "unknowns": list, "given": list},
+    **{"status": FamilyStatus.__getitem__, "steps": list, "t0": float, "h": float},
+}
+SIZES = {"q": 2, "p": 2, "period": 1, "values": 2, "extra": 2, "tangents": 2}
 
 
 def save_family(family: Family, path: Any) -> None:
     """Write a family to a file; see :meth:`Family.save`."""
-    place = FilePath(read_path("path", path)).with_suffix(".npz")
     orbits, search = family.orbits, family.search
-    about = {
+    saved = {
         "digest": search.stepper.program.header.digest,
         "scheme": search.stepper.scheme,
         "parameter": family.parameter,
-        "status": int(family.status),
-        "steps": [x.search.flow.steps for x in orbits],
-        "unknowns": [dict(x.unknowns) for x in orbits],
+        "status": family.status.name,
+        "steps": [x.steps for x in orbits],
+        "unknowns": [*search.unknown_names],
+        "given": _given(search),
+        "t0": float(search.flow.spec.t0),
+        "h": float(search.flow.spec.h),
     }
-    try:
-        np.savez(
-            place,
-            about=json.dumps(about),
-            q=[x.q0 for x in orbits],
-            p=[x.p0 for x in orbits],
-            period=[x.period for x in orbits],
-            values=[x.values for x in orbits],
-            tangents=np.array(family.tangents),
-        )
-    except OSError as error:
-        raise StorageError(f"the family cannot be written to {place}: {error}") from error
+    symbols = search.shooting.closing.symbols if search.shooting.closing is not None else ()
+    arrays = {
+        "q": np.array([x.q0 for x in orbits]),
+        "p": np.array([x.p0 for x in orbits]),
+        "period": np.array([x.period for x in orbits]),
+        "values": np.array([x.values for x in orbits]),
+        "extra": np.array([[x.unknowns[str(s)] for s in symbols] for x in orbits], dtype=float),
+        "tangents": np.array(family.tangents),
+    }
+    write_arrays(path, "family", saved, arrays)
 
 
-def open_family(stepper: Any, tools: Any, path: Any) -> Family:
+def open_family(stepper: Any, tools: Any, path: Any, given: Mapping[str, Any]) -> Family:
     """Read a family from a file; see :meth:`Stepper.open_family`."""
-    place = FilePath(read_path("path", path))
-    place = place if place.suffix == ".npz" else place.with_suffix(".npz")
-    try:
-        with np.load(place, allow_pickle=False) as file:
-            about = json.loads(str(file["about"]))
-            q, p, period, values, tangents = (
-                np.asarray(file[x], dtype=np.float64)
-                for x in ("q", "p", "period", "values", "tangents")
-            )
-    except (OSError, ValueError, KeyError) as error:
-        raise StorageError(f"{place} has no family of orbits: {error}") from error
-    if (about["digest"], about["scheme"]) != (stepper.program.header.digest, stepper.scheme):
-        raise StorageError(f"{place} belongs to another system or scheme than this stepper.")
-    orbits, integrals = [], None
-    parameter = str(about["parameter"])
-    names = [*about["unknowns"][0]]
-    if parameter in stepper.parameters and parameter not in names:
-        names.append(parameter)
-    for k in range(len(q)):
-        known = dict(zip(stepper.parameters, values[k].tolist(), strict=True))
-        given = OrbitArguments(
-            q[k],
-            None,
-            p[k],
-            period=float(period[k]),
-            steps=int(about["steps"][k]),
-            unknowns=tuple(names),
-            parameters=known,
+    place, saved, arrays = read_arrays(path, "family", KINDS, SIZES)
+    q, p, period, values, extra, tangents = arrays
+    header = stepper.program.header
+    if (saved["digest"], saved["scheme"]) != (header.digest, stepper.scheme):
+        reject(
+            "the family belongs to another system or scheme than this stepper.",
+            where=str(place),
+            remedy=f"Compile the same system with scheme={saved['scheme']!r}.",
+            error=StorageError,
         )
-        search, point = read_search(stepper, given, tools, integrals)
+    shape = (len(period), stepper.n)
+    whole = q.shape == p.shape == shape and values.shape == (shape[0], len(stepper.parameters))
+    if not whole or not len(extra) == len(tangents) == len(saved["steps"]) == shape[0] > 0:
+        reject(
+            "the file is damaged: its arrays do not match.", where=str(place), error=StorageError
+        )
+    fixed = {k: v for k, v in (given["fixed"] or {}).items() if spelled(k) != saved["parameter"]}
+    given = {**given, "fixed": fixed}
+    passed = [name for name in SYMBOLIC if given[name]]
+    if passed != saved["given"]:
+        reject(
+            f"the family was found with {_list(saved['given'])}, and you passed {_list(passed)}.",
+            where=str(place),
+            why="The file contains numbers only.",
+            remedy="Pass the same arguments as to periodic.",
+        )
+    orbits, integrals, count = [], None, len(values[0])
+    symbols = {str(x): x for x in _symbols(given["conditions"])}
+    for k in range(shape[0]):
+        named = zip(stepper.parameters, values[k, :count].tolist(), strict=True)
+        arguments = OrbitArguments(
+            q0=q[k],
+            p0=p[k],
+            steps=int(saved["steps"][k]),
+            h=saved["h"],
+            t0=saved["t0"],
+            unknowns=tuple(symbols.get(x, x) for x in saved["unknowns"]),
+            parameters={name: x for name, x in named if name not in header.from_start},
+            **{**given, "period": given["period"] or float(period[k])},
+        )
+        search, point = read_search(stepper, arguments, tools, integrals)
         integrals = search.shooting.integrals
-        orbits.append(search.orbit(Solution(search.shooting.sweep(point), True, ())))
-    status = FamilyStatus(int(about["status"]))
-    return Family(tuple(orbits), parameter, status, tuple(tangents), orbits[0].search)
+        sweep = search.shooting.sweep(replace(point, extra=extra[k]))
+        orbits.append(search.orbit(Solution(sweep, True, ())))
+    parts = tuple(orbits), saved["parameter"], saved["status"], tuple(tangents)
+    return Family(*parts, orbits[-1].search)
+
+
+def _given(search: Search) -> list[str]:
+    """Return the names of the symbolic arguments of a search; a number as period is none."""
+    names = [name for name in SYMBOLIC if getattr(search.given, name)]
+    return [x for x in names if x != "period" or search.flow.period_of is not None]
+
+
+def _list(names: list[str]) -> str:
+    return ", ".join(f"{name}=" for name in names) or "no symbolic arguments"
+
+
+def _symbols(conditions: Any) -> set[Any]:
+    """Return the symbols of conditions."""
+    values = conditions.values() if isinstance(conditions, Mapping) else ()
+    return {x for value in values for x in getattr(value, "free_symbols", ())}

@@ -48,7 +48,6 @@ class Search:
     symplectic: bool
     tools: Any  #: The functions that results call: they need other parts of this room.
     mirror: Floats | None = None  #: The reversal of (q, p), for orbits with conditions half-way.
-    error: float | None = None
 
     @property
     def flow(self) -> Flow:
@@ -291,15 +290,26 @@ class Search:
         fixed = self.stepper.program.header.from_start
         return {name: x for name, x in path.parameters.items() if name not in fixed}
 
-    def runs_beside(
-        self, orbit: Orbit, direction: Floats, size: float, count: int, periods: float, ahead: bool
-    ) -> Any:
-        """Run from states beside an orbit, displaced along a direction that moves with it."""
+    def manifold(self, orbit: Orbit, kind: str, size: float, count: int, periods: float) -> Any:
+        """Run from states beside an orbit; see :meth:`Orbit.manifold`."""
+        if kind not in ("unstable", "stable"):
+            reject(f"kind is {kind!r}.", remedy="Pass 'unstable' or 'stable'.")
         if self.flow.to_event or self.flow.retimed:
             reject(
                 "manifolds need an orbit with fixed steps and without events.",
                 where=self.stepper.system,
             )
+        ahead = kind == "unstable"
+        values, vectors = np.linalg.eig(orbit.derivative)
+        sizes = abs(values) if ahead else 1 / np.maximum(abs(values), 1e-300)
+        place = int(np.argmax(np.where(abs(values.imag) <= 1e-9 * abs(values), sizes, 0.0)))
+        if sizes[place] < 1 + 1e-6:
+            reject(
+                f"this orbit has no {kind} manifold.",
+                where=self.stepper.system,
+                why="It is stable, or its multipliers are complex.",
+            )
+        direction = vectors[:, place].real
         n, steps, h = self.flow.n, orbit.steps, orbit.h
         start = (direction / np.linalg.norm(direction / self.shooting.scale))[:, None]
         run = self.stepper.integrate(
@@ -330,13 +340,13 @@ class Search:
         """Double the steps until the estimated error is below ``error``."""
         order = self.stepper.order
         while orbit.success:
-            finer = replace(self.refined(2), error=None).orbit_near(orbit)
+            finer = orbit.refined(2)
             if not finer.success:
                 return orbit
             moved = [*(finer.q0 - orbit.q0), *(finer.p0 - orbit.p0)] / self.shooting.scale
             off = max(abs(moved).max(), abs(finer.period / orbit.period - 1)) / (1 - 2.0**-order)
             estimate = float(off) * 2.0**-order
-            orbit, self = replace(finer, error=estimate), finer.search
+            orbit = replace(finer, error=estimate)
             if estimate <= error:
                 return orbit
             if orbit.steps * 2 > most or off > WORST_ERROR:

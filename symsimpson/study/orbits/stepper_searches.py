@@ -35,6 +35,6 @@ def boundary(stepper: Any, *given: Any) -> Path:
     return find_path(stepper, TOOLS, *given)
 
 
-def open_family(stepper: Any, path: Any) -> Family:
+def open_family(stepper: Any, path: Any, **given: Any) -> Family:
     """Read a family from a file; see :meth:`Stepper.open_family`."""
-    return orbit_files.open_family(stepper, TOOLS, path)
+    return orbit_files.open_family(stepper, TOOLS, path, given)

@@ -155,7 +155,7 @@ def test_solutions_are_saved_with_the_numbers_they_have(tmp_path):
     for other in others:
         with pytest.raises(ss.InputError, match="the solution of another problem, with 6 steps"):
             other.open(path)
-    with pytest.raises(ss.StorageError, match=r"cannot be read: No such file.*\n.*result\.save"):
+    with pytest.raises(ss.StorageError, match=r"cannot be read: No such file.*\n.*save\(path\)"):
         cart().open(path.with_name("other.npz"))
     whole = path.read_bytes()
     for damaged in (whole[:-30], b"", b"no archive", whole.replace(b"saved", b"sawed")):

@@ -5,6 +5,7 @@ import signal
 import matplotlib as mpl
 import numpy as np
 import pytest
+import sympy as sp
 from support.orbit_cases import found
 
 import symsimpson as ss
@@ -28,17 +29,61 @@ def test_to_a_value_and_beyond(swing, tmp_path):
     longer = family.extend(count=2)
     assert len(longer) == len(family) + 2
     assert longer["energy"][-1] > -5.0
-    family.save(tmp_path / "swings")
-    again = swing.search.stepper.open_family(tmp_path / "swings")
-    assert again.status is family.status
-    np.testing.assert_array_equal(again["period"], family["period"])
-    assert len(again.extend(count=1)) == len(family) + 1
     with pytest.raises(ss.InputError, match="no quantity 'foo'"):
         family["foo"]
+
+
+def test_files(swing, tmp_path):
+    family, stepper = swing.family("energy", count=2), swing.search.stepper
+    place, fixed = tmp_path / "swings.npz", {"v_theta": 0}
+    family.save(place)
+    again = stepper.open_family(place, fixed=fixed)
+    assert again.status is family.status
+    np.testing.assert_array_equal(again["period"], family["period"])
+    longer, expected = again.extend(count=1), family.extend(count=1)
+    np.testing.assert_allclose(longer["period"], expected["period"], rtol=1e-13)
+    with pytest.raises(ss.InputError, match="found with fixed=, and you passed no symbolic"):
+        stepper.open_family(place)
     with pytest.raises(ss.StorageError, match="another system or scheme"):
-        ss.compile(ss.systems.pendulum(), "gauss4").open_family(tmp_path / "swings.npz")
-    with pytest.raises(ss.StorageError, match="has no family"):
-        swing.search.stepper.open_family(tmp_path / "nothing")
+        ss.compile(ss.systems.pendulum(), "gauss4").open_family(place)
+    with pytest.raises(ss.StorageError, match="family cannot be read"):
+        stepper.open_family(tmp_path / "nothing")
+    with pytest.raises(ss.InputError, match="extension"):
+        family.save(tmp_path / "swings")
+    whole = place.read_bytes()
+    for damaged in (whole[: len(whole) // 2], b"", whole[:300] + b"0" * 30 + whole[330:]):
+        place.write_bytes(damaged)
+        with pytest.raises(ss.StorageError, match="not a family of symsimpson"):
+            stepper.open_family(place)
+
+
+@pytest.mark.slow
+def test_files_of_driven_orbits(tmp_path):
+    """The period is an expression, and the orbit has been found in eight segments."""
+    (x,) = ss.coordinates("x")
+    w, v = sp.Symbol("w"), x.diff(ss.time)
+    drive = 0.3 * sp.cos(w * ss.time) - v / 10
+    system = ss.MechanicalSystem(
+        "duffing",
+        coordinates=[x],
+        kinetic=v**2 / 2,
+        potential=x**2 / 2 + x**4 / 4,
+        parameters={w: 1.2},
+        forces={x: drive},
+    )
+    stepper, period = ss.compile(system, "gauss6"), 2 * sp.pi / w
+    orbit = stepper.periodic([0.5], [0.0], period=period, steps=32)
+    orbit = stepper.periodic(guess=orbit, period=period, steps=32)
+    orbit.save(tmp_path / "one.npz")
+    one = stepper.open_family(tmp_path / "one.npz", period=period)
+    np.testing.assert_allclose(one[0].q0, orbit.q0, rtol=1e-12)
+    assert not one.bifurcations
+    family = orbit.family("w", to=1.3, count=40)
+    family.save(tmp_path / "family.npz")
+    again = stepper.open_family(tmp_path / "family.npz", period=period).extend(to=1.35, count=20)
+    assert again.status is ss.FamilyStatus.REACHED
+    with pytest.raises(ss.InputError, match="found with period="):
+        stepper.open_family(tmp_path / "family.npz")
 
 
 @pytest.mark.slow
