@@ -1,0 +1,1 @@
+"""Robots: trees of links and joints, their readers, and the systems that they declare."""
