@@ -168,6 +168,7 @@ def _compile_program(
         defaults={symbol.name: value for symbol, value in system.parameters.items()},
         numbers=numbers,
         reference_state=getattr(system, "reference_state", None),
+        default_inputs=getattr(system, "default_inputs", None),
         declared=system,
         derivation=derivation,
         tools=tools,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from symsimpson.declare.plain import Plain
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.families import Family, find_constraint_families, find_families
 from symsimpson.discrete.reductions import Composed, Part, Routh, Separable
@@ -40,6 +41,8 @@ from symsimpson.text.workspace_layout import layout
 
 #: The least average number of members of families for which loops pay.
 FAMILY_MEMBERS = 2
+#: Families with this many times the nodes of all energies repeat what their terms share.
+REPEATED = 2
 #: The most coordinates for nodes as lanes: the solve at each node takes n^3/6 operations.
 STAGE_COORDINATES = 24
 
@@ -218,6 +221,7 @@ class _ModuleWriter:
         if structure.constant_mass and structure.gyroscopic and equations.scheme.by_stages:
             names = (*names, "gyroscopic")
         large = _are_large(terms) and equations.plain.quadratic
+        large = large and not _repeat_nodes(terms, equations.plain)
         if not (self.storage.banded or large):
             self.functions = terms_of_l.unrolled_functions(low, names, places)
             return {}
@@ -327,6 +331,13 @@ def _stage_kernels(low: Lowering, known: Mapping[str, object], *, by_loops: bool
     traced = TracedStages(low, known).stages() if low.n <= STAGE_COORDINATES else None
     pays = canonical or (by_loops and known["CONSTANT_MASS"])
     return looped_stages(low, known) if traced is None and pays else traced
+
+
+def _repeat_nodes(groups: Sequence[Family], plain: Plain) -> bool:
+    """Return whether the terms of families share most of their nodes, as those of a robot do."""
+    whole = plain.graph.descendants(n for _, n in (plain.T, *plain.energies))
+    parts = sum(len(family.plain.graph.nodes) for family in groups)
+    return parts > REPEATED * len(whole)
 
 
 def _are_large(groups: Sequence[Family]) -> bool:

@@ -126,7 +126,8 @@ def collect_inputs(program: Program, given: Any) -> dict[str, Any]:
     if given is None:
         return {}
     if isinstance(given, Mapping):
-        return {names[k]: x for k, x in program.names.inputs.values_by_place(given).items()}
+        known = program.names.inputs.values_by_place(given)
+        return dict(program.default_inputs or {}) | {names[k]: x for k, x in known.items()}
     if len(names) == 1 and callable(given):
         return {names[0]: given}
     array = read_array("inputs", given, program.numbers)

@@ -7,7 +7,7 @@ proportional to the number of bodies.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,8 +16,8 @@ import sympy as sp
 from numpy.typing import NDArray
 
 from symsimpson.declare.bodies import body_rates, rotation_matrix
-from symsimpson.declare.robots.bodies_of_tree import WORLD, Bodies, MovingBody, regrouped
-from symsimpson.declare.robots.tree import Inertia, Placement
+from symsimpson.declare.robots.bodies_of_tree import WORLD, Bodies, regrouped
+from symsimpson.declare.robots.tree import Inertia, Placement, RobotTree
 from symsimpson.support.array_types import Floats
 
 #: Vectors and matrices of expressions.
@@ -35,6 +35,8 @@ class Motion:
     turn: Vector
     velocity: Vector
     rate: Vector
+    q: tuple[sp.Expr, ...]
+    v: tuple[sp.Expr, ...]
 
 
 def exact(numbers: Floats) -> Vector:
@@ -50,47 +52,70 @@ def exact_number(x: float) -> sp.Expr:
 
 def joint_motion(kind: str, q: Sequence[sp.Expr], v: Sequence[sp.Expr]) -> Motion:
     """Return the motion of a joint along or about the axis z."""
-    zero, turn = np.full(3, sp.S.Zero), exact(np.eye(3))
+    zero, turn, both = np.full(3, sp.S.Zero), exact(np.eye(3)), (tuple(q), tuple(v))
     if kind == "prismatic":
-        along = np.array([0, 0, v[0]], dtype=object)
-        return Motion(np.array([sp.S.Zero, sp.S.Zero, q[0]]), turn, along, zero)
-    if kind == "floating":
-        turn = np.array(rotation_matrix(q[3:]), dtype=object)
-        rate = np.array(list(body_rates(q[3:], v[3:])), dtype=object)
-        return Motion(np.array(q[:3]), turn, turn.T @ np.array(v[:3]), rate)
+        along = np.array([sp.S.Zero, sp.S.Zero, v[0]])
+        return Motion(np.array([sp.S.Zero, sp.S.Zero, q[0]]), turn, along, zero, *both)
+    if kind in ("floating", "ball"):
+        turn = np.array(rotation_matrix(q[-4:]), dtype=object)
+        rate = np.array(list(body_rates(q[-4:], v[-4:])), dtype=object)
+        shift, speed = (np.array(x[:3]) if len(x) == 7 else zero for x in both)
+        return Motion(shift, turn, turn.T @ speed, rate, *both)
     c, s = sp.cos(q[-1]), sp.sin(q[-1])
     turn[:2, :2] = [[c, -s], [s, c]]
     rate = np.array([sp.S.Zero, sp.S.Zero, v[-1]])
-    shift = np.array([*q[:-1], *[sp.S.Zero] * (4 - len(q))])
-    speed = np.array([*v[:-1], *[sp.S.Zero] * (4 - len(v))])
-    return Motion(shift, turn, turn.T @ speed, rate)
+    shift, speed = (np.array([*x[:-1], *[sp.S.Zero] * (4 - len(x))]) for x in both)
+    return Motion(shift, turn, turn.T @ speed, rate, *both)
 
 
-def motions_of(bodies: Bodies, coordinates: Callable[[MovingBody], Any]) -> list[Motion]:
-    """Return the motions of all bodies; ``coordinates`` returns q and v of a body."""
-    return [joint_motion(body.kind, *coordinates(body)) for body in bodies.moving]
+def motions_of(
+    tree: RobotTree,
+    bodies: Bodies,
+    q: Mapping[str, Sequence[sp.Expr]],
+    v: Mapping[str, Sequence[sp.Expr]],
+) -> list[Motion]:
+    """Return the motions of all bodies from coordinates and velocities by joint, or "base"."""
+    named, motions = {x.name: x for x in tree.joints}, []
+    for body in bodies.moving:
+        factor, offset, joint = 1.0, 0.0, body.joint
+        while joint is not None and joint.mimic is not None:
+            leader, a, b = joint.mimic
+            factor, offset, joint = factor * a, offset + factor * b, named[leader]
+        key, a, b = joint.name if joint else "base", exact_number(factor), exact_number(offset)
+        state = [a * x + b for x in q[key]], [a * x for x in v[key]]
+        motions.append(joint_motion(body.kind, *state))
+    return motions
+
+
+def velocities(bodies: Bodies, motions: Sequence[Motion]) -> list[tuple[Vector, Vector]]:
+    """Return angular velocity and velocity of the origin of each body, in its frame."""
+    zero = np.full(3, sp.S.Zero)
+    found = [(zero, zero)]  # of the world, and then of the bodies
+    for body, motion in zip(bodies.moving, motions, strict=True):
+        omega, velocity = found[body.parent + 1]
+        velocity = velocity + np.cross(omega, exact(body.place.shift))
+        omega, velocity = (exact(body.place.turn).T @ x for x in (omega, velocity))
+        velocity = velocity + np.cross(omega, motion.shift)
+        omega, velocity = (motion.turn.T @ x for x in (omega, velocity))
+        found.append((omega + motion.rate, velocity + motion.velocity))
+    return found[1:]
 
 
 def energies(bodies: Bodies, motions: Sequence[Motion], gravity: Vector) -> tuple[sp.Expr, sp.Expr]:
     """Return T and V."""
-    zero = np.full(3, sp.S.Zero)
-    state: dict[int, tuple[Vector, Vector, Vector, sp.Expr]] = {
-        WORLD: (zero, zero, gravity, sp.S.Zero)
-    }
-    terms, weights = list[sp.Expr](), list[sp.Expr]()
-    own = regrouped(bodies)
-    for number, (body, motion) in enumerate(zip(bodies.moving, motions, strict=True)):
-        omega, velocity, pull, level = state[body.parent]
-        shift, back = exact(body.place.shift), exact(body.place.turn).T
-        velocity, level = velocity + np.cross(omega, shift), level - pull @ shift
-        omega, velocity, pull = (back @ x for x in (omega, velocity, pull))
-        velocity, level = velocity + np.cross(omega, motion.shift), level - pull @ motion.shift
-        omega, velocity, pull = (motion.turn.T @ x for x in (omega, velocity, pull))
-        omega, velocity = omega + motion.rate, velocity + motion.velocity
-        state[number] = omega, velocity, pull, level
-        terms.append(_kinetic(own[number], omega, velocity))
-        weights += [exact_number(own[number].mass) * level, -exact(own[number].moment) @ pull]
-    weights.append(-exact(own[WORLD].moment) @ gravity)
+    own, moving = regrouped(bodies), velocities(bodies, motions)
+    pulls = [
+        (gravity, sp.S.Zero)
+    ]  # gravity in the frame of each body, and the height of its origin
+    weights = [-exact(own[WORLD].moment) @ gravity]
+    for inertia, body, motion in zip(own, bodies.moving, motions, strict=False):
+        pull, level = pulls[body.parent + 1]
+        level -= pull @ exact(body.place.shift)
+        pull = exact(body.place.turn).T @ pull
+        level, pull = level - pull @ motion.shift, motion.turn.T @ pull
+        pulls.append((pull, level))
+        weights += [exact_number(inertia.mass) * level, -exact(inertia.moment) @ pull]
+    terms = [_kinetic(inertia, *state) for inertia, state in zip(own, moving, strict=False)]
     return sp.Add(*terms), sp.Add(*weights)
 
 
@@ -107,8 +132,7 @@ def frames(bodies: Bodies, motions: Sequence[Motion]) -> list[tuple[Vector, Vect
     """Return position and rotation of all bodies in the world; the last one is the world."""
     found = [(np.full(3, sp.S.Zero), exact(np.eye(3)))]
     for body, motion in zip(bodies.moving, motions, strict=True):
-        frame = attached(found[0 if body.parent == WORLD else body.parent + 1], body.place)
-        origin, turn = frame
+        origin, turn = attached(found[body.parent + 1], body.place)
         found.append((origin + turn @ motion.shift, turn @ motion.turn))
     return [*found[1:], found[0]]
 

@@ -10,31 +10,23 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import sympy as sp
-from sympy.core.function import AppliedUndef
 
 from symsimpson.declare.coordinates import time
 from symsimpson.declare.orientation import read_array
-from symsimpson.declare.robots.bodies_of_tree import Bodies, MovingBody, find_bodies
+from symsimpson.declare.robots.bodies_of_tree import Bodies, find_bodies
+from symsimpson.declare.robots.forms import Form, in_bodies, in_joints
 from symsimpson.declare.robots.outlines import outline
-from symsimpson.declare.robots.recursion import (
-    Vector,
-    attached,
-    energies,
-    exact,
-    exact_number,
-    frames,
-    joint_motion,
-)
+from symsimpson.declare.robots.recursion import Vector, attached, exact
+from symsimpson.declare.robots.states import find_state
 from symsimpson.declare.robots.tree import RobotTree, locked_at, reject_robot, system_name
 from symsimpson.declare.robots.urdf import read_urdf
 from symsimpson.declare.system import MechanicalSystem
 from symsimpson.errors import ModelError, ModelWarning, reject
+from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explain_arguments, explain_methods, warn
 from symsimpson.support.names import did_you_mean, spelled
 
 Matrix: TypeAlias = sp.ImmutableDenseMatrix
-#: The names of the coordinates of a floating base.
-BASE = ("base_x", "base_y", "base_z", "base_e0", "base_e1", "base_e2", "base_e3")
 
 
 @explain_methods(ModelError)
@@ -68,9 +60,56 @@ class Robot(MechanicalSystem):
     joints: Mapping[str, Any] = field(kw_only=True, default_factory=dict)
     limits: Mapping[Any, tuple[float, float]] = field(kw_only=True, default_factory=dict)
     tree: RobotTree = field(kw_only=True)
-    #: The frame of each body, and the place of each link in its body.
     bodies: Bodies = field(kw_only=True)
-    body_frames: tuple[tuple[Vector, Vector], ...] = field(kw_only=True)
+    form: Form = field(kw_only=True)
+
+    @property
+    def reference_state(self) -> Mapping[str, Any]:
+        """A state at rest: joints at 0, or at the limit nearest to it."""
+        q0, v0 = self.state()
+        return {"q0": q0, "v0": v0}
+
+    @property
+    def default_inputs(self) -> Mapping[str, float]:
+        """Inputs of runs that do not pass them: 0."""
+        return dict.fromkeys(map(str, self.inputs), 0.0)
+
+    def state(
+        self,
+        positions: Mapping[str, Any] | None = None,
+        velocities: Mapping[str, Any] | None = None,
+    ) -> tuple[Floats, Floats]:
+        """Return an initial state from positions and velocities of joints.
+
+        Parameters
+        ----------
+        positions : mapping from str to float, optional
+            Coordinates by joint. Others are 0, or at the limit nearest to it. The base,
+            ``"base"``, has seven: its origin and a unit quaternion.
+        velocities : mapping from str to float, optional
+            Velocities by joint; others are 0. The base has the velocity of its origin in the
+            world, and its angular velocity in its own axes.
+
+        Returns
+        -------
+        q0, v0 : ndarray, shape (n,)
+            Values of the coordinates and their velocities, in both forms of a robot.
+
+        Raises
+        ------
+        InputError
+            If a joint does not move, or has another number of coordinates.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> arm = ss.from_urdf('''<robot name="slide"><link name="a"/><link name="b"><inertial>
+        ...     <mass value="1"/></inertial></link><joint name="x" type="prismatic">
+        ...     <parent link="a"/><child link="b"/><axis xyz="1 0 0"/></joint></robot>''')
+        >>> arm.state({"x": 0.5})
+        (array([0.5]), array([0.]))
+        """
+        return find_state(self.tree, self.bodies, self.form, positions, velocities)
 
     def frame(self, link: str) -> tuple[Matrix, Matrix]:
         """Return where a link is, for costs, constraints and events.
@@ -110,7 +149,7 @@ class Robot(MechanicalSystem):
                 error=ModelError,
             )
         number, place = self.bodies.links[link]
-        origin, turn = attached(self.body_frames[number], place)
+        origin, turn = attached(self.form.frames[number], place)
         return Matrix(3, 1, list(origin)), Matrix(3, 3, list(turn.ravel()))
 
 
@@ -202,7 +241,8 @@ def make_robot(
             tree.file, "no joint moves.", remedy="Lock fewer joints, or let the base float."
         )
     pull = exact(np.asarray(read_array("gravity", gravity, (3,))))
-    return _in_joints(tree, bodies, pull)
+    write = in_joints if form == "joints" else in_bodies
+    return _declare(tree, bodies, write(tree, bodies, pull))
 
 
 def _with_locked(tree: RobotTree, joints: Any, locked: Any) -> RobotTree:
@@ -224,74 +264,48 @@ def _with_locked(tree: RobotTree, joints: Any, locked: Any) -> RobotTree:
     return locked_at(tree, positions)
 
 
-def _in_joints(tree: RobotTree, bodies: Bodies, gravity: Vector) -> Robot:
-    """Declare a robot with the coordinates of its joints."""
-    functions: dict[str, tuple[AppliedUndef, ...]] = {}
-    if bodies.moving[0].joint is None:
-        functions["base"] = tuple(sp.Function(x)(time) for x in BASE)
+def _declare(tree: RobotTree, bodies: Bodies, form: Form) -> Robot:
+    """Declare the system of a form."""
+    motors, damping = dict[Any, sp.Expr](), dict[Any, sp.Expr]()
+    parameters, limits, inputs = dict[Any, float](), dict[Any, tuple[float, float]](), []
     for joint in tree.joints:
-        if joint.coordinates and joint.mimic is None:
-            functions[joint.name] = tuple(sp.Function(x)(time) for x in joint.coordinates)
-    named = {x.name: x for x in tree.joints}
-
-    def state(body: MovingBody) -> tuple[list[sp.Expr], list[sp.Expr]]:
-        factor, offset, joint = 1.0, 0.0, body.joint
-        while joint is not None and joint.mimic is not None:
-            leader, f, o = joint.mimic
-            factor, offset, joint = factor * f, offset + factor * o, named[leader]
-        q = functions["base" if joint is None else joint.name]
-        a, b = exact_number(factor), exact_number(offset)
-        return [a * x + b for x in q], [a * x.diff(time) for x in q]
-
-    motions = [joint_motion(body.kind, *state(body)) for body in bodies.moving]
-    kinetic, potential = energies(bodies, motions, gravity)
-    places = frames(bodies, motions)
-    extra, springs, constraints = list[sp.Expr](), list[sp.Expr](), dict[str, sp.Expr]()
-    for body in bodies.moving:
-        if body.kind == "floating":
-            key = "base" if body.joint is None else body.joint.name
-            e = functions[key][3:]
-            length = sum((x * x.diff(time) for x in e), sp.S.Zero)
-            # an inertia of the length of the quaternion, which does not change the motion
-            fourth = float(np.trace(body.inertia.about_centre())) / 3
-            extra.append(2 * exact_number(fourth or 1.0) * length**2)
-            constraints[f"quaternion_{key}"] = (sum(x**2 for x in e) - 1) / 2
-        elif body.joint is not None:
-            (q, *_), (v, *_) = state(body)
-            extra.append(exact_number(body.joint.armature) * v**2 / 2)
-            springs.append(
-                exact_number(body.joint.stiffness) * (q - exact_number(body.joint.rest)) ** 2 / 2
-            )
-    motors, damping, parameters, limits = {}, {}, {}, {}
-    for joint in tree.joints:
-        for q in functions.get(joint.name, ()) if joint.kind != "floating" else ():
-            v, name = q.diff(time), q.func.__name__
-            tau, c = sp.Symbol(f"tau_{name}"), sp.Symbol(f"damping_{name}")
-            motors[q], damping[q], parameters[c] = tau, -c * v, joint.damping
-            for key, bound in (
-                (q, joint.limits),
-                (v, (-joint.speed, joint.speed)),
-                (tau, (-joint.effort, joint.effort)),
-            ):
-                if np.isfinite(bound).any():
-                    limits[key] = bound
+        for name in joint.coordinates if joint.mimic is None else ():
+            if name not in form.rates:
+                continue
+            rate, tau = form.rates[name], sp.Symbol(f"tau_{name}")
+            inputs.append(tau)
+            c = sp.Symbol(f"damping_{name}")
+            parameters[c] = joint.damping
+            for q in form.coordinates:  # the power is tau times the rate
+                if (lever := rate.diff(q.diff(time))) != 0:
+                    motors[q] = motors.get(q, sp.S.Zero) + tau * lever
+                    damping[q] = damping.get(q, sp.S.Zero) - c * rate * lever
+            bounds = {rate: (-joint.speed, joint.speed), tau: (-joint.effort, joint.effort)}
+            if joint.name in form.functions:
+                bounds[form.functions[joint.name][0]] = joint.limits
+            limits |= {x: bound for x, bound in bounds.items() if np.isfinite(bound).any()}
     _warn_of_friction(tree)
     forces = {name: force for name, force in (("motors", motors), ("damping", damping)) if force}
+    joints = {
+        joint.name: form.functions.get(joint.name, form.functions.get(joint.child))
+        for joint in tree.joints
+        if joint.coordinates and joint.mimic is None
+    }
     return Robot(
         system_name(tree.name),
-        coordinates=tuple(q for some in functions.values() for q in some),
-        kinetic=sp.Add(kinetic, *extra),
-        potential=sp.Add(potential, *springs),
+        coordinates=form.coordinates,
+        kinetic=form.kinetic,
+        potential=form.potential,
         parameters=parameters,
         forces=forces,
-        inputs=tuple(motors.values()),
-        constraints=constraints,
-        positions=_positions(tree, bodies, places),
-        joints=MappingProxyType({k: v if len(v) > 1 else v[0] for k, v in functions.items()}),
+        inputs=tuple(inputs),
+        constraints=form.constraints,
+        positions=_positions(tree, bodies, form.frames),
+        joints=MappingProxyType({k: x[0] if x and len(x) == 1 else x for k, x in joints.items()}),
         limits=MappingProxyType(limits),
         tree=tree,
         bodies=bodies,
-        body_frames=tuple(places),
+        form=form,
     )
 
 

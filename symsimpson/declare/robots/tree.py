@@ -15,7 +15,7 @@ from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import warn
 from symsimpson.support.names import did_you_mean
 
-#: The coordinates of each kind of joint, after the name of the joint.
+#: The coordinates of each kind of joint, after the name of the joint. Files of MuJoCo have balls.
 COORDINATES = {
     "revolute": ("",),
     "continuous": ("",),
@@ -23,6 +23,7 @@ COORDINATES = {
     "fixed": (),
     "planar": ("_x", "_y", "_theta"),
     "floating": ("_x", "_y", "_z", "_e0", "_e1", "_e2", "_e3"),
+    "ball": ("_e0", "_e1", "_e2", "_e3"),
 }
 #: Relative error of moments of inertia, which people write with few digits.
 WRITTEN = 1e-2

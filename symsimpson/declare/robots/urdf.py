@@ -97,12 +97,13 @@ def _read_shape(element: Element) -> Shape | None:
 
 def _read_joint(element: Element) -> RobotJoint:
     file, name, kind = element.file, element.text("name"), element.text("type")
-    if kind not in COORDINATES:
+    kinds = [x for x in COORDINATES if x != "ball"]
+    if kind not in kinds:
         reject_robot(
             file,
-            f"the joint has the unknown type {kind!r}.{did_you_mean(kind, list(COORDINATES))}",
+            f"the joint has the unknown type {kind!r}.{did_you_mean(kind, kinds)}",
             element.where,
-            f"The types are {', '.join(COORDINATES)}.",
+            f"The types are {', '.join(kinds)}.",
         )
     ends = []
     for role in ("parent", "child"):
