@@ -8,15 +8,17 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
 
 from symsimpson.errors import reject
 from symsimpson.study.orbits.continuation import Continuation
 from symsimpson.study.orbits.find import read_search
 from symsimpson.study.orbits.orbit import Bifurcation, Family, Orbit
 from symsimpson.study.orbits.outcome import FamilyStatus
-from symsimpson.study.orbits.shooting import OrbitUnknowns, Solution, Sweep
+from symsimpson.study.orbits.search import Search
+from symsimpson.study.orbits.shooting import Solution, Sweep
 from symsimpson.support.array_types import Floats
+from symsimpson.support.extras import import_library
+from symsimpson.support.names import as_tuple
 
 #: Tolerance of the place of a bifurcation, relative to the scale.
 PLACE = 1e-13
@@ -29,17 +31,15 @@ KREIN, TORUS, RESONANCE = "Krein collision", "torus", "resonance"
 
 def find_bifurcations(family: Family) -> tuple[Bifurcation, ...]:
     """Find all bifurcations between neighbouring orbits of a family."""
-    tests = _tests(family) if len(family) > 1 else {}
-    return tuple(x for kind, test in tests.items() for x in _crossings(family, kind, test))
+    return _crossings(family, _tests(family)) if len(family) > 1 else ()
 
 
 def find_resonances(family: Family, a: int, b: int) -> tuple[Bifurcation, ...]:
     """Find the orbits with a multiplier exp(2 pi i a/b)."""
-    test = _passes(float(np.cos(2 * np.pi * a / b)))
-    return tuple(_crossings(family, RESONANCE, test))
+    return _crossings(family, {RESONANCE: _passes(float(np.cos(2 * np.pi * a / b)))})
 
 
-#: A function of an orbit, its rows, the tangent and the rate of the quantity that changes.
+#: A function of an orbit and the rate of the quantity that changes.
 Test = Callable[[Orbit, float], float]
 
 
@@ -76,32 +76,33 @@ def _on_circle(orbit: Orbit, rate: float) -> float:
     return float(np.prod([a * b - 1 for a, b in pairs]).real)
 
 
-def _crossings(family: Family, kind: str, test: Test) -> list[Bifurcation]:
-    """Locate the zeros of a test function between neighbours."""
-    line = line_of(family)
-    rates = [line.rate(x, t) for x, t in zip(family.orbits, family.tangents, strict=True)]
-    values = [test(x, rate) for x, rate in zip(family.orbits, rates, strict=True)]
-    places = []
-    for k in range(len(family) - 1):
-        turns = rates[k] * rates[k + 1] < 0
-        if not values[k] * values[k + 1] < 0 or (kind == BRANCH and turns):
-            continue
-        here = line.at(family.orbits[k])
-        if (place := _locate(family, here, k, test)) is not None:
-            solution, tangent = place
-            orbit = here.search.orbit(solution)
-            direction = _direction(here, solution.sweep, tangent, kind, orbit)
-            value = here.value(solution.sweep.point)
-            places.append(Bifurcation(kind, value, orbit, direction, k))
-    return places
+def _crossings(family: Family, tests: dict[str, Test]) -> tuple[Bifurcation, ...]:
+    """Locate the zeros of test functions between neighbours."""
+    line, places = line_of(family), list[Bifurcation]()
+    pairs = [*zip(family.orbits, family.tangents, strict=True)]
+    rates = [line.rate(line.search.point_of(x), tangent) for x, tangent in pairs]
+    for kind, test in tests.items():
+        values = [test(x, rate) for x, rate in zip(family.orbits, rates, strict=True)]
+        for k in range(len(family) - 1):
+            turns = rates[k] * rates[k + 1] < 0
+            if not values[k] * values[k + 1] < 0 or (kind == BRANCH and turns):
+                continue
+            here = line.at(family[k])
+            if (place := _locate(family, here, k, test)) is not None:
+                solution, tangent = place
+                orbit = here.search.orbit(solution)
+                direction = _direction(here, solution.sweep, tangent, kind, orbit)
+                value = here.value(solution.sweep.point)
+                places.append(Bifurcation(kind, value, orbit, direction, k))
+    return tuple(places)
 
 
 def _locate(
     family: Family, line: Continuation, k: int, test: Test
 ) -> tuple[Solution, Floats] | None:
     """Find the zero of a test function beyond the orbit k."""
-    point = line.search.point_of(family.orbits[k])
-    sweep, before = line.search.shooting.sweep(point), line.unit(family.tangents[k])
+    point, shooting = line.search.point_of(family[k]), line.search.shooting
+    sweep, before = shooting.sweep(point), line.unit(family.tangents[k])
     known: dict[float, tuple[Solution, Floats]] = {}
 
     def at(length: float) -> float:
@@ -109,9 +110,10 @@ def _locate(
         tangent = line.tangent(solution.sweep, before)
         known[length] = solution, tangent
         orbit = line.search.orbit(solution, examined=False)
-        return test(orbit, line.rate(orbit, tangent * line.search.shooting.units))
+        return test(orbit, line.rate(solution.sweep.point, tangent * shooting.units))
 
-    last = line.scaled(line.search.point_of(family.orbits[k + 1])) - line.scaled(point)
+    brentq = import_library("scipy.optimize", "locating bifurcations", "control").brentq
+    last = shooting.scaled(line.search.point_of(family[k + 1])) - shooting.scaled(point)
     whole = float(last @ before)
     try:
         root = float(brentq(at, 0.0, whole, xtol=PLACE * max(1.0, whole)))
@@ -146,9 +148,7 @@ def other_orbit(family: Family, bifurcation: Bifurcation) -> Orbit:
         )
     orbit = bifurcation.orbit
     line = line_of(family).at(orbit)
-    search = line.search
-    if bifurcation.kind == DOUBLING:
-        search = _doubled(line, orbit)
+    search = line.search if bifurcation.kind == BRANCH else _doubled(line)
     shooting = search.shooting
     start = search.point_of(orbit)
     if shooting.flow.free_period and bifurcation.kind == DOUBLING:
@@ -156,31 +156,27 @@ def other_orbit(family: Family, bifurcation: Bifurcation) -> Orbit:
     unit = bifurcation.direction / np.linalg.norm(bifurcation.direction / shooting.scale)
     row = np.zeros((1, shooting.columns))
     row[0, : len(unit)] = unit / shooting.scale
-    solution: Any = None
-    for side in (1, -1):
+    for side in (BESIDE, -BESIDE):
         states = start.states.copy()
-        states[0] = states[0] + side * BESIDE * unit
-        guess: OrbitUnknowns = replace(start, states=states)
-        at = shooting.pack(guess) / shooting.units
-        solution = shooting.solve(guess, lambda y, at=at: (row @ (y - at), row))  # type: ignore[misc]
+        states[0] += side * unit
+        solution = shooting.solve(replace(start, states=states), row)
         if solution.converged:
             break
     return search.orbit(solution)
 
 
-def _doubled(line: Continuation, orbit: Orbit) -> Any:
+def _doubled(line: Continuation) -> Search:
     """Return the search for orbits of two periods."""
-    given = line.arguments
+    given, search = line.arguments, line.search
     if given.events is not None:
-        events = [given.events] if not isinstance(given.events, (list, tuple)) else given.events
-        twice = [replace(x, terminal=2 * int(x.terminal)) if x.terminal else x for x in events]
+        twice = [
+            replace(x, terminal=2 * int(x.terminal)) if x.terminal else x
+            for x in as_tuple(given.events)
+        ]
         given = replace(given, events=twice)
     else:
         given = replace(given, period=2 * given.period, steps=2 * given.steps)
-    search, _ = read_search(
-        line.search.stepper, given, line.search.tools, line.search.shooting.integrals
-    )
-    return search
+    return read_search(search.stepper, given, search.tools, search.shooting.integrals)[0]
 
 
 def line_of(family: Family) -> Continuation:
@@ -191,11 +187,11 @@ def line_of(family: Family) -> Continuation:
 def switch(family: Family, bifurcation: Bifurcation, count: int, options: Any) -> Family:
     """Follow the other family at a bifurcation; see :meth:`Family.switch`."""
     first = other_orbit(family, bifurcation)
-    state = np.concatenate([first.q0, first.p0])
-    states = [np.concatenate([x.q0, x.p0]) for x in family.orbits]
-    gaps = [abs(x - state).max() for x in states] if first.success else [0.0]
-    near = abs(np.diff(states, axis=0)).max(axis=1) if len(states) > 1 else np.zeros(1)
-    if min(gaps) < 1e-12 * near[min(bifurcation.place, len(near) - 1)]:
-        status, tangent = FamilyStatus.SAME_FAMILY, np.zeros(0)
-        return Family((first,), family.parameter, status, (tangent,), first.search)
+    states = np.array([[*x.q0, *x.p0] for x in (first, *family)])
+    near = abs(np.diff(states[1:], axis=0)).max(axis=1, initial=0.0)  # empty for a single orbit
+    gaps = abs(states[1:] - states[0]).max(axis=1)
+    same = gaps.min() < 1e-12 * near[min(bifurcation.place, len(near) - 1)] if len(near) else False
+    if same or not first.success:
+        status = FamilyStatus.SAME_FAMILY
+        return Family((first,), family.parameter, status, (np.zeros(0),), first.search)
     return first.family(family.parameter, count=count, **options)

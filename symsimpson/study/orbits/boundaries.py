@@ -20,7 +20,9 @@ from symsimpson.study.orbits.find import (
     check_freedom,
     check_system,
     make_flow,
+    momenta,
     read_number,
+    scale_of,
 )
 from symsimpson.study.orbits.integrals import Integrals
 from symsimpson.study.orbits.search import Search
@@ -39,34 +41,26 @@ def find_path(
             where=stepper.system,
             remedy="Use the system without the time transformation.",
         )
-    (parameters, t0), n = run, stepper.n
-    values = [_end_values(stepper, f"q{k}", x) for k, x in enumerate(ends)]
-    free = duration is None
+    given = OrbitArguments(parameters=run[0], t0=run[1])
+    none = np.zeros(0)
     steps = read_count("steps", 64 if steps is None else steps, least=1)
+    both = [_as_mapping(stepper, x) for x in ends]
+    first, final = (_end_values(stepper, x) for x in both)
+    free = duration is None
+    period = _time_scale(stepper, first, run) if free else read_number("duration", duration)
     segments = SEGMENTS if steps % SEGMENTS == 0 else 1
-    places = [np.array([x.get(k, 0.0) for k in range(n)]) for x in values]
-    period = _time_scale(stepper, places[0], run) if free else read_number("duration", duration)
-    parts = np.arange(SEGMENTS)[:, None] / SEGMENTS
-    line = places[0] + parts * (places[1] - places[0])
-    slope = (places[1] - places[0]) / period
-    options = {"h": 1.0, "steps": 0, "parameters": parameters, "t0": t0}
-    p = np.array([stepper.integrate(q, v0=slope, **options).p[0] for q in line])
-    states = np.concatenate([line, p], axis=1)
-    given = OrbitArguments(line[0], None, p[0], parameters=parameters, t0=t0)
-    constant = None if free else (lambda _: (period, np.zeros(0)))
-    flow = make_flow(stepper, given, None, (), steps, constant, period)
-    flow = replace(flow, segments=segments)
-    conditions = [
-        read_conditions(flow, f"q{k}", _as_mapping(stepper, x)) for k, x in enumerate(ends)
-    ]
-    scale = np.repeat([abs(states[:, :n]).max() or 1.0, abs(states[:, n:]).max() or 1.0], n)
-    none = Integrals(False, (), timeless=False)
-    shooting = Shooting(flow, None, conditions[0], none, scale, period, last=conditions[1])
+    q = first + np.arange(SEGMENTS)[:, None] / SEGMENTS * (final - first)
+    p = momenta(stepper, q, np.tile((final - first) / period, (SEGMENTS, 1)), given)
+    given, states = replace(given, q0=q[0], p0=p[0]), np.concatenate([q, p], axis=1)
+    constant = None if free else (lambda _: (period, none))
+    flow = replace(make_flow(stepper, given, (), steps, constant, period), segments=segments)
+    conditions = [read_conditions(flow, f"q{k}", x) for k, x in enumerate(both)]
+    integrals, scale = Integrals(False, (), timeless=False), scale_of(states)
+    shooting = Shooting(flow, None, conditions[0], integrals, scale, period, none, conditions[1])
     check_freedom(stepper, shooting)
-    search = Search(stepper, shooting, (), given, symplectic=False, tools=tools)
-    table = states if segments > 1 else states[:1]
-    point = OrbitUnknowns(table, period, flow.spec.parameters, np.zeros(0), np.zeros(0))
-    return search.path(shooting.solve(point))
+    search = Search(stepper, shooting, given, symplectic=False, tools=tools)
+    start = OrbitUnknowns(states[:segments], period, flow.spec.parameters, none, none)
+    return search.path(shooting.solve(start))
 
 
 def _time_scale(stepper: Stepper, q: Floats, run: Any) -> float:
@@ -101,8 +95,10 @@ def _as_mapping(stepper: Stepper, given: Any) -> Mapping[Any, Any]:
     return dict(zip(stepper.coordinates, numbers.tolist(), strict=True))
 
 
-def _end_values(stepper: Stepper, what: str, given: Any) -> dict[int, float]:
-    """Return the numbers that are given for coordinates, by place."""
-    names = stepper.program.names.coordinates
-    pairs = ((names.place(key), x) for key, x in _as_mapping(stepper, given).items())
-    return {k: float(x) for k, x in pairs if k is not None and isinstance(x, Real)}
+def _end_values(stepper: Stepper, given: Mapping[Any, Any]) -> Floats:
+    """Return the numbers that are given for coordinates; others are 0."""
+    names, values = stepper.program.names.coordinates, np.zeros(stepper.n)
+    for key, x in given.items():
+        if isinstance(x, Real) and names.place(key) is not None:
+            values[names.place(key)] = x
+    return values

@@ -88,9 +88,8 @@ class Path:
     @property
     def h(self) -> float:
         """The step size; of retimed systems, in transformed time."""
-        flow = self.search.shooting.flow
-        fixed = flow.to_event or flow.retimed
-        return float(flow.spec.h) if fixed else self.period / self.steps
+        flow = self.search.flow
+        return self.period / self.steps if flow.fixed_steps else float(flow.spec.h)
 
     @cached_property
     def trajectory(self) -> Trajectory:
@@ -112,7 +111,8 @@ class Path:
     @cached_property
     def _start(self) -> Trajectory:
         """A run of no steps from the initial state."""
-        return self.search.run(self, every=1, whole=False)
+        none = {"h": 1.0, "steps": 0, "t_end": None, "events": None, "on_failure": "raise"}
+        return self.search.run(self, **none)
 
     def _title(self) -> str:
         return f"duration {self.period:.10g}, {self.steps} steps"

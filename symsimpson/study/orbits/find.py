@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from numbers import Real
@@ -15,19 +14,18 @@ from symsimpson.api.stepper import Stepper
 from symsimpson.errors import SymsimpsonError, reject
 from symsimpson.program.input_values import read_count, whole_number
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.run.integrate import integrate
 from symsimpson.stepping.inputs import program_with_derivatives
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec, read_run
 from symsimpson.study.orbits.boundary_path import Path
 from symsimpson.study.orbits.conditions import read_closing, read_conditions
-from symsimpson.study.orbits.flow import Flow
+from symsimpson.study.orbits.flow import Flow, PeriodOfParameters
 from symsimpson.study.orbits.integrals import Integrals, find_integrals
 from symsimpson.study.orbits.orbit import Orbit
 from symsimpson.study.orbits.search import Search
-from symsimpson.study.orbits.shooting import OrbitUnknowns, Shooting, sizes_of_unknowns
+from symsimpson.study.orbits.shooting import OrbitUnknowns, Shooting
 from symsimpson.support.array_types import Floats
-from symsimpson.support.names import did_you_mean, spelled
+from symsimpson.support.names import as_tuple, did_you_mean, spelled
 
 #: Segments of searches that begin with states along the whole path.
 SEGMENTS = 8
@@ -82,21 +80,17 @@ def read_search(
     The first ``integrals`` of the system are searched for if they are not known.
     """
     check_system(stepper)
-    header = stepper.program.header
+    header, to_event = stepper.program.header, given.events is not None
     unknowns = _read_unknowns(stepper, given.unknowns)
-    tied = not header.autonomous and given.events is None
-    to_event = given.events is not None
     given = _with_defaults(stepper, given)
-    period, period_of = _read_period(stepper, given, unknowns, tied=tied)
+    period, period_of = _read_period(stepper, given, unknowns)
     states = _read_guess(stepper, given, period)
-    segments = 1 if states is None or to_event or header.retimed else SEGMENTS
-    fixed_steps = not (to_event or header.retimed)
-    steps = STEPS_TO_EVENT
+    parts, segments, steps = 1 if given.middle is None else 2, 1, STEPS_TO_EVENT
     if to_event and given.period is not None:
         steps = int(np.ceil(PERIODS_TO_EVENT * period / abs(read_number("h", abs(given.h)))))
-    if fixed_steps:
+    if not (to_event or header.retimed):
         steps = read_count("steps", 64 if given.steps is None else given.steps, least=1)
-        segments = 1 if steps < SEGMENTS else segments
+        segments = 1 if states is None or steps < SEGMENTS else SEGMENTS
         if steps % segments:
             reject(
                 f"steps={steps} is not divisible by {segments}.",
@@ -104,41 +98,40 @@ def read_search(
                 why=f"A guess along the whole orbit is used in {segments} segments.",
                 remedy=f"Pass a multiple of {segments}.",
             )
-    if fixed_steps and given.middle is not None and steps % 2:
-        reject(f"steps={steps} is odd, but middle= divides the orbit.", where=stepper.system)
-    half = 2 if given.middle is not None else 1
-    flow = make_flow(stepper, given, states, unknowns, steps // half, period_of, period / half)
+        if steps % parts:
+            reject(f"steps={steps} is odd, but middle= divides the orbit.", where=stepper.system)
+    if states is not None:
+        given = replace(given, q0=states[0, : stepper.n], v0=None, p0=states[0, stepper.n :])
+    flow = make_flow(stepper, given, unknowns, steps // parts, period_of, period / parts)
     closing = read_closing(stepper.program, given.conditions, unknowns)
-    z = np.concatenate([flow.spec.q0, flow.spec.other0])
-    scale, table = _scale_and_states(flow, z, states, period / half, segments)
-    flow = replace(flow, segments=segments)
+    values, z = flow.spec.parameters, np.concatenate([flow.spec.q0, flow.spec.other0])
+    scale = scale_of(_states_ahead(flow, z, period / parts) if states is None else states)
+    table = z[None] if states is None else states[:segments].copy()
+    flow = replace(flow, segments=segments, parts=parts)
     conditions = read_conditions(flow, "fixed", given.fixed)
     middle = read_conditions(flow, "middle", given.middle)
-    if len(table) > 1 and conditions and header.autonomous:  # begin where the conditions hold best
-        rows = [
-            [c.row(flow, x, period, flow.spec.parameters)[0] for c in conditions] for x in table
-        ]
-        table = np.roll(table, -int(abs(np.array(rows)).max(axis=1).argmin()), axis=0)
+    if segments > 1 and conditions and header.autonomous:  # begin where the conditions hold best
+        off = [[abs(c.row(flow, x, period, values)[0]) for c in conditions] for x in table]
+        table = np.roll(table, -int(np.max(off, axis=1).argmin()), axis=0)
     integrals = integrals or find_integrals(stepper, flow, closing, z)
-    extra = np.zeros(len(closing.symbols))
-    sizes = sizes_of_unknowns(flow.spec.parameters[list(flow.places)], extra.tolist(), scale[0])
+    extra = np.zeros(0 if middle else len(closing.symbols))
+    # a value of 0 has the scale of the state
+    sizes = np.array([abs(x) or scale[0] for x in (*values[list(flow.places)], *extra)])
     shooting = Shooting(
         flow,
         None if middle else closing,
         conditions,
         integrals,
         scale,
-        period / half,
-        last=middle,
-        sizes=sizes,
+        period / parts,
+        sizes,
+        middle,
     )
     check_freedom(stepper, shooting)
     symplectic = header.conservative and not to_event and header.autonomous
     mirror = _reversal(stepper, given.middle) if middle else None
-    names = tuple(map(str, unknowns))
-    search = Search(stepper, shooting, names, given, symplectic, tools, mirror)
-    values = flow.spec.parameters
-    length = period / half if period_of is None else period_of(values)[0]
+    search = Search(stepper, shooting, given, symplectic, tools, mirror)
+    length = period / parts if period_of is None else period_of(values)[0]
     return search, OrbitUnknowns(table, length, values, extra, np.zeros(shooting.unfolded))
 
 
@@ -171,9 +164,8 @@ def _read_unknowns(stepper: Stepper, given: Any) -> tuple[sp.Symbol, ...]:
     """Read the symbols to solve for: parameters by symbol or name, and other symbols."""
     assert stepper.program.declared is not None
     declared = {str(x): x for x in stepper.program.declared.parameters}
-    several = given if isinstance(given, (tuple, list)) else (given,)
     symbols = []
-    for x in several:
+    for x in as_tuple(given):
         symbol = declared.get(spelled(x), x)
         if not isinstance(symbol, sp.Symbol):
             reject(
@@ -215,18 +207,15 @@ def _states_of_mode(stepper: Stepper, given: OrbitArguments) -> OrbitArguments:
     if not (isinstance(given.mode, (tuple, list)) and len(given.mode) == 2):
         reject(f"mode is {given.mode!r}.", remedy="Pass (position of the equilibrium, number).")
     (place, number), n = given.mode, stepper.n
-    options = {"h": 1.0, "steps": 0, "parameters": given.parameters}
-    rest = stepper.integrate(place, v0=np.zeros(n), **options)
+    rest = stepper.integrate(place, v0=np.zeros(n), h=1.0, steps=0, parameters=given.parameters)
     system, canonical = stepper.program.declared, stepper.program.header.canonical
     assert system is not None
     second = rest.p[0] if canonical else np.zeros(n)
     A, _ = system.linearise(rest.q[0], second, parameters=given.parameters)
     values, vectors = np.linalg.eig(A)
-    turning = [
-        k
-        for k in np.argsort(values.imag)
-        if values[k].imag > 0 and abs(values[k].real) < UNDAMPED * values[k].imag
-    ]
+    order = np.argsort(values.imag)
+    undamped = (values.imag > 0) & (abs(values.real) < UNDAMPED * values.imag)
+    turning = order[undamped[order]]
     number = whole_number(number)
     if number is None or not 0 <= number < len(turning):
         reject(
@@ -240,11 +229,14 @@ def _states_of_mode(stepper: Stepper, given: OrbitArguments) -> OrbitArguments:
     states = np.concatenate([rest.q[0], second]) + given.size * np.real(turns[:, None] * vector)
     q, p = states[:, :n], states[:, n:]
     if not canonical:
-        p = np.array(
-            [stepper.integrate(a, v0=b, **options).p[0] for a, b in zip(q, p, strict=True)]
-        )
-    period = 2 * np.pi / values[turning[number]].imag
-    return replace(given, period=period, guess=(q, p), mode=None)
+        p = momenta(stepper, q, p, given)
+    return replace(given, period=2 * np.pi / values[turning[number]].imag, guess=(q, p), mode=None)
+
+
+def momenta(stepper: Stepper, q: Floats, v: Floats, given: OrbitArguments) -> Floats:
+    """Return the momenta at rows of positions and velocities."""
+    options = {"h": 1.0, "steps": 0, "parameters": given.parameters, "t0": given.t0}
+    return np.array([stepper.integrate(a, v0=b, **options).p[0] for a, b in zip(q, v, strict=True)])
 
 
 def read_number(name: str, given: Any) -> float:
@@ -258,8 +250,8 @@ def read_number(name: str, given: Any) -> float:
 
 
 def _read_period(
-    stepper: Stepper, given: OrbitArguments, unknowns: Sequence[sp.Symbol], *, tied: bool
-) -> tuple[float, Any]:
+    stepper: Stepper, given: OrbitArguments, unknowns: Sequence[sp.Symbol]
+) -> tuple[float, PeriodOfParameters | None]:
     """Return the period, and how it follows from the parameters if the system is driven."""
     program = stepper.program
     assert program.declared is not None
@@ -271,29 +263,26 @@ def _read_period(
         reject("a search needs the period, or a guess of it.", remedy="Pass period=.")
     if isinstance(given.period, str):
         reject(f"period is {given.period!r}, a text.", remedy="Pass a number or an expression.")
-    symbols = tuple(program.declared.parameters)
-    values = program.values(given.parameters)
-    whole = sp.sympify(given.period)
+    symbols, whole = tuple(program.declared.parameters), sp.sympify(given.period)
     strange = [str(x) for x in whole.free_symbols if x not in symbols]
     if strange:
         reject(
             f"the period contains {strange[0]}.", remedy="Write it with parameters of the system."
         )
-    if not whole.free_symbols:
-        period = read_number("period", given.period)
-        if tied:
-            _check_drive(stepper, given, period)
-        count = sum(x in unknowns for x in symbols)
-        return period, (lambda _: (period, np.zeros(count))) if tied else None
-    free = [x for x in symbols if x in unknowns]
-    evaluate = sp.lambdify(symbols, [whole, *(whole.diff(x) for x in free)], "math")
+    free = [whole.diff(x) for x in symbols if x in unknowns]
+    evaluate = sp.lambdify(symbols, [whole, *free], "math")
 
     def period_of(at: Floats) -> tuple[float, Floats]:
         length, *slopes = evaluate(*at.tolist())
         return float(length), np.array(slopes, dtype=np.float64)
 
-    period = read_number("period", period_of(values)[0])
-    return period, period_of if tied else None
+    number = period_of(program.values(given.parameters))[0] if whole.free_symbols else given.period
+    period = read_number("period", number)
+    if program.header.autonomous:
+        return period, None
+    if not whole.free_symbols:
+        _check_drive(stepper, given, period)
+    return period, period_of
 
 
 def _check_drive(stepper: Stepper, given: OrbitArguments, period: float) -> None:
@@ -304,9 +293,7 @@ def _check_drive(stepper: Stepper, given: OrbitArguments, period: float) -> None
         t = float(given.t0) + part * period
         try:
             ends = [
-                np.concatenate(
-                    stepper.step(q, p=p, h=period / 256, t=s, parameters=given.parameters)
-                )
+                np.hstack(stepper.step(q, p=p, h=period / 256, t=s, parameters=given.parameters))
                 for s in (t, t + period)
             ]
         except SymsimpsonError:
@@ -344,78 +331,70 @@ def _read_guess(stepper: Stepper, given: OrbitArguments, period: float) -> Float
     states = np.concatenate([q, p], axis=1)
     if len(states) == SEGMENTS:
         return states
-    waves = np.fft.rfft(states, axis=0)
-    whole = np.fft.irfft(waves, n=max(len(states), SEGMENTS) * SEGMENTS, axis=0)
-    whole *= len(whole) / len(states)
-    return np.asarray(whole[:: len(whole) // SEGMENTS])
+    waves, count = np.fft.rfft(states, axis=0), max(len(states), SEGMENTS) * SEGMENTS
+    if len(states) % 2 == 0:  # the highest frequency of the table is a positive and a negative one
+        waves[-1] /= 2
+    whole = np.fft.irfft(waves, n=count, axis=0) * (count / len(states))
+    return np.asarray(whole[:: count // SEGMENTS])
 
 
 def make_flow(
     stepper: Stepper,
     given: OrbitArguments,
-    states: Floats | None,
     unknowns: Sequence[sp.Symbol],
     steps: int,
-    period_of: Any,
+    period_of: PeriodOfParameters | None,
     period: float,
 ) -> Flow:
     """Return the runs of a search, with one segment."""
-    program, n = stepper.program, stepper.n
-    header = program.header
+    program, retimed = stepper.program, stepper.program.header.retimed
     assert program.declared is not None
     places = tuple(k for k, x in enumerate(program.declared.parameters) if x in unknowns)
-    names = tuple(header.parameters[k] for k in places)
-    to_event = given.events is not None
-    sized = not (to_event or header.retimed)
-    if not header.retimed:
+    names = tuple(program.header.parameters[k] for k in places)
+    sized = given.events is None and not retimed
+    if not retimed:
         program = program_with_derivatives(program, ("h", *names) if sized else names)
-    q0, v0, p0 = given.q0, given.v0, given.p0
-    if states is not None:
-        q0, v0, p0 = states[0, :n], None, states[0, n:]
     h = period / steps if sized else given.h
     if h is None:
         reject("a retimed system needs h=, its step in tau.", where=stepper.system)
-    count = {"t_end": float(given.t0) + period} if header.retimed else {"steps": steps}
-    request = Request(
-        q0, v0, p0, h, t0=given.t0, parameters=given.parameters, events=given.events, **count
-    )
-    spec: RunSpec = read_run(program, request._replace(tangents=2 * n))
+    end = {"t_end": float(given.t0) + period} if retimed else {"steps": steps}
+    options = {"t0": given.t0, "parameters": given.parameters, "events": given.events, **end}
+    request = Request(given.q0, given.v0, given.p0, h, tangents=2 * stepper.n, **options)
+    spec: RunSpec = read_run(program, request)
     if spec.velocities:  # the unknowns are momenta
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            begun = integrate(
-                stepper.program, replace(spec, steps=0, tangents=None, t_end=None), progress=False
-            )
-        spec = replace(spec, other0=begun.p[0], given="p0")
+        p = momenta(stepper, spec.q0[None], spec.other0[None], given)[0]
+        spec = replace(spec, other0=p, given="p0")
     return Flow(program, replace(spec, every=0), places, steps, period_of=period_of)
 
 
-def _scale_and_states(
-    flow: Flow, z: Floats, states: Floats | None, period: float, segments: int
-) -> tuple[Floats, Floats]:
-    """Return the scale of (q, p), and the states at the starts of the segments."""
-    n, whole, table = flow.n, [z], z[None]
-    if states is not None:
-        whole, table = list(states), states if segments > 1 else states[:1]
-    elif flow.free_period or flow.period_of is not None:
-        parts = replace(flow, segments=SEGMENTS, steps=-(-flow.steps // SEGMENTS) * SEGMENTS)
-        for k in range(SEGMENTS if not flow.retimed else 1):
-            leg = (flow if flow.retimed else parts).leg(k, whole[-1], period, flow.spec.parameters)
+def scale_of(states: Floats) -> Floats:
+    """Return the scale of (q, p): the largest coordinate and the largest momentum of states."""
+    q, p = np.split(abs(states), 2, axis=1)
+    return np.repeat([q.max() or 1.0, p.max() or 1.0], q.shape[1])
+
+
+def _states_ahead(flow: Flow, z: Floats, period: float) -> Floats:
+    """Return states along a run from the guess, up to a failure."""
+    states = [z]
+    if flow.free_period or flow.period_of is not None:
+        count = 1 if flow.retimed else SEGMENTS
+        flow = replace(flow, segments=count, steps=-(-flow.steps // count) * count)
+        for k in range(count):
+            leg = flow.leg(k, states[-1], period, flow.spec.parameters)
             if not np.isfinite(leg.end).all():
                 break
-            whole.append(leg.end)
-    sizes = abs(np.array(whole))
-    scale = [sizes[:, :n].max() or 1.0, sizes[:, n:].max() or 1.0]
-    return np.repeat(scale, n), table.copy()
+            states.append(leg.end)
+    return np.array(states)
 
 
 def check_freedom(stepper: Stepper, shooting: Shooting) -> None:
     """Reject more conditions than an orbit can satisfy."""
-    if shooting.freedom >= 0:
+    excess = shooting.rows - shooting.columns
+    if excess <= 0:
         return
     count = len(shooting.conditions) + len(shooting.last)
     reject(
-        f"there are {count} conditions, but at most {count + shooting.freedom} can hold.",
+        f"there are {count} conditions, but at most {count - excess} can hold.",
         where=stepper.system,
         why="Each first integral and each unknown admits one, and a free period another one.",
         remedy="Remove conditions, or add unknowns.",

@@ -41,27 +41,20 @@ def symplectic_indices(D: Floats) -> Complexes:
     """Return the n stability indices of a symplectic matrix."""
     size = len(D)
     n = size // 2
-    inverse = turned(turned(D).T)  # J^T D^T J
-    W = (D + inverse) / 2
+    W = (D + turned(turned(D).T)) / 2  # D^-1 = J^T D^T J
     random = np.random.default_rng(1)
-    Q, H = np.zeros((size, n)), np.zeros((n, n))
-    vector = random.normal(size=size)
+    Q, vector = np.zeros((size, n)), random.normal(size=size)
     for k in range(n):
         for _ in range(3):
             vector = _orthogonal(vector, Q[:, :k])
-        length = np.linalg.norm(vector)
-        Q[:, k] = vector / length
-        vector = W @ Q[:, k]
-        before = np.linalg.norm(vector)
-        H[: k + 1, k] = Q[:, : k + 1].T @ vector
+        Q[:, k] = vector / np.linalg.norm(vector)
+        image = W @ Q[:, k]
+        vector = image
         for _ in range(3):
             vector = _orthogonal(vector, Q[:, : k + 1])
-        if k + 1 < n:
-            if np.linalg.norm(vector) <= BREAKDOWN * before:
-                vector = random.normal(size=size)
-            else:
-                H[k + 1, k] = np.linalg.norm(vector)
-    return np.asarray(np.linalg.eigvals(_projected(W, Q)), dtype=np.complex128)
+        if np.linalg.norm(vector) <= BREAKDOWN * np.linalg.norm(image):
+            vector = random.normal(size=size)
+    return np.linalg.eigvals(Q.T @ W @ Q).astype(np.complex128)
 
 
 def _orthogonal(vector: Floats, Q: Floats) -> Floats:
@@ -71,13 +64,10 @@ def _orthogonal(vector: Floats, Q: Floats) -> Floats:
     return np.asarray(vector - partners @ (partners.T @ vector))
 
 
-def _projected(W: Floats, Q: Floats) -> Floats:
-    """Return the matrix of W on the space of the columns of Q."""
-    return np.asarray(Q.T @ W @ Q)
-
-
 def multipliers_of(D: Floats, trivial: int, *, symplectic: bool, power: int) -> Multipliers:
     """Return the multipliers of D^power; the ``trivial`` ones nearest to 1 are left out."""
+    if not np.isfinite(D).all():  # of a failed run
+        return Multipliers(np.zeros(0, np.complex128), np.zeros(0, np.complex128), np.nan)
     values: Complexes = np.linalg.eigvals(D).astype(np.complex128)
     indices = symplectic_indices(D) if symplectic else values
     order = np.argsort(abs(indices - 1))

@@ -35,21 +35,20 @@ def save_family(family: Family, path: Any) -> None:
         "parameter": family.parameter,
         "status": family.status.name,
         "steps": [x.steps for x in orbits],
-        "unknowns": [*search.unknown_names],
+        "unknowns": search.unknown_names,
         "given": _given(search),
         "t0": float(search.flow.spec.t0),
         "h": float(search.flow.spec.h),
     }
-    symbols = search.shooting.closing.symbols if search.shooting.closing is not None else ()
     arrays = {
-        "q": np.array([x.q0 for x in orbits]),
-        "p": np.array([x.p0 for x in orbits]),
-        "period": np.array([x.period for x in orbits]),
-        "values": np.array([x.values for x in orbits]),
-        "extra": np.array([[x.unknowns[str(s)] for s in symbols] for x in orbits], dtype=float),
-        "tangents": np.array(family.tangents),
+        "q": [x.q0 for x in orbits],
+        "p": [x.p0 for x in orbits],
+        "period": [x.period for x in orbits],
+        "values": [x.values for x in orbits],
+        "extra": [search.extra(x) for x in orbits],
+        "tangents": family.tangents,
     }
-    write_arrays(path, "family", saved, arrays)
+    write_arrays(path, "family", saved, {name: np.array(x) for name, x in arrays.items()})
 
 
 def open_family(stepper: Any, tools: Any, path: Any, given: Mapping[str, Any]) -> Family:
