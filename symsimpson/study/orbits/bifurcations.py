@@ -113,8 +113,7 @@ def _locate(
         return test(orbit, line.rate(solution.sweep.point, tangent * shooting.units))
 
     brentq = import_library("scipy.optimize", "locating bifurcations", "control").brentq
-    last = shooting.scaled(line.search.point_of(family[k + 1])) - shooting.scaled(point)
-    whole = float(last @ before)
+    whole = float(line.between(point, line.search.point_of(family[k + 1])) @ before)
     try:
         root = float(brentq(at, 0.0, whole, xtol=PLACE * max(1.0, whole)))
     except ValueError:  # the test function changes its sign at a failure
@@ -131,11 +130,10 @@ def _direction(
     n = 2 * line.search.flow.n
     if kind == BRANCH:
         matrix = np.concatenate([sweep.matrix, line.phases(sweep), tangent[None]])
-        _, _, basis = np.linalg.svd(matrix)
-        return np.asarray(basis[-1][:n] * line.search.shooting.scale)
+        return np.asarray(np.linalg.svd(matrix)[2][-1, :n] * line.search.shooting.scale)
     values, vectors = np.linalg.eig(orbit.derivative)
-    target = {DOUBLING: -1.0}.get(kind, 1.0)
-    return np.asarray(vectors[:, int(np.argmin(abs(values - target)))].real)
+    target = -1.0 if kind == DOUBLING else 1.0
+    return np.asarray(vectors[:, np.argmin(abs(values - target))].real)
 
 
 def other_orbit(family: Family, bifurcation: Bifurcation) -> Orbit:

@@ -31,7 +31,7 @@ from symsimpson.support.array_types import Floats
 
 
 def find_path(
-    stepper: Stepper, tools: Any, ends: tuple[Any, Any], duration: Any, steps: Any, run: Any
+    tools: Any, stepper: Stepper, ends: tuple[Any, Any], duration: Any, steps: Any, run: Any
 ) -> Path:
     """Search for a path between two boundaries; see :meth:`Stepper.boundary`."""
     check_system(stepper)
@@ -41,13 +41,12 @@ def find_path(
             where=stepper.system,
             remedy="Use the system without the time transformation.",
         )
-    given = OrbitArguments(parameters=run[0], t0=run[1])
-    none = np.zeros(0)
+    given, none = OrbitArguments(parameters=run[0], t0=run[1]), np.zeros(0)
     steps = read_count("steps", 64 if steps is None else steps, least=1)
     both = [_as_mapping(stepper, x) for x in ends]
     first, final = (_end_values(stepper, x) for x in both)
     free = duration is None
-    period = _time_scale(stepper, first, run) if free else read_number("duration", duration)
+    period = _time_scale(stepper, first, given) if free else read_number("duration", duration)
     segments = SEGMENTS if steps % SEGMENTS == 0 else 1
     q = first + np.arange(SEGMENTS)[:, None] / SEGMENTS * (final - first)
     p = momenta(stepper, q, np.tile((final - first) / period, (SEGMENTS, 1)), given)
@@ -63,12 +62,12 @@ def find_path(
     return search.path(shooting.solve(start))
 
 
-def _time_scale(stepper: Stepper, q: Floats, run: Any) -> float:
+def _time_scale(stepper: Stepper, q: Floats, given: OrbitArguments) -> float:
     """Return 1 over the fastest rate of the motion near a position at rest."""
-    (parameters, t0), system = run, stepper.program.declared
+    system, at_rest = stepper.program.declared, np.zeros(stepper.n)
     assert system is not None
     try:
-        A, _ = system.linearise(q, np.zeros(stepper.n), parameters=parameters, t=float(t0))
+        A, _ = system.linearise(q, at_rest, parameters=given.parameters, t=float(given.t0))
         rate = float(abs(np.linalg.eigvals(A)).max())
     except SymsimpsonError:
         rate = 0.0

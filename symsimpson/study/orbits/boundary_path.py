@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -17,7 +17,7 @@ from symsimpson.support.array_types import Floats
 ENERGY, PERIOD = "energy", "period"
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Path:
     """A motion between two boundaries; :meth:`Stepper.boundary` returns it.
 
@@ -55,19 +55,19 @@ class Path:
     (True, [-0.094933487, 1.134076482])
     """
 
-    period: float = field(kw_only=True)
-    steps: int = field(kw_only=True)
-    q0: Floats = field(kw_only=True)
-    p0: Floats = field(kw_only=True)
-    values: Floats = field(kw_only=True)  #: Of the parameters.
-    unknowns: Mapping[str, float] = field(kw_only=True)
-    status: OrbitStatus = field(kw_only=True)
-    message: str = field(kw_only=True)
-    residual: float = field(kw_only=True)
-    iterations: int = field(kw_only=True)
+    period: float
+    steps: int
+    q0: Floats
+    p0: Floats
+    values: Floats  #: Of the parameters.
+    unknowns: Mapping[str, float]
+    status: OrbitStatus
+    message: str
+    residual: float
+    iterations: int
     #: Sizes of Newton's corrections, relative to the scale.
-    corrections: tuple[float, ...] = field(kw_only=True)
-    search: Any = field(kw_only=True)  #: The equations, and the functions that use them.
+    corrections: tuple[float, ...]
+    search: Any  #: The equations, and the functions that use them.
 
     @property
     def duration(self) -> float:
@@ -82,8 +82,7 @@ class Path:
     @property
     def parameters(self) -> Mapping[str, float]:
         """Values of the parameters."""
-        names = self.search.stepper.parameters
-        return dict(zip(names, self.values.tolist(), strict=True))
+        return dict(zip(self.search.stepper.parameters, self.values.tolist(), strict=True))
 
     @property
     def h(self) -> float:
@@ -118,5 +117,5 @@ class Path:
         return f"duration {self.period:.10g}, {self.steps} steps"
 
     def __repr__(self) -> str:
-        name = f"{type(self).__name__}({self.search.stepper.system}, {self.search.stepper.scheme}"
-        return f"{name}: {self._title()}; {self.status.name})"
+        name, stepper = type(self).__name__, self.search.stepper
+        return f"{name}({stepper.system}, {stepper.scheme}: {self._title()}; {self.status.name})"

@@ -147,6 +147,11 @@ class Continuation:
             )
         return np.asarray(weights[:, :missing].T @ rows)
 
+    def between(self, first: OrbitUnknowns, last: OrbitUnknowns) -> Floats:
+        """Return the way from one point to another, in scaled units."""
+        scaled = self.search.shooting.scaled
+        return scaled(last) - scaled(first)
+
     def unit(self, direction: Floats) -> Floats:
         """Return a direction in scaled units, of unit length."""
         scaled = direction / self.search.shooting.units
@@ -169,13 +174,14 @@ class Continuation:
     def run(
         self,
         to: float | None,
-        count: int,
+        count: Any,
         step: float,
-        largest: float,
-        tangent: Floats | None,
-        progress: bool | None,
+        largest_step: float,
+        progress: bool | None = None,
+        tangent: Floats | None = None,
     ) -> Family:
         """Take up to ``count`` steps along the family."""
+        count = read_count("count", count, least=1)
         first = self.search.shooting.solve(self.start)
         sweep, orbit, status = first.sweep, self.search.orbit(first), FamilyStatus.COUNT
         if not orbit.success:
@@ -187,20 +193,15 @@ class Continuation:
             forward = step if to is None else to - value
             if self.rate(sweep.point, direction * units) * forward < 0:
                 direction = -direction
-        orbits, tangents, length, largest_orbit = (
-            [orbit],
-            [direction * units],
-            abs(step),
-            _extent(orbit),
-        )
+        orbits, tangents = [orbit], [direction * units]
+        length, largest_orbit = abs(step), _extent(orbit)
         with Progress(count, progress, "orbit") as bar, catch_interrupts() as stopped:
             while len(orbits) <= count:
                 bar.say(f"{self.name} = {value:.6g}")
                 bar.add(1)
                 length, solution, following = self._step(sweep, direction, length)
                 if stopped or solution is None or following is None:
-                    interrupted, failed = FamilyStatus.INTERRUPTED, FamilyStatus.STEP_TOO_SMALL
-                    status = interrupted if stopped else failed
+                    status = FamilyStatus.INTERRUPTED if stopped else FamilyStatus.STEP_TOO_SMALL
                     break
                 before, value = value, self.value(solution.sweep.point)
                 reached = to is not None and (value - to) * (before - to) <= 0
@@ -224,7 +225,7 @@ class Continuation:
                     status = FamilyStatus.CLOSED
                     break
                 faster = 2.0 ** ((USUAL_ITERATIONS - len(solution.corrections)) / 3)
-                length = min(length * min(2.0, faster), largest)
+                length = min(length * min(2.0, faster), largest_step)
         return Family(tuple(orbits), self.name, status, tuple(tangents), self.search)
 
     def _refine(self, sweep: Sweep, orbits: list[Orbit]) -> Sweep:
@@ -255,8 +256,7 @@ class Continuation:
             if solution.interrupted:
                 return length, None, None
             if solution.converged:
-                scaled = self.search.shooting.scaled
-                moved = scaled(solution.sweep.point) - scaled(sweep.point)
+                moved = self.between(sweep.point, solution.sweep.point)
                 beside = np.linalg.norm(moved - length * tangent)
                 following = self.tangent(solution.sweep, tangent)
                 if beside <= FROM_PREDICTION * length and following @ tangent >= LARGEST_TURN:
@@ -268,21 +268,15 @@ class Continuation:
         self, first: Sweep, sweep: Sweep, tangents: Sequence[Floats], length: float
     ) -> bool:
         """Return whether the family passes its first orbit in the same direction."""
-        scaled = self.search.shooting.scaled
-        gap = scaled(first.point) - scaled(sweep.point)
-        close = np.linalg.norm(gap) < length and len(tangents) > 4
-        return bool(close and self.unit(tangents[0]) @ self.unit(tangents[-1]) > LARGEST_TURN)
+        near = np.linalg.norm(self.between(sweep.point, first.point)) < length
+        return bool(
+            near
+            and len(tangents) > 4
+            and self.unit(tangents[0]) @ self.unit(tangents[-1]) > LARGEST_TURN
+        )
 
 
-def follow(
-    orbit: Orbit,
-    parameter: Any,
-    to: float | None,
-    count: Any,
-    step: float,
-    largest: float,
-    progress: bool | None,
-) -> Family:
+def follow(orbit: Orbit, parameter: Any, **course: Any) -> Family:
     """Follow a family from an orbit; see :meth:`Orbit.family`."""
     if not orbit.success:
         reject(
@@ -290,17 +284,15 @@ def follow(
             where=orbit.search.stepper.system,
             remedy="A family begins at an orbit whose success is True.",
         )
-    count = read_count("count", count, least=1)
-    line = Continuation(orbit.search, spelled(parameter), orbit)
-    return line.run(to, count, step, largest, None, progress)
+    return Continuation(orbit.search, spelled(parameter), orbit).run(**course)
 
 
 def extend(family: Family, to: float | None, count: int) -> Family:
     """Continue a family beyond its last orbit; see :meth:`Family.extend`."""
     line, step, tangent = Continuation(family.search, family.parameter, family[-1]), 0.01, None
     if len(family) > 1:
-        ends = [line.search.shooting.scaled(line.search.point_of(x)) for x in family.orbits[-2:]]
-        step, tangent = float(np.linalg.norm(ends[1] - ends[0])), family.tangents[-1]
-    course = line.run(to, count, step, 10 * step, tangent, None)
+        step = float(np.linalg.norm(line.between(*map(line.search.point_of, family.orbits[-2:]))))
+        tangent = family.tangents[-1]
+    course = line.run(to, count, step, 10 * step, tangent=tangent)
     orbits, tangents = family.orbits + course.orbits[1:], family.tangents + course.tangents[1:]
     return replace(course, orbits=orbits, tangents=tangents)

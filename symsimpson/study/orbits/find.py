@@ -62,14 +62,14 @@ class OrbitArguments:
     error: Any = None
 
 
-def find_periodic(stepper: Stepper, tools: Any, given: OrbitArguments) -> Orbit:
+def find_periodic(tools: Any, stepper: Stepper, **arguments: Any) -> Orbit:
     """Search for a periodic orbit; see :meth:`Stepper.periodic`."""
+    given = OrbitArguments(**arguments)
     search, start = read_search(stepper, given, tools)
     orbit = search.orbit(search.shooting.solve(start))
     if given.error is None:
         return orbit
-    error = read_number("error", given.error)
-    return search.refined_to(orbit, error, MOST_STEPS)
+    return search.refined_to(orbit, read_number("error", given.error), MOST_STEPS)
 
 
 def read_search(
@@ -269,20 +269,21 @@ def _read_period(
         reject(
             f"the period contains {strange[0]}.", remedy="Write it with parameters of the system."
         )
-    free = [whole.diff(x) for x in symbols if x in unknowns]
-    evaluate = sp.lambdify(symbols, [whole, *free], "math")
+    slopes = [whole.diff(x) for x in symbols if x in unknowns]
+    if not whole.free_symbols:
+        period, none = read_number("period", given.period), np.zeros(len(slopes))
+        if program.header.autonomous:
+            return period, None
+        _check_drive(stepper, given, period)
+        return period, lambda _: (period, none)
+    evaluate = sp.lambdify(symbols, [whole, *slopes], "math")
 
     def period_of(at: Floats) -> tuple[float, Floats]:
-        length, *slopes = evaluate(*at.tolist())
-        return float(length), np.array(slopes, dtype=np.float64)
+        length, *by_unknown = evaluate(*at.tolist())
+        return float(length), np.array(by_unknown, dtype=np.float64)
 
-    number = period_of(program.values(given.parameters))[0] if whole.free_symbols else given.period
-    period = read_number("period", number)
-    if program.header.autonomous:
-        return period, None
-    if not whole.free_symbols:
-        _check_drive(stepper, given, period)
-    return period, period_of
+    period = read_number("period", period_of(program.values(given.parameters))[0])
+    return period, None if program.header.autonomous else period_of
 
 
 def _check_drive(stepper: Stepper, given: OrbitArguments, period: float) -> None:
