@@ -129,8 +129,7 @@ class OrbitFinder(Analyser):
         given = {"q0": q0, "v0": v0, "p0": p0, "guess": guess, "mode": mode, "size": size}
         given |= {"period": period, "steps": steps, "h": h, "fixed": fixed, "middle": middle}
         given |= {"conditions": conditions, "unknowns": unknowns, "parameters": parameters}
-        orbit: Orbit = self._search("periodic", events=events, t0=t0, error=error, **given)
-        return orbit
+        return self._search("periodic", events=events, t0=t0, error=error, **given)
 
     def boundary(
         self,
@@ -175,8 +174,7 @@ class OrbitFinder(Analyser):
         >>> path.success, path.trajectory.q[-1].round(9).tolist()
         (True, [2.0])
         """
-        path: Path = self._search("boundary", (q0, q1), duration, steps, (parameters, t0))
-        return path
+        return self._search("boundary", (q0, q1), duration, steps, (parameters, t0))
 
     def open_family(
         self,
@@ -221,8 +219,7 @@ class OrbitFinder(Analyser):
         1
         """
         given = {"fixed": fixed, "middle": middle, "conditions": conditions, "events": events}
-        family: Family = self._search("open_family", path, **given, period=period)
-        return family
+        return self._search("open_family", path, **given, period=period)
 
     def _search(self, name: str, *given: Any, **options: Any) -> Any:
         """Call a function of the search for orbits."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Any
@@ -19,7 +19,7 @@ from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec, read_run
 from symsimpson.study.orbits.boundary_path import Path
 from symsimpson.study.orbits.conditions import read_closing, read_conditions
-from symsimpson.study.orbits.flow import Flow, PeriodOfParameters
+from symsimpson.study.orbits.flow import Flow, PeriodOfParameters, scale_of
 from symsimpson.study.orbits.integrals import Integrals, find_integrals
 from symsimpson.study.orbits.orbit import Orbit
 from symsimpson.study.orbits.search import Search
@@ -69,7 +69,7 @@ def find_periodic(tools: Any, stepper: Stepper, **arguments: Any) -> Orbit:
     orbit = search.orbit(search.shooting.solve(start))
     if given.error is None:
         return orbit
-    return search.refined_to(orbit, read_number("error", given.error), MOST_STEPS)
+    return search.refined_to(orbit, _read_number("error", given.error), MOST_STEPS)
 
 
 def read_search(
@@ -79,7 +79,7 @@ def read_search(
 
     The first ``integrals`` of the system are searched for if they are not known.
     """
-    check_system(stepper)
+    _check_system(stepper)
     header, to_event = stepper.program.header, given.events is not None
     unknowns = _read_unknowns(stepper, given.unknowns)
     given = _with_defaults(stepper, given)
@@ -87,7 +87,7 @@ def read_search(
     states = _read_guess(stepper, given, period)
     parts, segments, steps = 1 if given.middle is None else 2, 1, STEPS_TO_EVENT
     if to_event and given.period is not None:
-        steps = int(np.ceil(PERIODS_TO_EVENT * period / abs(read_number("h", abs(given.h)))))
+        steps = int(np.ceil(PERIODS_TO_EVENT * period / abs(_read_number("h", abs(given.h)))))
     if not (to_event or header.retimed):
         steps = read_count("steps", 64 if given.steps is None else given.steps, least=1)
         segments = 1 if states is None or steps < SEGMENTS else SEGMENTS
@@ -102,7 +102,7 @@ def read_search(
             reject(f"steps={steps} is odd, but middle= divides the orbit.", where=stepper.system)
     if states is not None:
         given = replace(given, q0=states[0, : stepper.n], v0=None, p0=states[0, stepper.n :])
-    flow = make_flow(stepper, given, unknowns, steps // parts, period_of, period / parts)
+    flow = _make_flow(stepper, given, unknowns, steps // parts, period_of, period / parts)
     closing = read_closing(stepper.program, given.conditions, unknowns)
     values, z = flow.spec.parameters, np.concatenate([flow.spec.q0, flow.spec.other0])
     scale = scale_of(_states_ahead(flow, z, period / parts) if states is None else states)
@@ -127,7 +127,7 @@ def read_search(
         sizes,
         middle,
     )
-    check_freedom(stepper, shooting)
+    _check_freedom(stepper, shooting)
     symplectic = header.conservative and not to_event and header.autonomous
     mirror = _reversal(stepper, given.middle) if middle else None
     search = Search(stepper, shooting, given, symplectic, tools, mirror)
@@ -135,7 +135,7 @@ def read_search(
     return search, OrbitUnknowns(table, length, values, extra, np.zeros(shooting.unfolded))
 
 
-def check_system(stepper: Stepper) -> None:
+def _check_system(stepper: Stepper) -> None:
     """Reject steppers whose orbits cannot be searched for."""
     program = stepper.program
     if program.declared is None:
@@ -229,17 +229,17 @@ def _states_of_mode(stepper: Stepper, given: OrbitArguments) -> OrbitArguments:
     states = np.concatenate([rest.q[0], second]) + given.size * np.real(turns[:, None] * vector)
     q, p = states[:, :n], states[:, n:]
     if not canonical:
-        p = momenta(stepper, q, p, given)
+        p = _momenta(stepper, q, p, given)
     return replace(given, period=2 * np.pi / values[turning[number]].imag, guess=(q, p), mode=None)
 
 
-def momenta(stepper: Stepper, q: Floats, v: Floats, given: OrbitArguments) -> Floats:
+def _momenta(stepper: Stepper, q: Floats, v: Floats, given: OrbitArguments) -> Floats:
     """Return the momenta at rows of positions and velocities."""
     options = {"h": 1.0, "steps": 0, "parameters": given.parameters, "t0": given.t0}
     return np.array([stepper.integrate(a, v0=b, **options).p[0] for a, b in zip(q, v, strict=True)])
 
 
-def read_number(name: str, given: Any) -> float:
+def _read_number(name: str, given: Any) -> float:
     """Read a positive number."""
     if not isinstance(given, Real) and not getattr(given, "is_number", False):
         reject(f"{name} is {given!r}.", remedy="Pass a number.")
@@ -271,7 +271,7 @@ def _read_period(
         )
     slopes = [whole.diff(x) for x in symbols if x in unknowns]
     if not whole.free_symbols:
-        period, none = read_number("period", given.period), np.zeros(len(slopes))
+        period, none = _read_number("period", given.period), np.zeros(len(slopes))
         if program.header.autonomous:
             return period, None
         _check_drive(stepper, given, period)
@@ -282,7 +282,7 @@ def _read_period(
         length, *by_unknown = evaluate(*at.tolist())
         return float(length), np.array(by_unknown, dtype=np.float64)
 
-    period = read_number("period", period_of(program.values(given.parameters))[0])
+    period = _read_number("period", period_of(program.values(given.parameters))[0])
     return period, None if program.header.autonomous else period_of
 
 
@@ -339,7 +339,7 @@ def _read_guess(stepper: Stepper, given: OrbitArguments, period: float) -> Float
     return np.asarray(whole[:: count // SEGMENTS])
 
 
-def make_flow(
+def _make_flow(
     stepper: Stepper,
     given: OrbitArguments,
     unknowns: Sequence[sp.Symbol],
@@ -363,15 +363,9 @@ def make_flow(
     request = Request(given.q0, given.v0, given.p0, h, tangents=2 * stepper.n, **options)
     spec: RunSpec = read_run(program, request)
     if spec.velocities:  # the unknowns are momenta
-        p = momenta(stepper, spec.q0[None], spec.other0[None], given)[0]
+        p = _momenta(stepper, spec.q0[None], spec.other0[None], given)[0]
         spec = replace(spec, other0=p, given="p0")
     return Flow(program, replace(spec, every=0), places, steps, period_of=period_of)
-
-
-def scale_of(states: Floats) -> Floats:
-    """Return the scale of (q, p): the largest coordinate and the largest momentum of states."""
-    q, p = np.split(abs(states), 2, axis=1)
-    return np.repeat([q.max() or 1.0, p.max() or 1.0], q.shape[1])
 
 
 def _states_ahead(flow: Flow, z: Floats, period: float) -> Floats:
@@ -388,7 +382,7 @@ def _states_ahead(flow: Flow, z: Floats, period: float) -> Floats:
     return np.array(states)
 
 
-def check_freedom(stepper: Stepper, shooting: Shooting) -> None:
+def _check_freedom(stepper: Stepper, shooting: Shooting) -> None:
     """Reject more conditions than an orbit can satisfy."""
     excess = shooting.rows - shooting.columns
     if excess <= 0:
@@ -411,3 +405,76 @@ def _reversal(stepper: Stepper, middle: Any) -> Floats:
         if place is not None:
             signs[place], signs[n + place] = -1.0, 1.0
     return np.diag(signs)
+
+
+def find_path(
+    tools: Any, stepper: Stepper, ends: tuple[Any, Any], duration: Any, steps: Any, run: Any
+) -> Path:
+    """Search for a path between two boundaries; see :meth:`Stepper.boundary`."""
+    _check_system(stepper)
+    if stepper.program.header.retimed:
+        reject(
+            "boundaries of retimed systems are not available.",
+            where=stepper.system,
+            remedy="Use the system without the time transformation.",
+        )
+    given, none = OrbitArguments(parameters=run[0], t0=run[1]), np.zeros(0)
+    steps = read_count("steps", 64 if steps is None else steps, least=1)
+    both = [_as_mapping(stepper, x) for x in ends]
+    first, final = (_end_values(stepper, x) for x in both)
+    free = duration is None
+    period = _time_scale(stepper, first, given) if free else _read_number("duration", duration)
+    segments = SEGMENTS if steps % SEGMENTS == 0 else 1
+    q = first + np.arange(SEGMENTS)[:, None] / SEGMENTS * (final - first)
+    p = _momenta(stepper, q, np.tile((final - first) / period, (SEGMENTS, 1)), given)
+    given, states = replace(given, q0=q[0], p0=p[0]), np.concatenate([q, p], axis=1)
+    constant = None if free else (lambda _: (period, none))
+    flow = replace(_make_flow(stepper, given, (), steps, constant, period), segments=segments)
+    conditions = [read_conditions(flow, f"q{k}", x) for k, x in enumerate(both)]
+    integrals, scale = Integrals(False, (), timeless=False), scale_of(states)
+    shooting = Shooting(flow, None, conditions[0], integrals, scale, period, none, conditions[1])
+    _check_freedom(stepper, shooting)
+    search = Search(stepper, shooting, given, symplectic=False, tools=tools)
+    start = OrbitUnknowns(states[:segments], period, flow.spec.parameters, none, none)
+    return search.path(shooting.solve(start))
+
+
+def _time_scale(stepper: Stepper, q: Floats, given: OrbitArguments) -> float:
+    """Return 1 over the fastest rate of the motion near a position at rest."""
+    system, at_rest = stepper.program.declared, np.zeros(stepper.n)
+    assert system is not None
+    try:
+        A, _ = system.linearise(q, at_rest, parameters=given.parameters, t=float(given.t0))
+        rate = float(abs(np.linalg.eigvals(A)).max())
+    except SymsimpsonError:
+        rate = 0.0
+    if not rate > 0:
+        reject(
+            "nothing determines a guess of the duration.",
+            where=stepper.system,
+            remedy="Pass duration=, and vary it.",
+        )
+    return 1 / rate
+
+
+def _as_mapping(stepper: Stepper, given: Any) -> Mapping[Any, Any]:
+    """Return conditions on positions as a mapping."""
+    if isinstance(given, Mapping):
+        return given
+    numbers = np.asarray(given, dtype=np.float64)
+    if numbers.shape != (stepper.n,):
+        reject(
+            f"a boundary has shape {numbers.shape}, expected ({stepper.n},).",
+            where=stepper.system,
+            remedy="Pass a number for each coordinate, or a mapping.",
+        )
+    return dict(zip(stepper.coordinates, numbers.tolist(), strict=True))
+
+
+def _end_values(stepper: Stepper, given: Mapping[Any, Any]) -> Floats:
+    """Return the numbers that are given for coordinates; others are 0."""
+    names, values = stepper.program.names.coordinates, np.zeros(stepper.n)
+    for key, x in given.items():
+        if isinstance(x, Real) and names.place(key) is not None:
+            values[names.place(key)] = x
+    return values

@@ -145,3 +145,9 @@ def turned(vectors: Floats) -> Floats:
     """Return J x for vectors x in the rows: (x_p, -x_q)."""
     n = vectors.shape[-1] // 2
     return np.concatenate([vectors[..., n:], -vectors[..., :n]], axis=-1)
+
+
+def scale_of(states: Floats) -> Floats:
+    """Return the scale of (q, p): the largest coordinate and the largest momentum of states."""
+    q, p = np.split(abs(states), 2, axis=1)
+    return np.repeat([q.max() or 1.0, p.max() or 1.0], q.shape[1])

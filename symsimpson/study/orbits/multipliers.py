@@ -45,23 +45,21 @@ def symplectic_indices(D: Floats) -> Complexes:
     random = np.random.default_rng(1)
     Q, vector = np.zeros((size, n)), random.normal(size=size)
     for k in range(n):
-        for _ in range(3):
-            vector = _orthogonal(vector, Q[:, :k])
+        vector = _orthogonal(vector, Q[:, :k])
         Q[:, k] = vector / np.linalg.norm(vector)
         image = W @ Q[:, k]
-        vector = image
-        for _ in range(3):
-            vector = _orthogonal(vector, Q[:, : k + 1])
+        vector = _orthogonal(image, Q[:, : k + 1])
         if np.linalg.norm(vector) <= BREAKDOWN * np.linalg.norm(image):
             vector = random.normal(size=size)
     return np.linalg.eigvals(Q.T @ W @ Q).astype(np.complex128)
 
 
 def _orthogonal(vector: Floats, Q: Floats) -> Floats:
-    """Remove the components along the columns of Q and J Q."""
-    vector = vector - Q @ (Q.T @ vector)
-    partners = turned(Q.T).T
-    return np.asarray(vector - partners @ (partners.T @ vector))
+    """Remove the components along the columns of Q and J Q, up to round-off."""
+    both = np.concatenate([Q, turned(Q.T).T], axis=1)
+    for _ in range(3):
+        vector = vector - both @ (both.T @ vector)
+    return vector
 
 
 def multipliers_of(D: Floats, trivial: int, *, symplectic: bool, power: int) -> Multipliers:
@@ -76,16 +74,10 @@ def multipliers_of(D: Floats, trivial: int, *, symplectic: bool, power: int) -> 
     if not symplectic:
         left = left[np.argsort(-abs(left))] ** power
         return Multipliers(left, left[:0], off)
-    left = _paired(left)
+    real = abs(left.imag) <= 1e-12 * np.maximum(1.0, abs(left))  # up to round-off
+    left = np.where(real, left.real + 0j, left)[np.argsort(-abs(left))]
     root = np.sqrt(left**2 - 1 + 0j)
     large = np.where(abs(left + root) >= abs(left - root), left + root, left - root) ** power
     pairs: Complexes = np.ravel(np.column_stack([large, 1 / large]))
     indices = np.asarray((large + 1 / large) / 2, dtype=np.complex128)
     return Multipliers(pairs, indices, off)
-
-
-def _paired(indices: Complexes) -> Complexes:
-    """Sort indices from large to small; round-off of real ones is removed."""
-    real = abs(indices.imag) <= 1e-12 * np.maximum(1.0, abs(indices))
-    cleaned = np.where(real, indices.real + 0j, indices)
-    return cleaned[np.argsort(-abs(indices))]

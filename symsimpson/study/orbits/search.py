@@ -11,7 +11,7 @@ from symsimpson.api.stepper import Stepper
 from symsimpson.errors import reject
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.study.orbits.boundary_path import Path
-from symsimpson.study.orbits.flow import Flow
+from symsimpson.study.orbits.flow import Flow, scale_of
 from symsimpson.study.orbits.multipliers import Multipliers, multipliers_of
 from symsimpson.study.orbits.orbit import Orbit
 from symsimpson.study.orbits.outcome import OrbitStatus
@@ -71,7 +71,7 @@ class Search:
     def scaled_to(self, orbit: Orbit) -> Search:
         """Return the search with the scale of an orbit."""
         run, period = orbit.trajectory, orbit.period / self.flow.parts
-        scale = np.repeat([abs(run.q).max() or 1.0, abs(run.p).max() or 1.0], self.flow.n)
+        scale = scale_of(np.concatenate([run.q, run.p], axis=1))
         return replace(self, shooting=replace(self.shooting, scale=scale, reference_period=period))
 
     def point_of(self, path: Path) -> OrbitUnknowns:

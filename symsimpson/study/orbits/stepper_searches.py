@@ -6,8 +6,7 @@ from functools import partial
 from types import SimpleNamespace
 
 from symsimpson.study.orbits import bifurcations, continuation, figures, orbit_files
-from symsimpson.study.orbits.boundaries import find_path
-from symsimpson.study.orbits.find import find_periodic
+from symsimpson.study.orbits.find import find_path, find_periodic
 
 #: The functions that results call.
 TOOLS = SimpleNamespace(
