@@ -39,15 +39,13 @@ def frequencies_of(run: Any, count: Any, of: Any) -> tuple[Floats, Complexes]:
         )
     t = np.asarray(run.t, dtype=np.float64)
     if np.iscomplexobj(signal):
-        return main_frequencies(t, signal.astype(np.complex128), count)
-    real = signal.astype(np.float64)
-    centred = (real - real.mean()).astype(np.complex128)
-    frequencies, amplitudes = main_frequencies(t, centred, 2 * count)
+        return main_frequencies(t, signal, count)
+    frequencies, amplitudes = main_frequencies(t, signal - signal.mean(), 2 * count)
     positive = frequencies > 0
     return frequencies[positive][:count], amplitudes[positive][:count]
 
 
-def main_frequencies(t: Floats, signal: Complexes, count: int) -> tuple[Floats, Complexes]:
+def main_frequencies(t: Floats, signal: NDArray[Any], count: int) -> tuple[Floats, Complexes]:
     """Return angular frequencies and complex amplitudes, the largest first."""
     if len(t) < FEWEST:
         reject(
@@ -61,6 +59,7 @@ def main_frequencies(t: Floats, signal: Complexes, count: int) -> tuple[Floats, 
     place = (t - middle) / half
     window = np.cos(np.pi * place / 2) ** (2 * POWER)
     window /= window.sum()
+    signal = signal.astype(np.complex128)
     frequencies, left = np.zeros(0), signal
     for _ in range(count):
         spectrum = abs(np.fft.fft(window * left, 4 * len(t)))

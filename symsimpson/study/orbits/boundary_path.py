@@ -31,16 +31,12 @@ class Path:
         The initial state.
     energy : float
         H at the initial state.
-    parameters : mapping from str to float
-        Values of the parameters.
-    unknowns : mapping from str to float
-        Values of the unknowns.
-    status : OrbitStatus
+    parameters, unknowns : mapping from str to float
+        Values of the parameters and of the unknowns.
+    status, message : OrbitStatus, str
         How the search ended.
     success : bool
         True if the path was found.
-    message : str
-        The outcome as text.
     residual : float
         The largest error of the boundary conditions, relative to the scale of the motion.
     iterations : int
@@ -94,6 +90,11 @@ class Path:
     def trajectory(self) -> Trajectory:
         """The run over the whole path."""
         return self.search.run(self, every=1)
+
+    @cached_property
+    def states(self) -> Floats:
+        """The states (q, p) of the run, a row for each."""
+        return np.concatenate([self.trajectory.q, self.trajectory.p], axis=1)
 
     @property
     def v0(self) -> Floats:

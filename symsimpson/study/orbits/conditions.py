@@ -125,10 +125,6 @@ class Closing:
         return shift, slopes
 
 
-#: The largest power of R that is tried.
-MOST_POWERS = 60
-
-
 def read_closing(program: Any, given: Any, unknowns: Sequence[Any]) -> Closing:
     """Read ``conditions``: the final value of each coordinate as an expression of the first state.
 
@@ -138,16 +134,15 @@ def read_closing(program: Any, given: Any, unknowns: Sequence[Any]) -> Closing:
     symbols = tuple(x for x in unknowns if x not in parameters)
     R, shift = np.eye(len(coordinates)), [sp.S.Zero] * len(coordinates)
     velocities = [q.diff(time) for q in coordinates]
-    final_velocities: dict[int, sp.Expr] = {}
-    for key, value in read_mapping("conditions", given, program.coordinates[0]).items():
+    given = read_mapping("conditions", given, program.coordinates[0])
+    for key, value in given.items():
         place, name = program.names.coordinates.place(key), spelled(key)
         if isinstance(value, str):
             reject(
                 f"conditions[{name}] is the text {value!r}.",
                 remedy="Texts are never evaluated: write it with the symbols themselves.",
             )
-        if place is None and key in velocities:
-            final_velocities[velocities.index(key)] = sp.sympify(value)
+        if key in velocities:
             continue
         if place is None:
             reject(
@@ -168,7 +163,8 @@ def read_closing(program: Any, given: Any, unknowns: Sequence[Any]) -> Closing:
                 remedy="List other symbols in unknowns=, if they are no parameters.",
             )
         R[place], shift[place] = [float(c) for c in row], rest
-    for place, value in final_velocities.items():
+    for place in (k for k, v in enumerate(velocities) if v in given):
+        value = given[velocities[place]]
         if sp.expand(value - sum(R[place].tolist() * np.array(velocities))) != 0:
             reject(
                 f"conditions gives {velocities[place]} the final value {value}.",
@@ -182,6 +178,6 @@ def read_closing(program: Any, given: Any, unknowns: Sequence[Any]) -> Closing:
             where=program.system,
             remedy="Give each coordinate an expression of its own.",
         )
-    powers = (np.linalg.matrix_power(R, k) for k in range(1, MOST_POWERS + 1))
+    powers = (np.linalg.matrix_power(R, k) for k in range(1, 61))
     order = next((k for k, x in enumerate(powers, 1) if np.allclose(x, np.eye(len(R)))), 1)
     return Closing(R, tuple(shift), symbols, parameters, order)

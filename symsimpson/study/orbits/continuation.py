@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -50,12 +49,11 @@ def _extent(orbit: Orbit) -> float:
 
 def _passed_equilibrium(before: Orbit, after: Orbit) -> bool:
     """Return whether an orbit lies on the other side of an equilibrium, half a period later."""
-    starts = []
-    for orbit in (before, after):
-        run = orbit.trajectory
-        states = np.concatenate([run.q, run.p], axis=1) / orbit.search.shooting.scale
-        starts.append(states[0] - states[:-1].mean(axis=0))
-    return bool(starts[0] @ starts[1] < 0)
+    first, last = (
+        (x.states[0] - x.states[:-1].mean(axis=0)) / x.search.shooting.scale
+        for x in (before, after)
+    )
+    return bool(first @ last < 0)
 
 
 class Continuation:
@@ -221,7 +219,9 @@ class Continuation:
                     break
                 sweep = self._refine(solution.sweep, orbits)
                 direction = self.unit(tangents[-1])
-                if self._returned(first.sweep, sweep, tangents, length):
+                near = np.linalg.norm(self.between(first.sweep.point, sweep.point)) < length
+                ahead = self.unit(tangents[0]) @ direction > LARGEST_TURN
+                if near and ahead and len(tangents) > 4:  # in the same direction
                     status = FamilyStatus.CLOSED
                     break
                 faster = 2.0 ** ((USUAL_ITERATIONS - len(solution.corrections)) / 3)
@@ -263,17 +263,6 @@ class Continuation:
                     return length, solution, following
             length /= 2
         return length, None, None
-
-    def _returned(
-        self, first: Sweep, sweep: Sweep, tangents: Sequence[Floats], length: float
-    ) -> bool:
-        """Return whether the family passes its first orbit in the same direction."""
-        near = np.linalg.norm(self.between(sweep.point, first.point)) < length
-        return bool(
-            near
-            and len(tangents) > 4
-            and self.unit(tangents[0]) @ self.unit(tangents[-1]) > LARGEST_TURN
-        )
 
 
 def follow(orbit: Orbit, parameter: Any, **course: Any) -> Family:

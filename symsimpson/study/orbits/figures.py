@@ -38,13 +38,7 @@ def plot_multipliers(orbits: Sequence[Orbit], ax: Any) -> Any:
 def plot_family(family: Family, x: str, y: str, ax: Any) -> Any:
     """Draw a quantity of the orbits against another, with bifurcations as points."""
     ax = get_axes(ax, (6, 4))
-
-    def values(key: str, some: Any) -> Any:
-        if key == "frequency":
-            return 1 / np.array([orbit.period for orbit in some])
-        return replace(family, orbits=tuple(some))[key]
-
-    horizontal, vertical = values(x, family.orbits), values(y, family.orbits)
+    horizontal, vertical = family[x], family[y]
     stable = np.array([orbit.stable for orbit in family])
     for holds, line in ((True, "C0-"), (False, "C0--")):
         here = np.where(stable == holds, 1.0, np.nan)
@@ -55,7 +49,8 @@ def plot_family(family: Family, x: str, y: str, ax: Any) -> Any:
     for point in family.bifurcations:
         kinds.setdefault(point.kind, []).append(point.orbit)
     for k, (kind, orbits) in enumerate(kinds.items(), 1):
-        ax.plot(values(x, orbits), values(y, orbits), f"C{k}o", ms=5, label=kind)
+        some = replace(family, orbits=tuple(orbits))
+        ax.plot(some[x], some[y], f"C{k}o", ms=5, label=kind)
     ax.set(xlabel=x, ylabel=y, title=f"{family.search.stepper.system}: family of periodic orbits")
     ax.legend()
     return ax

@@ -31,12 +31,8 @@ from symsimpson.support.names import as_tuple, did_you_mean, spelled
 SEGMENTS = 8
 #: The most steps to an event without a guess of the period, and the most periods with one.
 STEPS_TO_EVENT, PERIODS_TO_EVENT = 1000, 4
-#: The most steps that error= may lead to.
-MOST_STEPS = 2**16
-#: Relative damping of an oscillation that counts as none.
-UNDAMPED = 1e-9
-#: Relative difference of two steps a period of the drive apart.
-SAME = 1e-9
+#: Relative damping of an oscillation, and difference of two steps, that count as none.
+UNDAMPED, SAME = 1e-9, 1e-9
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,7 @@ def find_periodic(tools: Any, stepper: Stepper, **arguments: Any) -> Orbit:
     orbit = search.orbit(search.shooting.solve(start))
     if given.error is None:
         return orbit
-    return search.refined_to(orbit, _read_number("error", given.error), MOST_STEPS)
+    return search.refined_to(orbit, _read_number("error", given.error))
 
 
 def read_search(
@@ -85,7 +81,7 @@ def read_search(
     given = _with_defaults(stepper, given)
     period, period_of = _read_period(stepper, given, unknowns)
     states = _read_guess(stepper, given, period)
-    parts, segments, steps = 1 if given.middle is None else 2, 1, STEPS_TO_EVENT
+    parts, segments, steps = 2 if given.middle else 1, 1, STEPS_TO_EVENT
     if to_event and given.period is not None:
         steps = int(np.ceil(PERIODS_TO_EVENT * period / abs(_read_number("h", abs(given.h)))))
     if not (to_event or header.retimed):
@@ -114,24 +110,17 @@ def read_search(
         off = [[abs(c.row(flow, x, period, values)[0]) for c in conditions] for x in table]
         table = np.roll(table, -int(np.max(off, axis=1).argmin()), axis=0)
     integrals = integrals or find_integrals(stepper, flow, closing, z)
-    extra = np.zeros(0 if middle else len(closing.symbols))
+    ends = None if middle else closing
+    extra = np.zeros(len(closing.symbols) if ends else 0)
     # a value of 0 has the scale of the state
     sizes = np.array([abs(x) or scale[0] for x in (*values[list(flow.places)], *extra)])
-    shooting = Shooting(
-        flow,
-        None if middle else closing,
-        conditions,
-        integrals,
-        scale,
-        period / parts,
-        sizes,
-        middle,
-    )
+    length = period / parts
+    shooting = Shooting(flow, ends, conditions, integrals, scale, length, sizes, middle)
     _check_freedom(stepper, shooting)
     symplectic = header.conservative and not to_event and header.autonomous
     mirror = _reversal(stepper, given.middle) if middle else None
     search = Search(stepper, shooting, given, symplectic, tools, mirror)
-    length = period / parts if period_of is None else period_of(values)[0]
+    length = length if period_of is None else period_of(values)[0]
     return search, OrbitUnknowns(table, length, values, extra, np.zeros(shooting.unfolded))
 
 
@@ -164,16 +153,14 @@ def _read_unknowns(stepper: Stepper, given: Any) -> tuple[sp.Symbol, ...]:
     """Read the symbols to solve for: parameters by symbol or name, and other symbols."""
     assert stepper.program.declared is not None
     declared = {str(x): x for x in stepper.program.declared.parameters}
-    symbols = []
-    for x in as_tuple(given):
-        symbol = declared.get(spelled(x), x)
-        if not isinstance(symbol, sp.Symbol):
+    symbols = [declared.get(spelled(x), x) for x in as_tuple(given)]
+    for x in symbols:
+        if not isinstance(x, sp.Symbol):
             reject(
                 f"unknowns contains {x!r}, which is no parameter."
                 f"{did_you_mean(spelled(x), [*declared])}",
                 remedy="Pass parameters, or symbols of conditions=.",
             )
-        symbols.append(symbol)
     # parameters come first
     return tuple(sorted(symbols, key=lambda x: x not in declared.values()))
 
@@ -241,11 +228,10 @@ def _momenta(stepper: Stepper, q: Floats, v: Floats, given: OrbitArguments) -> F
 
 def _read_number(name: str, given: Any) -> float:
     """Read a positive number."""
-    if not isinstance(given, Real) and not getattr(given, "is_number", False):
-        reject(f"{name} is {given!r}.", remedy="Pass a number.")
-    number = float(given)
-    if not (np.isfinite(number) and number > 0):
-        reject(f"{name} is {number:g}.", remedy="Pass a positive number.")
+    known = isinstance(given, Real) or getattr(given, "is_number", False)
+    number = float(given) if known else np.nan
+    if not 0 < number < np.inf:
+        reject(f"{name} is {given!r}.", remedy="Pass a positive number.")
     return number
 
 
@@ -330,8 +316,6 @@ def _read_guess(stepper: Stepper, given: OrbitArguments, period: float) -> Float
         )
     # trigonometric interpolation between the states of the table
     states = np.concatenate([q, p], axis=1)
-    if len(states) == SEGMENTS:
-        return states
     waves, count = np.fft.rfft(states, axis=0), max(len(states), SEGMENTS) * SEGMENTS
     if len(states) % 2 == 0:  # the highest frequency of the table is a positive and a negative one
         waves[-1] /= 2
@@ -398,13 +382,10 @@ def _check_freedom(stepper: Stepper, shooting: Shooting) -> None:
 
 def _reversal(stepper: Stepper, middle: Any) -> Floats:
     """Return the reversal of (q, p) whose fixed points satisfy the conditions."""
-    n, names = stepper.n, stepper.program.names.coordinates
-    signs = np.concatenate([np.ones(n), -np.ones(n)])
-    for key in middle:
-        place = names.place(key)
-        if place is not None:
-            signs[place], signs[n + place] = -1.0, 1.0
-    return np.diag(signs)
+    places = [stepper.program.names.coordinates.place(key) for key in middle]
+    signs = np.ones(stepper.n)
+    signs[[k for k in places if k is not None]] = -1.0
+    return np.diag([*signs, *-signs])
 
 
 def find_path(
@@ -420,8 +401,7 @@ def find_path(
         )
     given, none = OrbitArguments(parameters=run[0], t0=run[1]), np.zeros(0)
     steps = read_count("steps", 64 if steps is None else steps, least=1)
-    both = [_as_mapping(stepper, x) for x in ends]
-    first, final = (_end_values(stepper, x) for x in both)
+    (left, first), (right, final) = (_read_end(stepper, x) for x in ends)
     free = duration is None
     period = _time_scale(stepper, first, given) if free else _read_number("duration", duration)
     segments = SEGMENTS if steps % SEGMENTS == 0 else 1
@@ -430,9 +410,9 @@ def find_path(
     given, states = replace(given, q0=q[0], p0=p[0]), np.concatenate([q, p], axis=1)
     constant = None if free else (lambda _: (period, none))
     flow = replace(_make_flow(stepper, given, (), steps, constant, period), segments=segments)
-    conditions = [read_conditions(flow, f"q{k}", x) for k, x in enumerate(both)]
+    conditions, last = read_conditions(flow, "q0", left), read_conditions(flow, "q1", right)
     integrals, scale = Integrals(False, (), timeless=False), scale_of(states)
-    shooting = Shooting(flow, None, conditions[0], integrals, scale, period, none, conditions[1])
+    shooting = Shooting(flow, None, conditions, integrals, scale, period, none, last)
     _check_freedom(stepper, shooting)
     search = Search(stepper, shooting, given, symplectic=False, tools=tools)
     start = OrbitUnknowns(states[:segments], period, flow.spec.parameters, none, none)
@@ -457,24 +437,19 @@ def _time_scale(stepper: Stepper, q: Floats, given: OrbitArguments) -> float:
     return 1 / rate
 
 
-def _as_mapping(stepper: Stepper, given: Any) -> Mapping[Any, Any]:
-    """Return conditions on positions as a mapping."""
-    if isinstance(given, Mapping):
-        return given
-    numbers = np.asarray(given, dtype=np.float64)
-    if numbers.shape != (stepper.n,):
-        reject(
-            f"a boundary has shape {numbers.shape}, expected ({stepper.n},).",
-            where=stepper.system,
-            remedy="Pass a number for each coordinate, or a mapping.",
-        )
-    return dict(zip(stepper.coordinates, numbers.tolist(), strict=True))
-
-
-def _end_values(stepper: Stepper, given: Mapping[Any, Any]) -> Floats:
-    """Return the numbers that are given for coordinates; others are 0."""
+def _read_end(stepper: Stepper, given: Any) -> tuple[Mapping[Any, Any], Floats]:
+    """Return the conditions at an end as a mapping, and its coordinates; unknown ones are 0."""
     names, values = stepper.program.names.coordinates, np.zeros(stepper.n)
+    if not isinstance(given, Mapping):
+        numbers = np.asarray(given, dtype=np.float64)
+        if numbers.shape != values.shape:
+            reject(
+                f"a boundary has shape {numbers.shape}, expected ({stepper.n},).",
+                where=stepper.system,
+                remedy="Pass a number for each coordinate, or a mapping.",
+            )
+        given = dict(zip(stepper.coordinates, numbers.tolist(), strict=True))
     for key, x in given.items():
         if isinstance(x, Real) and names.place(key) is not None:
             values[names.place(key)] = x
-    return values
+    return given, values

@@ -7,7 +7,7 @@ isotropic, so n vectors give a matrix with each index once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,24 +17,16 @@ from symsimpson.support.array_types import Floats
 
 Complexes = NDArray[np.complex128]
 
-#: An index is on the unit circle if it exceeds 1 by less than this.
-STABLE = 1e-8
 #: A new Krylov vector shorter than this ends an invariant space.
 BREAKDOWN = 1e-12
 
 
-@dataclass(frozen=True)
-class Multipliers:
+class Multipliers(NamedTuple):
     """Multipliers and stability indices, without the trivial ones."""
 
-    values: Complexes
-    indices: Complexes  #: (l + 1/l)/2 of each pair; empty unless the map is symplectic.
+    multipliers: Complexes
+    stability_indices: Complexes  #: (l + 1/l)/2 of pairs; empty unless the map is symplectic.
     trivial: float  #: Largest distance of a trivial index, or multiplier, from 1.
-
-    @property
-    def stable(self) -> bool:
-        """Whether all multipliers lie in or on the unit circle."""
-        return bool((abs(self.values) <= 1 + np.sqrt(2 * STABLE)).all())
 
 
 def symplectic_indices(D: Floats) -> Complexes:
@@ -78,6 +70,5 @@ def multipliers_of(D: Floats, trivial: int, *, symplectic: bool, power: int) -> 
     left = np.where(real, left.real + 0j, left)[np.argsort(-abs(left))]
     root = np.sqrt(left**2 - 1 + 0j)
     large = np.where(abs(left + root) >= abs(left - root), left + root, left - root) ** power
-    pairs: Complexes = np.ravel(np.column_stack([large, 1 / large]))
-    indices = np.asarray((large + 1 / large) / 2, dtype=np.complex128)
-    return Multipliers(pairs, indices, off)
+    pairs = np.column_stack([large, 1 / large])
+    return Multipliers(pairs.ravel(), pairs.mean(axis=1), off)

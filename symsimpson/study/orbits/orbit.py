@@ -10,15 +10,18 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.study.orbits.boundary_path import PERIOD, Path
-from symsimpson.study.orbits.family_quantities import quantity
-from symsimpson.study.orbits.multipliers import Multipliers
+from symsimpson.errors import reject
+from symsimpson.study.orbits.boundary_path import ENERGY, PERIOD, Path
 from symsimpson.study.orbits.outcome import FamilyStatus
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explain_methods
+from symsimpson.support.names import did_you_mean
 
 if TYPE_CHECKING:
     from symsimpson.run.ensemble.ensemble import Ensemble
+
+#: A stability index is on the unit circle if it exceeds 1 by less than this.
+ROUNDING_OF_INDEX = 1e-8
 
 
 @explain_methods()
@@ -60,30 +63,18 @@ class Orbit(Path):
     """
 
     derivative: Floats
-    floquet: Multipliers
+    multipliers: NDArray[np.complex128]
+    stability_indices: NDArray[np.complex128]
+    trivial: float
     unfolding: float
     error: float | None = None
     primitive: Orbit | None = None
 
     @property
-    def multipliers(self) -> NDArray[np.complex128]:
-        """The multipliers without the trivial ones, the largest first."""
-        return self.floquet.values
-
-    @property
-    def stability_indices(self) -> NDArray[np.complex128]:
-        """(l + 1/l)/2 of each pair of multipliers."""
-        return self.floquet.indices
-
-    @property
     def stable(self) -> bool:
-        """True if no deviation grows exponentially."""
-        return self.success and self.floquet.stable
-
-    @property
-    def trivial(self) -> float:
-        """Largest distance of a trivial multiplier from 1."""
-        return self.floquet.trivial
+        """True if no deviation grows exponentially: all multipliers lie in or on the circle."""
+        largest = abs(self.multipliers).max(initial=1.0)
+        return self.success and bool(largest <= 1 + np.sqrt(2 * ROUNDING_OF_INDEX))
 
     def refined(self, factor: int = 2) -> Orbit:
         """Return the same orbit with ``factor`` times as many steps.
@@ -296,10 +287,8 @@ class Family:
         The orbits in the order of the family.
     parameter : str
         The name of the quantity that changes.
-    status : FamilyStatus
+    status, message : FamilyStatus, str
         Why the family ended.
-    message : str
-        The outcome as text.
     bifurcations : tuple of Bifurcation
         Orbits at which the family turns, or others branch off.
 
@@ -325,9 +314,27 @@ class Family:
     def __getitem__(self, key: Any) -> Any:
         """Return an orbit by its number, or a quantity of all orbits by its name.
 
-        Names are "period", "energy", "stability", parameters, and initial coordinates and momenta.
+        Names are "period", "frequency", "energy", "stability", parameters, and initial coordinates
+        and momenta.
         """
-        return quantity(self, key) if isinstance(key, str) else self.orbits[key]
+        if not isinstance(key, str):
+            return self.orbits[key]
+        quantities: dict[str, Any] = {
+            PERIOD: lambda x: x.period,
+            "frequency": lambda x: 1 / x.period,
+            ENERGY: lambda x: x.energy,
+            "stability": lambda x: abs(x.multipliers).max(initial=1.0),
+        }
+        names, parameters = self.search.stepper.coordinates, self.search.stepper.parameters
+        quantities |= {name: lambda x, k=k: x.values[k] for k, name in enumerate(parameters)}
+        quantities |= {f"p_{name}": lambda x, k=k: x.p0[k] for k, name in enumerate(names)}
+        quantities |= {name: lambda x, k=k: x.q0[k] for k, name in enumerate(names)}
+        if key not in quantities:
+            reject(
+                f"a family has no quantity {key!r}.{did_you_mean(key, quantities)}",
+                remedy=f"Choose from {', '.join(quantities)}.",
+            )
+        return np.array([quantities[key](x) for x in self.orbits])
 
     @property
     def message(self) -> str:
@@ -428,8 +435,7 @@ class Family:
         Parameters
         ----------
         x, y : str
-            Names as for ``family["..."]``, or "frequency", which is 1/period. The default of x is
-            the quantity that changes.
+            Names as for ``family["..."]``; the default of x is the quantity that changes.
         ax : matplotlib axes, optional
             Axes to draw in, new ones by default.
 

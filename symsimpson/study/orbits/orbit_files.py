@@ -72,10 +72,12 @@ def open_family(tools: Any, stepper: Any, path: Any, **given: Any) -> Family:
         )
     fixed = {k: v for k, v in (given["fixed"] or {}).items() if spelled(k) != saved["parameter"]}
     given = {**given, "fixed": fixed}
-    passed = [name for name in SYMBOLIC if given[name]]
-    if passed != saved["given"]:
+    none = "no symbolic arguments"
+    found = ", ".join(f"{x}=" for x in saved["given"]) or none
+    passed = ", ".join(f"{x}=" for x in SYMBOLIC if given[x]) or none
+    if passed != found:
         reject(
-            f"the family was found with {_list(saved['given'])}, and you passed {_list(passed)}.",
+            f"the family was found with {found}, and you passed {passed}.",
             where=str(place),
             why="The file contains numbers only.",
             remedy="Pass the same arguments as to periodic.",
@@ -101,7 +103,3 @@ def open_family(tools: Any, stepper: Any, path: Any, **given: Any) -> Family:
         orbits.append(search.orbit(Solution(sweep, True, ())))
     course = saved["parameter"], saved["status"], tuple(tangents)
     return Family(tuple(orbits), *course, orbits[-1].search)
-
-
-def _list(names: list[str]) -> str:
-    return ", ".join(f"{name}=" for name in names) or "no symbolic arguments"

@@ -24,16 +24,14 @@ FOUND, COARSE = 1e-11, 1e-8
 UNFOLDED, TRIVIAL = 1e-9, 1e-4
 #: The speed of an equilibrium, and the error of a shorter period, relative to the scale.
 AT_REST, REPEATED = 1e-8, 1e-7
-#: A period that is a smaller part of its guess is no solution.
-SHRUNK = 1e-3
-#: The largest number of repetitions that is looked for.
-MOST_REPEATED = 12
+#: The least period as a part of its guess, and the largest number of repetitions.
+SHRUNK, MOST_REPEATED = 1e-3, 12
 #: Singular values of D - I below this part of the largest derivative are zeros.
 NULL = 1e-9
 #: The return of a run over an orbit, relative to the scale and to the growth of deviations.
 RETURN = 1e-10
-#: An orbit with an error above this is not resolved.
-WORST_ERROR = 1e-2
+#: An orbit with a larger error, or with the most steps, is not resolved.
+WORST_ERROR, MOST_STEPS = 1e-2, 2**16
 
 
 @dataclass(frozen=True)
@@ -70,8 +68,7 @@ class Search:
 
     def scaled_to(self, orbit: Orbit) -> Search:
         """Return the search with the scale of an orbit."""
-        run, period = orbit.trajectory, orbit.period / self.flow.parts
-        scale = scale_of(np.concatenate([run.q, run.p], axis=1))
+        period, scale = orbit.period / self.flow.parts, scale_of(orbit.states)
         return replace(self, shooting=replace(self.shooting, scale=scale, reference_period=period))
 
     def point_of(self, path: Path) -> OrbitUnknowns:
@@ -128,16 +125,15 @@ class Search:
             status=status,
             message="",
             derivative=D,
-            floquet=self._multipliers(self._scaled(D)),
+            **self._multipliers(self._scaled(D))._asdict(),
             unfolding=float(abs(solution.sweep.point.unfolding).max(initial=0.0)),
             **self.fields(solution),
         )
-        why, primitive = self._reason(status, solution), None
+        why, shorter = self._reason(status, solution), None
         if status.success and examined:
-            status, why, primitive = self._examine(draft)
-        return replace(
-            draft, status=status, message=self._message(status, why), primitive=primitive
-        )
+            status, why, shorter = self._examine(draft)
+        message = self._message(status, why)
+        return replace(draft, status=status, message=message, primitive=shorter)
 
     def _derivative(self, sweep: Sweep) -> Floats:
         """Return the derivative of the period map; a mirrored orbit has two halves."""
@@ -194,13 +190,10 @@ class Search:
 
     def _row_names(self) -> list[str]:
         """Return what each row of the equations is about."""
-        names, conditions = (
-            self.stepper.coordinates,
-            (*self.shooting.conditions, *self.shooting.last),
-        )
-        count = self.flow.segments - (self.shooting.closing is None)
+        shooting, names = self.shooting, self.stepper.coordinates
+        count = self.flow.segments - (shooting.closing is None)
         gaps = [f"the gap in {x}" for x in (*names, *(f"p_{x}" for x in names))]
-        return gaps * count + [x.name for x in conditions]
+        return gaps * count + [x.name for x in (*shooting.conditions, *shooting.last)]
 
     def _examine(self, orbit: Orbit) -> tuple[OrbitStatus, str, Orbit | None]:
         """Return the status of a solution, and why: it need not be a resolved orbit."""
@@ -211,7 +204,7 @@ class Search:
         if abs(orbit.period) < SHRUNK * abs(shooting.reference_period):
             why = "The period fell to zero: give a nearer guess of it."
             return OrbitStatus.NOT_CONVERGED, why, None
-        states = np.concatenate([run.q, run.p], axis=1)
+        states = orbit.states
         if (abs(states - states[0]) < AT_REST * scale).all():
             return OrbitStatus.EQUILIBRIUM, "", None
         growth = self._growth(orbit.derivative)
@@ -227,7 +220,7 @@ class Search:
                 f"differ from 1 by {orbit.trivial:.0e}."
             )
             return OrbitStatus.NOT_RESOLVED, why, None
-        if (primitive := self._primitive(orbit, states)) is not None:
+        if (primitive := self._primitive(orbit)) is not None:
             return OrbitStatus.SHORTER, "", primitive
         if self.symplectic and self.mirror is None:
             off = self._scaled(orbit.derivative) - np.eye(len(scale))
@@ -236,12 +229,13 @@ class Search:
                 return OrbitStatus.NOT_ISOLATED, "", None
         return orbit.status, "", None
 
-    def _primitive(self, orbit: Orbit, states: Floats) -> Orbit | None:
+    def _primitive(self, orbit: Orbit) -> Orbit | None:
         """Return the orbit of the shortest period if this one repeats it."""
         closing = self.shooting.closing
         plain = closing is not None and closing.order == 1 and not closing.moves
         if not plain or not self.flow.free_period or self.flow.retimed:
             return None
+        states = orbit.states
         moves = abs(np.diff(states, axis=0)).max(axis=0)
         for k in range(MOST_REPEATED, 1, -1):
             at = states[round(self.flow.steps / k)]
@@ -251,8 +245,8 @@ class Search:
                 at = orbit.trajectory.sol(orbit.trajectory.t[0] + orbit.period / k)
             if (abs(at - states[0]) / self.shooting.scale).max() > REPEATED:
                 continue
-            flow = replace(self.flow, steps=max(1, self.flow.steps // k), segments=1)
-            other = self.with_flow(flow)
+            steps = max(1, self.flow.steps // k)
+            other = self.with_flow(replace(self.flow, steps=steps, segments=1))
             return other.orbit_near(replace(orbit, period=orbit.period / k))
         return None
 
@@ -307,7 +301,7 @@ class Search:
             progress=False,
         )
 
-    def refined_to(self, orbit: Orbit, error: float, most: int) -> Orbit:
+    def refined_to(self, orbit: Orbit, error: float) -> Orbit:
         """Double the steps until the estimated error is below ``error``."""
         part = 2.0**-self.stepper.order
         while orbit.success:
@@ -320,7 +314,7 @@ class Search:
             orbit = replace(finer, error=estimate)
             if estimate <= error:
                 return orbit
-            if orbit.steps * 2 > most or off > WORST_ERROR:
+            if orbit.steps * 2 > MOST_STEPS or off > WORST_ERROR:
                 why = f"The estimated error is {estimate:.0e} with {orbit.steps} steps."
                 status = OrbitStatus.NOT_RESOLVED
                 return replace(orbit, status=status, message=self._message(status, why))
