@@ -35,8 +35,8 @@ def read_own_steps(program: Program, request: Request) -> tuple[Floats, Floats, 
 
     Raises InputError if their shapes differ, or if the request has what needs common steps.
     """
-    for given, name in ((request.t_end, "t_end"), (request.inputs, "inputs")):
-        if given is not None:
+    for name in ("t_end", "inputs"):
+        if getattr(request, name) is not None:
             reject(
                 f"{name} cannot be combined with a step size or an initial time for each member.",
                 where=program.system,

@@ -20,10 +20,8 @@ from symsimpson.support.array_types import Floats
 from symsimpson.support.extras import import_library
 from symsimpson.support.names import as_tuple
 
-#: Tolerance of the place of a bifurcation, relative to the scale.
-PLACE = 1e-13
-#: Distance of the first orbit of another family, relative to the scale.
-BESIDE = 0.004
+#: Tolerance of a bifurcation, and distance of another family's first orbit, in scaled units.
+PLACE, BESIDE = 1e-13, 0.004
 
 FOLD, BRANCH, DOUBLING = "fold", "branch point", "period doubling"
 KREIN, TORUS, RESONANCE = "Krein collision", "torus", "resonance"
@@ -49,13 +47,14 @@ def _tests(family: Family) -> dict[str, Test]:
     if family.search.symplectic:
         tests |= {BRANCH: _passes(1.0), DOUBLING: _passes(-1.0)}
         if len(family[0].stability_indices) > 1:
-            tests[KREIN] = _discriminant
+            # negative if a pair is complex
+            tests[KREIN] = _of_pairs("stability_indices", lambda a, b: (a - b) ** 2)
         return tests
     size = len(family[0].derivative)
     tests[DOUBLING] = lambda orbit, rate: float(np.linalg.det(orbit.derivative + np.eye(size)))
     if not family.search.shooting.integrals.timeless:
         tests[BRANCH] = lambda orbit, rate: float(np.linalg.det(orbit.derivative - np.eye(size)))
-    tests[TORUS] = _on_circle
+    tests[TORUS] = _of_pairs("multipliers", lambda a, b: a * b - 1)  # 0 for a pair on the circle
     return tests
 
 
@@ -64,21 +63,16 @@ def _passes(value: float) -> Test:
     return lambda orbit, rate: float(np.prod(orbit.stability_indices - value).real)
 
 
-def _discriminant(orbit: Orbit, rate: float) -> float:
-    """Return the product of squared differences of stability indices; negative if complex."""
-    pairs = combinations(orbit.stability_indices, 2)
-    return float(np.prod([(a - b) ** 2 for a, b in pairs]).real)
-
-
-def _on_circle(orbit: Orbit, rate: float) -> float:
-    """Return the product of l_i l_j - 1, which is 0 for a complex pair on the unit circle."""
-    pairs = combinations(orbit.multipliers, 2)
-    return float(np.prod([a * b - 1 for a, b in pairs]).real)
+def _of_pairs(values: str, term: Callable[[Any, Any], Any]) -> Test:
+    """Return the product of a term over all pairs of stability indices, or of multipliers."""
+    return lambda orbit, rate: float(
+        np.prod([term(a, b) for a, b in combinations(getattr(orbit, values), 2)]).real
+    )
 
 
 def _crossings(family: Family, tests: dict[str, Test]) -> tuple[Bifurcation, ...]:
     """Locate the zeros of test functions between neighbours."""
-    line, places = line_of(family), list[Bifurcation]()
+    line, places = Continuation(family.search, family.parameter, family[0]), list[Bifurcation]()
     pairs = [*zip(family.orbits, family.tangents, strict=True)]
     rates = [line.rate(line.search.point_of(x), tangent) for x, tangent in pairs]
     for kind, test in tests.items():
@@ -103,24 +97,22 @@ def _locate(
     """Find the zero of a test function beyond the orbit k."""
     point, shooting = line.search.point_of(family[k]), line.search.shooting
     sweep, before = shooting.sweep(point), line.unit(family.tangents[k])
-    known: dict[float, tuple[Solution, Floats]] = {}
 
-    def at(length: float) -> float:
+    def at(length: float) -> tuple[Solution, Floats]:
         solution = line.correct(sweep, before, length)
-        tangent = line.tangent(solution.sweep, before)
-        known[length] = solution, tangent
+        return solution, line.tangent(solution.sweep, before)
+
+    def tested(length: float) -> float:
+        solution, tangent = at(length)
         orbit = line.search.orbit(solution, examined=False)
         return test(orbit, line.rate(solution.sweep.point, tangent * shooting.units))
 
     brentq = import_library("scipy.optimize", "locating bifurcations", "control").brentq
     whole = float(line.between(point, line.search.point_of(family[k + 1])) @ before)
     try:
-        root = float(brentq(at, 0.0, whole, xtol=PLACE * max(1.0, whole)))
+        return at(float(brentq(tested, 0.0, whole, xtol=PLACE * max(1.0, whole))))
     except ValueError:  # the test function changes its sign at a failure
         return None
-    if root not in known:
-        at(root)
-    return known[root]
 
 
 def _direction(
@@ -145,7 +137,7 @@ def other_orbit(family: Family, bifurcation: Bifurcation) -> Orbit:
             remedy="Switch at a branch point or a period doubling.",
         )
     orbit = bifurcation.orbit
-    line = line_of(family).at(orbit)
+    line = Continuation(family.search, family.parameter, family[0]).at(orbit)
     search = line.search if bifurcation.kind == BRANCH else _doubled(line)
     shooting = search.shooting
     start = search.point_of(orbit)
@@ -175,11 +167,6 @@ def _doubled(line: Continuation) -> Search:
     else:
         given = replace(given, period=2 * given.period, steps=2 * given.steps)
     return read_search(search.stepper, given, search.tools, search.shooting.integrals)[0]
-
-
-def line_of(family: Family) -> Continuation:
-    """Return the equations of a family."""
-    return Continuation(family.search, family.parameter, family.orbits[0])
 
 
 def switch(family: Family, bifurcation: Bifurcation, count: int, options: Any) -> Family:

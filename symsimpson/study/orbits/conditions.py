@@ -70,18 +70,12 @@ def read_condition(flow: Flow, what: str, key: Any, value: Any) -> Condition:
     if name in (ENERGY, PERIOD) and name not in (*program.coordinates, *program.parameters):
         if number is None:
             reject(f"{what}[{name!r}] is {value!r}.", remedy="Pass a number.")
-        if name == ENERGY and not program.header.conservative:
-            reject(
-                "the energy of this system is not constant.",
-                where=program.system,
-                remedy=f"Remove 'energy' from {what}.",
-            )
-        if name == PERIOD and not flow.free_period:
-            reject(
-                "the period follows from parameters or events.",
-                where=program.system,
-                remedy=f"Remove 'period' from {what}.",
-            )
+        why = "the energy of this system is not constant."
+        free = program.header.conservative
+        if name == PERIOD:
+            why, free = "the period follows from parameters or events.", flow.free_period
+        if not free:
+            reject(why, where=program.system, remedy=f"Remove {name!r} from {what}.")
         return Condition(name, number)
     cost = StateCost(program, f"{what}[{name}]", key)
     if number is not None:

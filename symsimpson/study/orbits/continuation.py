@@ -32,14 +32,10 @@ RANK = 1e-8
 #: The number of steps is doubled if unfolding or trivial multipliers exceed this, or the period
 #: grew by this factor, up to this number.
 UNFOLDED, TRIVIAL, LONGER, MOST_STEPS = 1e-11, 1e-6, 1.5, 2**14
-#: The scale follows the orbits if their size changed by this factor.
-GREW = 1.3
-#: An orbit that is this much smaller than the largest one of the family is an equilibrium.
-VANISHING = 1e-3
-#: A symmetry is free if the conditions leave this part of its direction.
-FREE = 1e-6
-#: The shortest step.
-SHORTEST = 1e-8
+#: Change of the size at which the scale follows, and size of an equilibrium beside the largest.
+GREW, VANISHING = 1.3, 1e-3
+#: A symmetry is free if the conditions leave this part of its direction; the shortest step.
+FREE, SHORTEST = 1e-6, 1e-8
 
 
 def _extent(orbit: Orbit) -> float:
@@ -254,7 +250,7 @@ class Continuation:
         while length >= SHORTEST:
             solution = self.correct(sweep, tangent, length)
             if solution.interrupted:
-                return length, None, None
+                break
             if solution.converged:
                 moved = self.between(sweep.point, solution.sweep.point)
                 beside = np.linalg.norm(moved - length * tangent)

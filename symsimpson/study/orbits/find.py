@@ -62,10 +62,8 @@ def find_periodic(tools: Any, stepper: Stepper, **arguments: Any) -> Orbit:
     """Search for a periodic orbit; see :meth:`Stepper.periodic`."""
     given = OrbitArguments(**arguments)
     search, start = read_search(stepper, given, tools)
-    orbit = search.orbit(search.shooting.solve(start))
-    if given.error is None:
-        return orbit
-    return search.refined_to(orbit, _read_number("error", given.error))
+    orbit, error = search.orbit(search.shooting.solve(start)), given.error
+    return orbit if error is None else search.refined_to(orbit, _read_number("error", error))
 
 
 def read_search(
@@ -276,8 +274,7 @@ def _check_drive(stepper: Stepper, given: OrbitArguments, period: float) -> None
     """Reject a number that is no period of the drive."""
     rng = np.random.default_rng(3)
     q, p = rng.normal(size=(2, stepper.n))
-    for part in (0.0, 0.237, 0.71):
-        t = float(given.t0) + part * period
+    for t in float(given.t0) + period * np.array([0.0, 0.237, 0.71]):
         try:
             ends = [
                 np.hstack(stepper.step(q, p=p, h=period / 256, t=s, parameters=given.parameters))

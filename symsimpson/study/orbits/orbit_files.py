@@ -36,7 +36,7 @@ def save_family(family: Family, path: Any) -> None:
         "parameter": family.parameter,
         "status": family.status.name,
         "steps": [x.steps for x in orbits],
-        "unknowns": search.unknown_names,
+        "unknowns": [*orbits[0].unknowns],
         "given": given,
         "t0": float(search.flow.spec.t0),
         "h": float(search.flow.spec.h),

@@ -50,12 +50,6 @@ class Search:
         """The runs of the search."""
         return self.shooting.flow
 
-    @property
-    def unknown_names(self) -> list[str]:
-        """Names of the parameters and symbols to solve for."""
-        names = [self.stepper.parameters[k] for k in self.flow.places]
-        return [*names, *map(str, self.shooting.symbols)]
-
     def with_flow(self, flow: Flow) -> Search:
         """Return the search with other steps."""
         return replace(self, shooting=replace(self.shooting, flow=flow))
@@ -97,14 +91,15 @@ class Search:
         point, period = sweep.point, sweep.point.period
         if self.flow.to_event:
             period = sweep.legs[-1].t - float(self.flow.spec.t0)
-        numbers = [*point.values[list(self.flow.places)].tolist(), *point.extra.tolist()]
+        unknowns = {self.stepper.parameters[k]: float(point.values[k]) for k in self.flow.places}
+        unknowns |= dict(zip(map(str, self.shooting.symbols), point.extra.tolist(), strict=True))
         return {
             "period": period * parts,
             "steps": self.flow.steps * parts,
             "q0": point.states[0, :n].copy(),
             "p0": point.states[0, n:].copy(),
             "values": point.values,
-            "unknowns": dict(zip(self.unknown_names, numbers, strict=True)),
+            "unknowns": unknowns,
             "residual": sweep.size,
             "iterations": len(solution.corrections),
             "corrections": solution.corrections,
@@ -137,9 +132,14 @@ class Search:
 
     def _derivative(self, sweep: Sweep) -> Floats:
         """Return the derivative of the period map; a mirrored orbit has two halves."""
+        n, closing = 2 * self.flow.n, self.shooting.closing
         if sweep.failure is not None:
-            return np.full((2 * self.flow.n, 2 * self.flow.n), np.nan)
-        D = self.shooting.period_map(sweep)
+            return np.full((n, n), np.nan)
+        D: Floats = np.eye(n)
+        for leg in sweep.legs:
+            D = leg.slopes[:, :n] @ D
+        if closing is not None:
+            D = np.asarray(np.linalg.solve(closing.matrix, D))
         return D if self.mirror is None else self.mirror @ np.linalg.solve(D, self.mirror @ D)
 
     def _scaled(self, D: Floats) -> Floats:

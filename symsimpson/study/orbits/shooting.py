@@ -8,7 +8,7 @@ segments and the conditions. The numbers of unfolding vanish at a solution.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property
 
 import numpy as np
 import sympy as sp
@@ -95,7 +95,7 @@ class Shooting:
         """Number of unfolding numbers."""
         return 0 if self.closing is None else self.integrals.count
 
-    @property
+    @cached_property
     def ends(self) -> list[int]:
         """Ends of the columns of states, the period, parameters, symbols and unfolding numbers."""
         flow = self.flow
@@ -114,7 +114,7 @@ class Shooting:
         gaps = self.flow.segments - (self.closing is None)
         return gaps * 2 * self.flow.n + len(self.conditions) + len(self.last)
 
-    @property
+    @cached_property
     def units(self) -> Floats:
         """The scale of each unknown."""
         period = np.full(int(self.flow.free_period), self.reference_period)
@@ -136,13 +136,9 @@ class Shooting:
         length = point.period + float(period.sum())  # empty if it is not free
         if self.flow.period_of is not None:
             length, _ = self.flow.period_of(values)
-        return OrbitUnknowns(
-            point.states + states.reshape(point.states.shape),
-            length,
-            values,
-            point.extra + extra,
-            point.unfolding + unfolding,
-        )
+        starts = point.states + states.reshape(point.states.shape)
+        extra, unfolding = point.extra + extra, point.unfolding + unfolding
+        return OrbitUnknowns(starts, length, values, extra, unfolding)
 
     def sweep(self, point: OrbitUnknowns) -> Sweep:
         """Run all segments, and evaluate the rows and their derivatives."""
@@ -266,10 +262,3 @@ class Shooting:
             if following.size <= GROWTH * max(sweep.size, LAST):
                 return following
         return None
-
-    def period_map(self, sweep: Sweep) -> Floats:
-        """Return the derivative of the map over a period, R^-1 D_m ... D_1."""
-        n = 2 * self.flow.n
-        whole = reduce(lambda D, leg: leg.slopes[:, :n] @ D, sweep.legs, np.eye(n))
-        back = np.eye(n) if self.closing is None else self.closing.matrix
-        return np.asarray(np.linalg.solve(back, whole))
