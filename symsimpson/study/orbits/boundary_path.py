@@ -29,6 +29,8 @@ class Path:
         Number of steps.
     q0, v0, p0 : ndarray, shape (n,)
         The initial state.
+    states : ndarray, shape (steps + 1, 2 n)
+        The states (q, p) along the path.
     energy : float
         H at the initial state.
     parameters, unknowns : mapping from str to float
@@ -93,7 +95,7 @@ class Path:
 
     @cached_property
     def states(self) -> Floats:
-        """The states (q, p) of the run, a row for each."""
+        """The states (q, p) along the path, a row for each."""
         return np.concatenate([self.trajectory.q, self.trajectory.p], axis=1)
 
     @property

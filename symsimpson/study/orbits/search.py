@@ -197,14 +197,13 @@ class Search:
 
     def _examine(self, orbit: Orbit) -> tuple[OrbitStatus, str, Orbit | None]:
         """Return the status of a solution, and why: it need not be a resolved orbit."""
-        shooting, run = self.shooting, orbit.trajectory
+        shooting, run, states = self.shooting, orbit.trajectory, orbit.states
         closing, scale = shooting.closing, shooting.scale
         if not run.success:
             return OrbitStatus.STEP_FAILED, run.message, None
         if abs(orbit.period) < SHRUNK * abs(shooting.reference_period):
             why = "The period fell to zero: give a nearer guess of it."
             return OrbitStatus.NOT_CONVERGED, why, None
-        states = orbit.states
         if (abs(states - states[0]) < AT_REST * scale).all():
             return OrbitStatus.EQUILIBRIUM, "", None
         growth = self._growth(orbit.derivative)
@@ -285,11 +284,10 @@ class Search:
             )
         direction = vectors[:, place].real / np.linalg.norm(vectors[:, place].real / scale)
         run = self.run(orbit, every=1, tangents=direction[:, None], on_failure="raise")
-        places = np.linspace(0, orbit.steps, count, endpoint=False)
-        some = np.unique(places.round().astype(int))
+        some = np.unique(np.linspace(0, orbit.steps, count, endpoint=False).round().astype(int))
         beside = run.tangent[some][..., 0]
         beside = beside / np.linalg.norm(beside / scale, axis=1, keepdims=True)
-        states = np.concatenate([run.q, run.p], axis=1)[some] + size * beside
+        states = orbit.states[some] + size * beside
         return self.stepper.ensemble(
             states[:, :n],
             p0=states[:, n:],
