@@ -177,6 +177,6 @@ def switch(family: Family, bifurcation: Bifurcation, count: int, options: Any) -
     gaps = abs(states[1:] - states[0]).max(axis=1)
     same = gaps.min() < 1e-12 * near[min(bifurcation.place, len(near) - 1)] if len(near) else False
     if same or not first.success:
-        status = FamilyStatus.SAME_FAMILY
+        status = FamilyStatus.SAME_FAMILY if same else FamilyStatus.STEP_TOO_SMALL
         return Family((first,), family.parameter, status, (np.zeros(0),), first.search)
     return first.family(family.parameter, count=count, **options)

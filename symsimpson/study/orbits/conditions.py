@@ -28,8 +28,13 @@ class Condition:
     cost: StateCost | None = None  #: None for the energy and the period.
     other: StateCost | None = None  #: Subtracted from the first one.
 
-    def row(self, flow: Flow, z: Floats, period: float, values: Floats) -> tuple[float, Floats]:
-        """Return the deviation, and its derivatives by the state, the period and unknowns."""
+    def row(
+        self, flow: Flow, z: Floats, period: float, values: Floats, end: float | None = None
+    ) -> tuple[float, Floats]:
+        """Return the deviation, and its derivatives by the state, the period and unknowns.
+
+        The state z is the initial one, or that at the time ``end``.
+        """
         n, k = flow.n, len(flow.places)
         slopes = np.zeros(2 * n + 1 + k)
         if self.name == PERIOD and self.cost is None:
@@ -46,9 +51,12 @@ class Condition:
         total = -self.value
         for cost, sign in ((self.cost, 1.0), (self.other, -1.0)):
             if cost is not None:
-                t, steps = np.array([float(flow.spec.t0)]), np.zeros(1)
+                t = np.array([float(flow.spec.t0) if end is None else end])
+                steps = np.array([0.0 if end is None else flow.steps])
                 here = cost.slopes(steps, t, z[None, :n], z[None, n:], values)
                 by_unknown = here.parameters[0]
+                if len(by_unknown) > k:  # by h, with which the time of the end moves
+                    slopes[2 * n] += sign * by_unknown[0] / flow.steps
                 total += sign * float(here.value[0])
                 slopes[: 2 * n] += sign * here.state[0]
                 slopes[2 * n + 1 :] += sign * by_unknown[len(by_unknown) - k :]

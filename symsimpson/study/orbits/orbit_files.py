@@ -73,11 +73,11 @@ def open_family(tools: Any, stepper: Any, path: Any, **given: Any) -> Family:
     fixed = {k: v for k, v in (given["fixed"] or {}).items() if spelled(k) != saved["parameter"]}
     given = {**given, "fixed": fixed}
     none = "no symbolic arguments"
-    found = ", ".join(f"{x}=" for x in saved["given"]) or none
+    needed = ", ".join(f"{x}=" for x in saved["given"]) or none
     passed = ", ".join(f"{x}=" for x in SYMBOLIC if given[x]) or none
-    if passed != found:
+    if passed != needed:
         reject(
-            f"the family was found with {found}, and you passed {passed}.",
+            f"the family was found with {needed}, and you passed {passed}.",
             where=str(place),
             why="The file contains numbers only.",
             remedy="Pass the same arguments as to periodic.",

@@ -160,9 +160,13 @@ class Shooting:
             rows.append(gap / self.scale)
             blocks.append(block * self.units / self.scale[:, None])
         first = Leg(point.states[0], np.eye(n, legs[0].slopes.shape[1]), np.nan)
-        for j, leg, conditions in ((0, first, self.conditions), (-1, legs[-1], self.last)):
+        last = legs[-1]
+        for j, leg, end, conditions in (
+            (0, first, None, self.conditions),
+            (-1, last, last.t, self.last),
+        ):
             for condition in conditions:
-                value, slopes = condition.row(flow, leg.end, point.period, point.values)
+                value, slopes = condition.row(flow, leg.end, point.period, point.values, end)
                 through = slopes[:n] @ leg.slopes
                 through[n:] += slopes[n:]
                 row = self.spread(point.values, j % flow.segments, through) * self.units
