@@ -56,29 +56,27 @@ class OrbitFinder(Analyser):
         v0, p0 : array_like, shape (n,), or mapping
             Guess of the initial velocities or momenta. Pass exactly one of them.
         guess : Trajectory, Orbit or (q, p), optional
-            States along the whole orbit, which may be less accurate: a run over a period, another
-            orbit, or arrays of shape (m, n) at equal intervals of a period.
+            States along the whole orbit: a run over a period, another orbit, or arrays of shape
+            (m, n) at equal intervals of a period.
         mode : (array_like, int), optional
             An equilibrium, and the number of an oscillation about it: 0 for the slowest one.
         size : float, default 0.01
             The amplitude of the mode, in the unit of the coordinates.
         period : number or expression
-            Guess of the period. For a driven system, it is the period of the drive, as an
-            expression of parameters.
+            Guess of the period; for a driven system, the period of the drive as an expression of
+            parameters.
         steps : int, default 64
             Number of steps in a period.
         h : float, optional
             Step size of orbits that end at an event, and of retimed systems.
         fixed : mapping, optional
-            Conditions on the initial state: values of coordinates, velocities or expressions, of
-            "energy" or of "period".
+            Initial values of coordinates, velocities or expressions, "energy" or "period".
         middle : mapping, optional
             Conditions on the state after half a period, for orbits that are mirrored in time:
             ``fixed={y: 0, x.diff(): 0}, middle={y: 0, x.diff(): 0}``.
         conditions : mapping, optional
-            What the final value of a coordinate is, as an expression of the initial coordinates:
-            ``{phi: phi + shift}``. By default, it is equal to the initial value. Velocities change
-            as the coordinates do.
+            Final values of coordinates, as expressions of the initial coordinates:
+            ``{phi: phi + shift}``. The default is the initial value. Velocities change likewise.
         unknowns : symbol or sequence of symbols, optional
             Parameters, or symbols of ``conditions``, to solve for.
         parameters : mapping, optional
@@ -89,8 +87,7 @@ class OrbitFinder(Analyser):
         t0 : float, default 0.0
             Initial time.
         error : float, optional
-            Double the number of steps until the estimated error of the state and of the period,
-            relative to their scale, is below this.
+            Double the steps until the estimated relative error of state and period is below this.
 
         Returns
         -------
@@ -107,9 +104,9 @@ class OrbitFinder(Analyser):
 
         Notes
         -----
-        Each first integral I adds an unknown a, and a term a grad I to the closing [1]_.
-        The matrix of Newton's method is then regular, and a = 0 at a resolved orbit. Conditions
-        that are missing are replaced by the smallest correction.
+        Each first integral I adds an unknown a, and a term a grad I to the closing [1]_. Newton's
+        matrix is then regular, and a = 0 at a resolved orbit. Newton's method takes the smallest
+        correction if conditions are missing.
 
         References
         ----------
@@ -126,11 +123,8 @@ class OrbitFinder(Analyser):
         >>> orbit.status.name, round(orbit.period, 9)
         ('FOUND', 2.139137601)
         """
-        given = {"q0": q0, "v0": v0, "p0": p0, "guess": guess, "mode": mode, "size": size}
-        given |= {"period": period, "steps": steps, "h": h, "fixed": fixed, "middle": middle}
-        given |= {"conditions": conditions, "unknowns": unknowns, "parameters": parameters}
-        orbit: Orbit = self._search("periodic", events=events, t0=t0, error=error, **given)
-        return orbit
+        given = {name: value for name, value in locals().items() if name != "self"}
+        return self._search("periodic", **given)
 
     def boundary(
         self,
@@ -175,8 +169,7 @@ class OrbitFinder(Analyser):
         >>> path.success, path.trajectory.q[-1].round(9).tolist()
         (True, [2.0])
         """
-        path: Path = self._search("boundary", (q0, q1), duration, steps, (parameters, t0))
-        return path
+        return self._search("boundary", (q0, q1), duration, steps, (parameters, t0))
 
     def open_family(
         self,
@@ -196,8 +189,8 @@ class OrbitFinder(Analyser):
             A file that ``family.save`` or ``orbit.save`` wrote with a stepper of the same system
             and scheme.
         fixed, middle, conditions, events, period : optional
-            The arguments of the search for the first orbit. The file contains numbers only. Pass
-            ``period`` for driven systems.
+            The arguments of the search for the first orbit, because the file contains only
+            numbers. Pass ``period`` for driven systems.
 
         Returns
         -------
@@ -220,9 +213,8 @@ class OrbitFinder(Analyser):
         >>> len(stepper.open_family(place, fixed={"theta": 1}))
         1
         """
-        given = {"fixed": fixed, "middle": middle, "conditions": conditions, "events": events}
-        family: Family = self._search("open_family", path, **given, period=period)
-        return family
+        given = {name: value for name, value in locals().items() if name not in ("self", "path")}
+        return self._search("open_family", path, **given)
 
     def _search(self, name: str, *given: Any, **options: Any) -> Any:
         """Call a function of the search for orbits."""

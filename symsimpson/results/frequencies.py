@@ -39,15 +39,13 @@ def frequencies_of(run: Any, count: Any, of: Any) -> tuple[Floats, Complexes]:
         )
     t = np.asarray(run.t, dtype=np.float64)
     if np.iscomplexobj(signal):
-        return main_frequencies(t, signal.astype(np.complex128), count)
-    real = signal.astype(np.float64)
-    centred = (real - real.mean()).astype(np.complex128)
-    frequencies, amplitudes = main_frequencies(t, centred, 2 * count)
+        return main_frequencies(t, signal, count)
+    frequencies, amplitudes = main_frequencies(t, signal - signal.mean(), 2 * count)
     positive = frequencies > 0
     return frequencies[positive][:count], amplitudes[positive][:count]
 
 
-def main_frequencies(t: Floats, signal: Complexes, count: int) -> tuple[Floats, Complexes]:
+def main_frequencies(t: Floats, signal: NDArray[Any], count: int) -> tuple[Floats, Complexes]:
     """Return angular frequencies and complex amplitudes, the largest first."""
     if len(t) < FEWEST:
         reject(
@@ -57,34 +55,37 @@ def main_frequencies(t: Floats, signal: Complexes, count: int) -> tuple[Floats, 
     steps = np.diff(t)
     if abs(steps - steps.mean()).max() > 1e-9 * abs(steps.mean()):
         reject("the times of the states are not evenly spaced.", remedy="Pass t_eval=, or every=.")
-    middle = (t[0] + t[-1]) / 2
-    half = (t[-1] - t[0]) / 2
+    middle, half = (t[0] + t[-1]) / 2, (t[-1] - t[0]) / 2
     place = (t - middle) / half
     window = np.cos(np.pi * place / 2) ** (2 * POWER)
     window /= window.sum()
-    frequencies = np.zeros(0)
-    amplitudes = np.zeros(0, dtype=np.complex128)
-    left = signal.astype(np.complex128)
+    signal = signal.astype(np.complex128)
+    frequencies, left = np.zeros(0), signal
     for _ in range(count):
-        frequencies = np.append(frequencies, _largest(place, window, left))
-        frequencies, amplitudes = _together(place, window, signal, frequencies)
-        left = signal - np.exp(1j * np.outer(place, frequencies)) @ amplitudes
+        spectrum = abs(np.fft.fft(window * left, 4 * len(t)))
+        bins = np.fft.fftfreq(4 * len(t), place[1] - place[0]) * 2 * np.pi
+        largest = _refined(place, window, left, float(bins[spectrum.argmax()]))
+        frequencies = np.append(frequencies, largest)
+        for _ in range(SWEEPS if len(frequencies) > 1 else 1):
+            before = frequencies.copy()
+            for k, w in enumerate(frequencies):  # each on the signal without the others
+                waves, amplitudes = _fit(place, window, signal, frequencies)
+                without = signal - np.delete(waves, k, 1) @ np.delete(amplitudes, k)
+                frequencies[k] = _refined(place, window, without, w)
+            if abs(frequencies - before).max() < 1e-13 * abs(frequencies).max():
+                break
+        waves, amplitudes = _fit(place, window, signal, frequencies)
+        left = signal - waves @ amplitudes
     order = np.argsort(-abs(amplitudes))
     phases = np.exp(-1j * frequencies[order] * middle / half)
     return frequencies[order] / half, amplitudes[order] * phases
 
 
-def _largest(place: Floats, window: Floats, signal: Complexes) -> float:
-    """Return the frequency of the largest projection, in units of 1 / half of the duration."""
-    size = 4 * len(place)
-    spectrum = abs(np.fft.fft(window * signal, size))
-    bin_of = np.fft.fftfreq(size, place[1] - place[0]) * 2 * np.pi
-    start = float(bin_of[int(spectrum.argmax())])
-    return _refined(place, window, signal, start)
-
-
 def _refined(place: Floats, window: Floats, signal: Complexes, start: float) -> float:
-    """Return the maximum of abs(projection)^2 near a frequency, by Newton's method."""
+    """Return the maximum of abs(projection)^2 near a frequency, by Newton's method.
+
+    Times are in units of half of the duration, and frequencies in units of 1 / half.
+    """
     w = start
     for _ in range(30):
         turned = window * signal * np.exp(-1j * w * place)
@@ -100,27 +101,10 @@ def _refined(place: Floats, window: Floats, signal: Complexes, start: float) -> 
     return w
 
 
-def _together(
+def _fit(
     place: Floats, window: Floats, signal: Complexes, frequencies: Floats
-) -> tuple[Floats, Complexes]:
-    """Improve all frequencies in turn, each on the signal without the others."""
-    amplitudes: Any = _amplitudes(place, window, signal, frequencies)
-    for _ in range(SWEEPS if len(frequencies) > 1 else 1):
-        before = frequencies.copy()
-        for k, w in enumerate(frequencies):
-            waves = np.exp(1j * np.outer(place, frequencies))
-            others = np.delete(np.arange(len(frequencies)), k)
-            alone = signal - waves[:, others] @ amplitudes[others]
-            frequencies[k] = _refined(place, window, alone, w)
-            amplitudes = _amplitudes(place, window, signal, frequencies)
-        if abs(frequencies - before).max() < 1e-13 * abs(frequencies).max():
-            break
-    return frequencies, amplitudes
-
-
-def _amplitudes(place: Floats, window: Floats, signal: Complexes, frequencies: Floats) -> Complexes:
-    """Return the amplitudes that fit the signal best, with the window as weight."""
+) -> tuple[Complexes, Complexes]:
+    """Return the waves, and their amplitudes that fit the signal best with the window as weight."""
     waves = np.exp(1j * np.outer(place, frequencies))
     weighted = waves.conjugate().T * window
-    solved: Complexes = np.linalg.solve(weighted @ waves, weighted @ signal)
-    return solved
+    return waves, np.linalg.solve(weighted @ waves, weighted @ signal)

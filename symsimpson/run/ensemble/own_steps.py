@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -35,8 +35,8 @@ def read_own_steps(program: Program, request: Request) -> tuple[Floats, Floats, 
 
     Raises InputError if their shapes differ, or if the request has what needs common steps.
     """
-    for given, name in ((request.t_end, "t_end"), (request.inputs, "inputs")):
-        if given is not None:
+    for name in ("t_end", "inputs"):
+        if getattr(request, name) is not None:
             reject(
                 f"{name} cannot be combined with a step size or an initial time for each member.",
                 where=program.system,
@@ -48,17 +48,15 @@ def read_own_steps(program: Program, request: Request) -> tuple[Floats, Floats, 
             where=program.system,
             remedy="Pass numbers for h and t0, or run the members one by one.",
         )
-    both = [np.atleast_1d(read_array(x, getattr(request, x), FLOAT64)) for x in ("h", "t0")]
-    try:
-        h, t0 = np.broadcast_arrays(*both)
-    except ValueError:
-        h, t0 = both
-    if h.shape != t0.shape or h.ndim != 1 or not h.size:
+    h, t0 = (np.atleast_1d(read_array(x, getattr(request, x), FLOAT64)) for x in ("h", "t0"))
+    count = max(h.size, t0.size)
+    if not all(x.shape in ((1,), (count,)) for x in (h, t0)):
         reject(
-            f"h has shape {both[0].shape} and t0 has shape {both[1].shape}.",
+            f"h has shape {h.shape} and t0 has shape {t0.shape}.",
             where=program.system,
             remedy="Pass a number, or an array with one number for each member.",
         )
+    h, t0 = np.broadcast_arrays(h, t0)
     return h, t0, request._replace(h=h.item(0), t0=t0.item(0))
 
 
@@ -79,36 +77,30 @@ def run_groups(
     pairs = np.broadcast_to(np.stack([h, t0], axis=1), (count, 2))
     kinds, place = np.unique(pairs, axis=0, return_inverse=True)
     groups = [np.flatnonzero(place.ravel() == k) for k in range(len(kinds))]
-    done = [
-        run(replace(task.part(group), h=size, t0=begun))
-        for (size, begun), group in zip(kinds.tolist(), groups, strict=True)
+    tasks = [
+        replace(task.part(group), h=h, t0=t0)
+        for group, (h, t0) in zip(groups, kinds.tolist(), strict=True)
     ]
-    return _merge(done, groups, count)
+    return _merge([run(x) for x in tasks], groups)
 
 
-def _merge(done: Sequence[Ensemble], groups: Sequence[Ints], count: int) -> Ensemble:
-    """Return one ensemble with the members of several ones."""
+def _merge(parts: Sequence[Ensemble], groups: Sequence[Ints]) -> Ensemble:
+    """Return one ensemble with the members ``groups`` of several ones."""
+    first, order = parts[0], np.argsort(np.concatenate(groups))
 
-    def rows(parts: Sequence[Any]) -> Any:
-        whole = np.empty((count, *parts[0].shape[1:]), dtype=parts[0].dtype)
-        for part, group in zip(parts, groups, strict=True):
-            whole[group] = part
-        return whole
+    def rows(several: Sequence[Any]) -> Any:
+        return np.concatenate(several)[order]
 
-    first = done[0]
-    fields: dict[str, Any] = {
-        name: rows([getattr(x, name) for x in done])
-        for name in ROWS
-        if getattr(first, name) is not None
-    }
+    known = [name for name in ROWS if getattr(first, name) is not None]
+    fields = {name: rows([getattr(x, name) for x in parts]) for name in known}
     for name in MAPPINGS:
-        known: Mapping[str, Any] = getattr(first, name)
-        fields[name] = {key: rows([getattr(x, name)[key] for x in done]) for key in known}
-    of_member = first.q.shape[1:-1]
-    fields["t"] = rows([np.broadcast_to(np.squeeze(x.t), (len(x), *of_member)) for x in done])
+        several = [getattr(x, name) for x in parts]
+        fields[name] = {key: rows([x[key] for x in several]) for key in several[0]}
+    times = first.q.shape[1:-1]
+    fields["t"] = rows([np.broadcast_to(np.squeeze(x.t), (len(x), *times)) for x in parts])
     records = {
-        int(group[k]): part
-        for x, group in zip(done, groups, strict=True)
-        for k, part in x.records.items()
+        int(group[k]): record
+        for x, group in zip(parts, groups, strict=True)
+        for k, record in x.records.items()
     }
     return replace(first, records=records, driven=None, **fields)

@@ -8,20 +8,20 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
 
 from symsimpson.errors import reject
 from symsimpson.study.orbits.continuation import Continuation
 from symsimpson.study.orbits.find import read_search
 from symsimpson.study.orbits.orbit import Bifurcation, Family, Orbit
 from symsimpson.study.orbits.outcome import FamilyStatus
-from symsimpson.study.orbits.shooting import OrbitUnknowns, Solution, Sweep
+from symsimpson.study.orbits.search import Search
+from symsimpson.study.orbits.shooting import Solution, Sweep
 from symsimpson.support.array_types import Floats
+from symsimpson.support.extras import import_library
+from symsimpson.support.names import as_tuple
 
-#: Tolerance of the place of a bifurcation, relative to the scale.
-PLACE = 1e-13
-#: Distance of the first orbit of another family, relative to the scale.
-BESIDE = 0.004
+#: Tolerance of a bifurcation, and distance of another family's first orbit, in scaled units.
+PLACE, BESIDE = 1e-13, 0.004
 
 FOLD, BRANCH, DOUBLING = "fold", "branch point", "period doubling"
 KREIN, TORUS, RESONANCE = "Krein collision", "torus", "resonance"
@@ -29,17 +29,15 @@ KREIN, TORUS, RESONANCE = "Krein collision", "torus", "resonance"
 
 def find_bifurcations(family: Family) -> tuple[Bifurcation, ...]:
     """Find all bifurcations between neighbouring orbits of a family."""
-    tests = _tests(family) if len(family) > 1 else {}
-    return tuple(x for kind, test in tests.items() for x in _crossings(family, kind, test))
+    return _crossings(family, _tests(family)) if len(family) > 1 else ()
 
 
 def find_resonances(family: Family, a: int, b: int) -> tuple[Bifurcation, ...]:
     """Find the orbits with a multiplier exp(2 pi i a/b)."""
-    test = _passes(float(np.cos(2 * np.pi * a / b)))
-    return tuple(_crossings(family, RESONANCE, test))
+    return _crossings(family, {RESONANCE: _passes(float(np.cos(2 * np.pi * a / b)))})
 
 
-#: A function of an orbit, its rows, the tangent and the rate of the quantity that changes.
+#: A function of an orbit and the rate of the quantity that changes.
 Test = Callable[[Orbit, float], float]
 
 
@@ -49,13 +47,14 @@ def _tests(family: Family) -> dict[str, Test]:
     if family.search.symplectic:
         tests |= {BRANCH: _passes(1.0), DOUBLING: _passes(-1.0)}
         if len(family[0].stability_indices) > 1:
-            tests[KREIN] = _discriminant
+            # negative if a pair is complex
+            tests[KREIN] = _of_pairs("stability_indices", lambda a, b: (a - b) ** 2)
         return tests
     size = len(family[0].derivative)
     tests[DOUBLING] = lambda orbit, rate: float(np.linalg.det(orbit.derivative + np.eye(size)))
     if not family.search.shooting.integrals.timeless:
         tests[BRANCH] = lambda orbit, rate: float(np.linalg.det(orbit.derivative - np.eye(size)))
-    tests[TORUS] = _on_circle
+    tests[TORUS] = _of_pairs("multipliers", lambda a, b: a * b - 1)  # 0 for a pair on the circle
     return tests
 
 
@@ -64,62 +63,56 @@ def _passes(value: float) -> Test:
     return lambda orbit, rate: float(np.prod(orbit.stability_indices - value).real)
 
 
-def _discriminant(orbit: Orbit, rate: float) -> float:
-    """Return the product of squared differences of stability indices; negative if complex."""
-    pairs = combinations(orbit.stability_indices, 2)
-    return float(np.prod([(a - b) ** 2 for a, b in pairs]).real)
+def _of_pairs(values: str, term: Callable[[Any, Any], Any]) -> Test:
+    """Return the product of a term over all pairs of stability indices, or of multipliers."""
+    return lambda orbit, rate: float(
+        np.prod([term(a, b) for a, b in combinations(getattr(orbit, values), 2)]).real
+    )
 
 
-def _on_circle(orbit: Orbit, rate: float) -> float:
-    """Return the product of l_i l_j - 1, which is 0 for a complex pair on the unit circle."""
-    pairs = combinations(orbit.multipliers, 2)
-    return float(np.prod([a * b - 1 for a, b in pairs]).real)
-
-
-def _crossings(family: Family, kind: str, test: Test) -> list[Bifurcation]:
-    """Locate the zeros of a test function between neighbours."""
-    line = line_of(family)
-    rates = [line.rate(x, t) for x, t in zip(family.orbits, family.tangents, strict=True)]
-    values = [test(x, rate) for x, rate in zip(family.orbits, rates, strict=True)]
-    places = []
-    for k in range(len(family) - 1):
-        turns = rates[k] * rates[k + 1] < 0
-        if not values[k] * values[k + 1] < 0 or (kind == BRANCH and turns):
-            continue
-        here = line.at(family.orbits[k])
-        if (place := _locate(family, here, k, test)) is not None:
-            solution, tangent = place
-            orbit = here.search.orbit(solution)
-            direction = _direction(here, solution.sweep, tangent, kind, orbit)
-            value = here.value(solution.sweep.point)
-            places.append(Bifurcation(kind, value, orbit, direction, k))
-    return places
+def _crossings(family: Family, tests: dict[str, Test]) -> tuple[Bifurcation, ...]:
+    """Locate the zeros of test functions between neighbours."""
+    line, places = Continuation(family.search, family.parameter, family[0]), list[Bifurcation]()
+    pairs = [*zip(family.orbits, family.tangents, strict=True)]
+    rates = [line.rate(line.search.point_of(x), tangent) for x, tangent in pairs]
+    for kind, test in tests.items():
+        values = [test(x, rate) for x, rate in zip(family.orbits, rates, strict=True)]
+        for k in range(len(family) - 1):
+            turns = rates[k] * rates[k + 1] < 0
+            if not values[k] * values[k + 1] < 0 or (kind == BRANCH and turns):
+                continue
+            here = line.at(family[k])
+            if (place := _locate(family, here, k, test)) is not None:
+                solution, tangent = place
+                orbit = here.search.orbit(solution)
+                direction = _direction(here, solution.sweep, tangent, kind, orbit)
+                value = here.value(solution.sweep.point)
+                places.append(Bifurcation(kind, value, orbit, direction, k))
+    return tuple(places)
 
 
 def _locate(
     family: Family, line: Continuation, k: int, test: Test
 ) -> tuple[Solution, Floats] | None:
     """Find the zero of a test function beyond the orbit k."""
-    point = line.search.point_of(family.orbits[k])
-    sweep, before = line.search.shooting.sweep(point), line.unit(family.tangents[k])
-    known: dict[float, tuple[Solution, Floats]] = {}
+    point, shooting = line.search.point_of(family[k]), line.search.shooting
+    sweep, before = shooting.sweep(point), line.unit(family.tangents[k])
 
-    def at(length: float) -> float:
+    def at(length: float) -> tuple[Solution, Floats]:
         solution = line.correct(sweep, before, length)
-        tangent = line.tangent(solution.sweep, before)
-        known[length] = solution, tangent
-        orbit = line.search.orbit(solution, examined=False)
-        return test(orbit, line.rate(orbit, tangent * line.search.shooting.units))
+        return solution, line.tangent(solution.sweep, before)
 
-    last = line.scaled(line.search.point_of(family.orbits[k + 1])) - line.scaled(point)
-    whole = float(last @ before)
+    def tested(length: float) -> float:
+        solution, tangent = at(length)
+        orbit = line.search.orbit(solution, examined=False)
+        return test(orbit, line.rate(solution.sweep.point, tangent * shooting.units))
+
+    brentq = import_library("scipy.optimize", "locating bifurcations", "control").brentq
+    whole = float(line.between(point, line.search.point_of(family[k + 1])) @ before)
     try:
-        root = float(brentq(at, 0.0, whole, xtol=PLACE * max(1.0, whole)))
+        return at(float(brentq(tested, 0.0, whole, xtol=PLACE * max(1.0, whole))))
     except ValueError:  # the test function changes its sign at a failure
         return None
-    if root not in known:
-        at(root)
-    return known[root]
 
 
 def _direction(
@@ -129,11 +122,10 @@ def _direction(
     n = 2 * line.search.flow.n
     if kind == BRANCH:
         matrix = np.concatenate([sweep.matrix, line.phases(sweep), tangent[None]])
-        _, _, basis = np.linalg.svd(matrix)
-        return np.asarray(basis[-1][:n] * line.search.shooting.scale)
+        return np.asarray(np.linalg.svd(matrix)[2][-1, :n] * line.search.shooting.scale)
     values, vectors = np.linalg.eig(orbit.derivative)
-    target = {DOUBLING: -1.0}.get(kind, 1.0)
-    return np.asarray(vectors[:, int(np.argmin(abs(values - target)))].real)
+    target = -1.0 if kind == DOUBLING else 1.0
+    return np.asarray(vectors[:, np.argmin(abs(values - target))].real)
 
 
 def other_orbit(family: Family, bifurcation: Bifurcation) -> Orbit:
@@ -145,10 +137,8 @@ def other_orbit(family: Family, bifurcation: Bifurcation) -> Orbit:
             remedy="Switch at a branch point or a period doubling.",
         )
     orbit = bifurcation.orbit
-    line = line_of(family).at(orbit)
-    search = line.search
-    if bifurcation.kind == DOUBLING:
-        search = _doubled(line, orbit)
+    line = Continuation(family.search, family.parameter, family[0]).at(orbit)
+    search = line.search if bifurcation.kind == BRANCH else _doubled(line)
     shooting = search.shooting
     start = search.point_of(orbit)
     if shooting.flow.free_period and bifurcation.kind == DOUBLING:
@@ -156,46 +146,37 @@ def other_orbit(family: Family, bifurcation: Bifurcation) -> Orbit:
     unit = bifurcation.direction / np.linalg.norm(bifurcation.direction / shooting.scale)
     row = np.zeros((1, shooting.columns))
     row[0, : len(unit)] = unit / shooting.scale
-    solution: Any = None
-    for side in (1, -1):
+    for side in (BESIDE, -BESIDE):
         states = start.states.copy()
-        states[0] = states[0] + side * BESIDE * unit
-        guess: OrbitUnknowns = replace(start, states=states)
-        at = shooting.pack(guess) / shooting.units
-        solution = shooting.solve(guess, lambda y, at=at: (row @ (y - at), row))  # type: ignore[misc]
+        states[0] += side * unit
+        solution = shooting.solve(replace(start, states=states), row)
         if solution.converged:
             break
     return search.orbit(solution)
 
 
-def _doubled(line: Continuation, orbit: Orbit) -> Any:
+def _doubled(line: Continuation) -> Search:
     """Return the search for orbits of two periods."""
-    given = line.arguments
+    given, search = line.arguments, line.search
     if given.events is not None:
-        events = [given.events] if not isinstance(given.events, (list, tuple)) else given.events
-        twice = [replace(x, terminal=2 * int(x.terminal)) if x.terminal else x for x in events]
+        twice = [
+            replace(x, terminal=2 * int(x.terminal)) if x.terminal else x
+            for x in as_tuple(given.events)
+        ]
         given = replace(given, events=twice)
     else:
         given = replace(given, period=2 * given.period, steps=2 * given.steps)
-    search, _ = read_search(
-        line.search.stepper, given, line.search.tools, line.search.shooting.integrals
-    )
-    return search
-
-
-def line_of(family: Family) -> Continuation:
-    """Return the equations of a family."""
-    return Continuation(family.search, family.parameter, family.orbits[0])
+    return read_search(search.stepper, given, search.tools, search.shooting.integrals)[0]
 
 
 def switch(family: Family, bifurcation: Bifurcation, count: int, options: Any) -> Family:
     """Follow the other family at a bifurcation; see :meth:`Family.switch`."""
     first = other_orbit(family, bifurcation)
-    state = np.concatenate([first.q0, first.p0])
-    states = [np.concatenate([x.q0, x.p0]) for x in family.orbits]
-    gaps = [abs(x - state).max() for x in states] if first.success else [0.0]
-    near = abs(np.diff(states, axis=0)).max(axis=1) if len(states) > 1 else np.zeros(1)
-    if min(gaps) < 1e-12 * near[min(bifurcation.place, len(near) - 1)]:
-        status, tangent = FamilyStatus.SAME_FAMILY, np.zeros(0)
-        return Family((first,), family.parameter, status, (tangent,), first.search)
+    states = np.array([[*x.q0, *x.p0] for x in (first, *family)])
+    near = abs(np.diff(states[1:], axis=0)).max(axis=1, initial=0.0)  # empty for a single orbit
+    gaps = abs(states[1:] - states[0]).max(axis=1)
+    same = gaps.min() < 1e-12 * near[min(bifurcation.place, len(near) - 1)] if len(near) else False
+    if same or not first.success:
+        status = FamilyStatus.SAME_FAMILY if same else FamilyStatus.STEP_TOO_SMALL
+        return Family((first,), family.parameter, status, (np.zeros(0),), first.search)
     return first.family(family.parameter, count=count, **options)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -17,7 +17,7 @@ from symsimpson.support.array_types import Floats
 ENERGY, PERIOD = "energy", "period"
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Path:
     """A motion between two boundaries; :meth:`Stepper.boundary` returns it.
 
@@ -29,18 +29,16 @@ class Path:
         Number of steps.
     q0, v0, p0 : ndarray, shape (n,)
         The initial state.
+    states : ndarray, shape (steps + 1, 2 n)
+        The states (q, p) along the path.
     energy : float
         H at the initial state.
-    parameters : mapping from str to float
-        Values of the parameters.
-    unknowns : mapping from str to float
-        Values of the unknowns.
-    status : OrbitStatus
+    parameters, unknowns : mapping from str to float
+        Values of the parameters and of the unknowns.
+    status, message : OrbitStatus, str
         How the search ended.
     success : bool
         True if the path was found.
-    message : str
-        The outcome as text.
     residual : float
         The largest error of the boundary conditions, relative to the scale of the motion.
     iterations : int
@@ -55,19 +53,19 @@ class Path:
     (True, [-0.094933487, 1.134076482])
     """
 
-    period: float = field(kw_only=True)
-    steps: int = field(kw_only=True)
-    q0: Floats = field(kw_only=True)
-    p0: Floats = field(kw_only=True)
-    values: Floats = field(kw_only=True)  #: Of the parameters.
-    unknowns: Mapping[str, float] = field(kw_only=True)
-    status: OrbitStatus = field(kw_only=True)
-    message: str = field(kw_only=True)
-    residual: float = field(kw_only=True)
-    iterations: int = field(kw_only=True)
+    period: float
+    steps: int
+    q0: Floats
+    p0: Floats
+    values: Floats  #: Of the parameters.
+    unknowns: Mapping[str, float]
+    status: OrbitStatus
+    message: str
+    residual: float
+    iterations: int
     #: Sizes of Newton's corrections, relative to the scale.
-    corrections: tuple[float, ...] = field(kw_only=True)
-    search: Any = field(kw_only=True)  #: The equations, and the functions that use them.
+    corrections: tuple[float, ...]
+    search: Any  #: The equations, and the functions that use them.
 
     @property
     def duration(self) -> float:
@@ -82,20 +80,23 @@ class Path:
     @property
     def parameters(self) -> Mapping[str, float]:
         """Values of the parameters."""
-        names = self.search.stepper.parameters
-        return dict(zip(names, self.values.tolist(), strict=True))
+        return dict(zip(self.search.stepper.parameters, self.values.tolist(), strict=True))
 
     @property
     def h(self) -> float:
         """The step size; of retimed systems, in transformed time."""
-        flow = self.search.shooting.flow
-        fixed = flow.to_event or flow.retimed
-        return float(flow.spec.h) if fixed else self.period / self.steps
+        flow = self.search.flow
+        return self.period / self.steps if flow.fixed_steps else float(flow.spec.h)
 
     @cached_property
     def trajectory(self) -> Trajectory:
         """The run over the whole path."""
         return self.search.run(self, every=1)
+
+    @cached_property
+    def states(self) -> Floats:
+        """The states (q, p) along the path, a row for each."""
+        return np.concatenate([self.trajectory.q, self.trajectory.p], axis=1)
 
     @property
     def v0(self) -> Floats:
@@ -112,11 +113,12 @@ class Path:
     @cached_property
     def _start(self) -> Trajectory:
         """A run of no steps from the initial state."""
-        return self.search.run(self, every=1, whole=False)
+        none = {"h": 1.0, "steps": 0, "t_end": None, "events": None, "on_failure": "raise"}
+        return self.search.run(self, **none)
 
     def _title(self) -> str:
         return f"duration {self.period:.10g}, {self.steps} steps"
 
     def __repr__(self) -> str:
-        name = f"{type(self).__name__}({self.search.stepper.system}, {self.search.stepper.scheme}"
-        return f"{name}: {self._title()}; {self.status.name})"
+        name, stepper = type(self).__name__, self.search.stepper
+        return f"{name}({stepper.system}, {stepper.scheme}: {self._title()}; {self.status.name})"

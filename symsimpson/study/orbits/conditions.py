@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Real
 from typing import Any
@@ -14,12 +14,9 @@ from symsimpson.declare.coordinates import time
 from symsimpson.errors import reject
 from symsimpson.run.state_costs import StateCost
 from symsimpson.study.orbits.boundary_path import ENERGY, PERIOD
-from symsimpson.study.orbits.flow import Flow
+from symsimpson.study.orbits.flow import SMALL, Flow
 from symsimpson.support.array_types import Floats
-from symsimpson.support.names import did_you_mean, spelled
-
-#: Relative displacement of a parameter for the derivative of the energy.
-SMALL = 2.0**-17
+from symsimpson.support.names import did_you_mean, read_mapping, spelled
 
 
 @dataclass(frozen=True)
@@ -31,13 +28,18 @@ class Condition:
     cost: StateCost | None = None  #: None for the energy and the period.
     other: StateCost | None = None  #: Subtracted from the first one.
 
-    def row(self, flow: Flow, z: Floats, period: float, values: Floats) -> tuple[float, Floats]:
-        """Return the deviation, and its derivatives by the state, the period and unknowns."""
+    def row(
+        self, flow: Flow, z: Floats, period: float, values: Floats, end: float | None = None
+    ) -> tuple[float, Floats]:
+        """Return the deviation, and its derivatives by the state, the period and unknowns.
+
+        The state z is the initial one, or that at the time ``end``.
+        """
         n, k = flow.n, len(flow.places)
         slopes = np.zeros(2 * n + 1 + k)
         if self.name == PERIOD and self.cost is None:
-            slopes[2 * n] = 1.0
-            return period - self.value, slopes
+            slopes[2 * n] = flow.parts
+            return flow.parts * period - self.value, slopes
         if self.cost is None:
             slopes[: 2 * n] = flow.energy_gradient(z, values)
             for j, place in enumerate(flow.places):
@@ -49,9 +51,12 @@ class Condition:
         total = -self.value
         for cost, sign in ((self.cost, 1.0), (self.other, -1.0)):
             if cost is not None:
-                t, steps = np.array([float(flow.spec.t0)]), np.zeros(1)
+                t = np.array([float(flow.spec.t0) if end is None else end])
+                steps = np.array([0.0 if end is None else flow.steps])
                 here = cost.slopes(steps, t, z[None, :n], z[None, n:], values)
                 by_unknown = here.parameters[0]
+                if len(by_unknown) > k:  # by h, with which the time of the end moves
+                    slopes[2 * n] += sign * by_unknown[0] / flow.steps
                 total += sign * float(here.value[0])
                 slopes[: 2 * n] += sign * here.state[0]
                 slopes[2 * n + 1 :] += sign * by_unknown[len(by_unknown) - k :]
@@ -60,36 +65,25 @@ class Condition:
 
 def read_conditions(flow: Flow, what: str, given: Any) -> tuple[Condition, ...]:
     """Read a mapping from coordinates, velocities, expressions, "energy" or "period" to values."""
-    if given is None:
-        return ()
-    if not isinstance(given, Mapping):
-        reject(
-            f"{what} is {type(given).__name__}, not a mapping.",
-            remedy=f"Pass values by coordinate, velocity or name: {what}={{x: 0, 'energy': -1}}.",
-        )
-    return tuple(_read_condition(flow, what, key, value) for key, value in given.items())
+    conditions = read_mapping(what, given, flow.program.coordinates[0]).items()
+    return tuple(read_condition(flow, what, key, value) for key, value in conditions)
 
 
-def _read_condition(flow: Flow, what: str, key: Any, value: Any) -> Condition:
+def read_condition(flow: Flow, what: str, key: Any, value: Any) -> Condition:
+    """Read a quantity and its value, a number or an expression."""
     program, name = flow.program, spelled(key) if isinstance(key, str) else str(key)
     number = float(value) if isinstance(value, Real) or getattr(value, "is_number", False) else None
     if number is not None and not np.isfinite(number):
-        reject(f"{what}[{name}] is {value!r}.", remedy="Pass a finite number.")
+        reject(f"{what}[{name!r}] is {value!r}.", remedy="Pass a finite number.")
     if name in (ENERGY, PERIOD) and name not in (*program.coordinates, *program.parameters):
         if number is None:
             reject(f"{what}[{name!r}] is {value!r}.", remedy="Pass a number.")
-        if name == ENERGY and not program.header.conservative:
-            reject(
-                "the energy of this system is not constant.",
-                where=program.system,
-                remedy=f"Remove 'energy' from {what}.",
-            )
-        if name == PERIOD and not flow.free_period:
-            reject(
-                "the period follows from parameters or events.",
-                where=program.system,
-                remedy=f"Remove 'period' from {what}.",
-            )
+        why = "the energy of this system is not constant."
+        free = program.header.conservative
+        if name == PERIOD:
+            why, free = "the period follows from parameters or events.", flow.free_period
+        if not free:
+            reject(why, where=program.system, remedy=f"Remove {name!r} from {what}.")
         return Condition(name, number)
     cost = StateCost(program, f"{what}[{name}]", key)
     if number is not None:
@@ -106,17 +100,15 @@ class Closing:
 
     R: Floats  #: Shape (n, n).
     shift: tuple[sp.Expr, ...]
-    symbols: tuple[sp.Symbol, ...]  #: OrbitUnknowns that are no parameters.
+    symbols: tuple[sp.Symbol, ...]  #: Unknowns that are no parameters.
     parameters: tuple[sp.Symbol, ...]  #: All parameters of the system.
     order: int  #: The least power of R that is the identity; 1 if there is none up to 60.
 
     @property
     def matrix(self) -> Floats:
         """The map of (q, p), shape (2 n, 2 n)."""
-        n = len(self.R)
-        whole = np.zeros((2 * n, 2 * n))
-        whole[:n, :n], whole[n:, n:] = self.R, np.linalg.inv(self.R).T
-        return whole
+        none = np.zeros_like(self.R)
+        return np.block([[self.R, none], [none, np.linalg.inv(self.R).T]])
 
     @property
     def moves(self) -> bool:
@@ -125,19 +117,14 @@ class Closing:
 
     def at(self, values: Floats, extra: Floats) -> tuple[Floats, Floats]:
         """Return the shift of (q, p), and its derivatives by all parameters and symbols."""
-        names = (*self.parameters, *self.symbols)
-        n, point = len(self.R), dict(zip(names, (*values, *extra), strict=True))
+        names, n = (*self.parameters, *self.symbols), len(self.R)
         shift, slopes = np.zeros(2 * n), np.zeros((2 * n, len(names)))
-        for i, expression in enumerate(self.shift):
-            for k, symbol in enumerate(names if expression.free_symbols else ()):
-                slopes[i, k] = float(expression.diff(symbol).subs(point))
-            shift[i] = float(expression.subs(point)) if expression.free_symbols else expression
+        if self.moves:
+            point, whole = dict(zip(names, (*values, *extra), strict=True)), sp.Matrix(self.shift)
+            by_name = whole.jacobian(sp.Matrix(1, len(names), names))
+            shift[:n] = np.array(whole.subs(point), dtype=np.float64).ravel()
+            slopes[:n] = np.array(by_name.subs(point), dtype=np.float64)
         return shift, slopes
-
-
-AS_SYMBOLS = "Texts are never evaluated: write it with the symbols themselves."
-#: The largest power of R that is tried.
-MOST_POWERS = 60
 
 
 def read_closing(program: Any, given: Any, unknowns: Sequence[Any]) -> Closing:
@@ -145,50 +132,42 @@ def read_closing(program: Any, given: Any, unknowns: Sequence[Any]) -> Closing:
 
     Raises InputError for an expression that is not affine in the coordinates.
     """
-    system = program.declared
-    coordinates, parameters = system.coordinates, tuple(system.parameters)
+    coordinates, parameters = program.declared.coordinates, tuple(program.declared.parameters)
     symbols = tuple(x for x in unknowns if x not in parameters)
-    n = len(coordinates)
-    R, shift = np.eye(n), [sp.S.Zero] * n
-    if given is not None and not isinstance(given, Mapping):
-        reject(
-            f"conditions is {type(given).__name__}, not a mapping.",
-            remedy="Pass the final value of each coordinate that is not periodic: {phi: phi + a}.",
-        )
+    R, shift = np.eye(len(coordinates)), [sp.S.Zero] * len(coordinates)
     velocities = [q.diff(time) for q in coordinates]
-    later: list[tuple[int, sp.Expr]] = []
-    for key, value in (given or {}).items():
-        place = program.names.coordinates.place(key)
-        if place is None and key in velocities:
-            if isinstance(value, str):
-                reject(f"conditions[{key}] is the text {value!r}.", remedy=AS_SYMBOLS)
-            later.append((velocities.index(key), sp.sympify(value)))
+    given = read_mapping("conditions", given, program.coordinates[0])
+    for key, value in given.items():
+        place, name = program.names.coordinates.place(key), spelled(key)
+        if isinstance(value, str):
+            reject(
+                f"conditions[{name}] is the text {value!r}.",
+                remedy="Texts are never evaluated: write it with the symbols themselves.",
+            )
+        if key in velocities:
             continue
         if place is None:
-            known = program.coordinates
             reject(
-                f"conditions contains {spelled(key)!r}, which is not a coordinate."
-                f"{did_you_mean(spelled(key), known)}",
-                remedy=f"The coordinates are {', '.join(known)}.",
+                f"conditions contains {name!r}, which is not a coordinate."
+                f"{did_you_mean(name, program.coordinates)}",
+                remedy=f"The coordinates are {', '.join(program.coordinates)}.",
             )
-        if isinstance(value, str):
-            reject(f"conditions[{spelled(key)}] is the text {value!r}.", remedy=AS_SYMBOLS)
         whole = sp.expand(sp.sympify(value))
         row = [whole.coeff(q) for q in coordinates]
         rest = sp.expand(whole - sum(c * q for c, q in zip(row, coordinates, strict=True)))
         allowed = {*parameters, *symbols}
         if not all(c.is_number for c in row) or not rest.free_symbols <= allowed or rest.has(time):
             reject(
-                f"conditions[{spelled(key)}] is {value}.",
+                f"conditions[{name}] is {value}.",
                 where=program.system,
                 why="The final state has to be an affine function of the initial coordinates, "
                 "with numbers as factors.",
                 remedy="List other symbols in unknowns=, if they are no parameters.",
             )
         R[place], shift[place] = [float(c) for c in row], rest
-    for place, value in later:
-        mapped = sum(float(R[place, j]) * v for j, v in enumerate(velocities))
-        if sp.expand(value - mapped) != 0:
+    for place in (k for k, v in enumerate(velocities) if v in given):
+        value = given[velocities[place]]
+        if sp.expand(value - sum(R[place].tolist() * np.array(velocities))) != 0:
             reject(
                 f"conditions gives {velocities[place]} the final value {value}.",
                 where=program.system,
@@ -201,6 +180,6 @@ def read_closing(program: Any, given: Any, unknowns: Sequence[Any]) -> Closing:
             where=program.system,
             remedy="Give each coordinate an expression of its own.",
         )
-    powers = (np.linalg.matrix_power(R, k) for k in range(1, MOST_POWERS + 1))
-    order = next((k for k, x in enumerate(powers, 1) if np.allclose(x, np.eye(n))), 1)
+    powers = (np.linalg.matrix_power(R, k) for k in range(1, 61))
+    order = next((k for k, x in enumerate(powers, 1) if np.allclose(x, np.eye(len(R)))), 1)
     return Closing(R, tuple(shift), symbols, parameters, order)

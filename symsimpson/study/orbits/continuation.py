@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, NoReturn
+from typing import Any
 
 import numpy as np
 
 from symsimpson.errors import reject
 from symsimpson.program.input_values import read_count
+from symsimpson.run.state_costs import StateCost
 from symsimpson.study.orbits.boundary_path import ENERGY, PERIOD
 from symsimpson.study.orbits.conditions import Condition
 from symsimpson.study.orbits.find import read_search
@@ -20,7 +20,7 @@ from symsimpson.study.orbits.search import Search
 from symsimpson.study.orbits.shooting import OrbitUnknowns, Solution, Sweep
 from symsimpson.support.array_types import Floats
 from symsimpson.support.interpreter import catch_interrupts
-from symsimpson.support.names import did_you_mean, spelled
+from symsimpson.support.names import as_tuple, did_you_mean, spelled
 from symsimpson.support.progress import Progress
 
 #: Numbers of Newton iterations at which the step keeps its length, and the most.
@@ -32,23 +32,10 @@ RANK = 1e-8
 #: The number of steps is doubled if unfolding or trivial multipliers exceed this, or the period
 #: grew by this factor, up to this number.
 UNFOLDED, TRIVIAL, LONGER, MOST_STEPS = 1e-11, 1e-6, 1.5, 2**14
-#: The scale follows the orbits if their size changed by this factor.
-GREW = 1.3
-#: An orbit that is this much smaller than the largest one of the family is an equilibrium.
-VANISHING = 1e-3
-#: A symmetry is free if the conditions leave this part of its direction.
-FREE = 1e-6
-#: The shortest step.
-SHORTEST = 1e-8
-
-
-class Course(NamedTuple):
-    """The orbits along a family, the directions there, and why the family ended."""
-
-    orbits: tuple[Orbit, ...]
-    tangents: tuple[Floats, ...]
-    status: FamilyStatus
-    search: Search
+#: Change of the size at which the scale follows, and size of an equilibrium beside the largest.
+GREW, VANISHING = 1.3, 1e-3
+#: A symmetry is free if the conditions leave this part of its direction; the shortest step.
+FREE, SHORTEST = 1e-6, 1e-8
 
 
 def _extent(orbit: Orbit) -> float:
@@ -58,70 +45,56 @@ def _extent(orbit: Orbit) -> float:
 
 def _passed_equilibrium(before: Orbit, after: Orbit) -> bool:
     """Return whether an orbit lies on the other side of an equilibrium, half a period later."""
-    starts = []
-    for orbit in (before, after):
-        run = orbit.trajectory
-        states = np.concatenate([run.q, run.p], axis=1) / orbit.search.shooting.scale
-        starts.append(states[0] - states[:-1].mean(axis=0))
-    return bool(starts[0] @ starts[1] < 0)
+    first, last = (
+        (x.states[0] - x.states[:-1].mean(axis=0)) / x.search.shooting.scale
+        for x in (before, after)
+    )
+    return bool(first @ last < 0)
 
 
 class Continuation:
     """The steps of a family along one quantity, from an orbit."""
 
     def __init__(self, search: Search, parameter: str, orbit: Orbit) -> None:
-        stepper, given = search.stepper, search.given
-        self.name = parameter
-        fixed = {k: v for k, v in (given.fixed or {}).items() if spelled(k) != parameter}
-        unknowns = (
-            given.unknowns if isinstance(given.unknowns, (tuple, list)) else (given.unknowns,)
-        )
-        if parameter in stepper.parameters:
-            if parameter not in map(spelled, unknowns):
-                unknowns = (*unknowns, parameter)
-        elif parameter not in (ENERGY, PERIOD):
-            known = (ENERGY, PERIOD, *stepper.parameters)
+        stepper, given, unknowns = search.stepper, search.given, as_tuple(search.given.unknowns)
+        known = (ENERGY, PERIOD, *stepper.parameters)
+        if parameter not in known:
             reject(
                 f"a family along {parameter!r} is unknown.{did_you_mean(parameter, known)}",
                 where=stepper.system,
                 remedy=f"Choose from {', '.join(known)}.",
             )
-        period = given.period if search.flow.period_of is not None else orbit.period
-        arguments = replace(
+        varied = parameter in stepper.parameters
+        if varied and parameter not in map(spelled, unknowns):
+            unknowns = (*unknowns, parameter)
+        self.name = parameter
+        self.arguments = replace(
             given,
-            q0=orbit.q0,
-            v0=None,
-            p0=orbit.p0,
-            guess=None,
-            mode=None,
-            error=None,
-            period=period,
-        )
-        arguments = replace(
-            arguments,
+            **{"q0": orbit.q0, "v0": None, "p0": orbit.p0, "guess": None, "mode": None},
+            period=given.period if search.flow.period_of is not None else orbit.period,
             steps=orbit.steps,
-            fixed=fixed,
-            unknowns=tuple(unknowns),
+            fixed={k: v for k, v in (given.fixed or {}).items() if spelled(k) != parameter},
+            unknowns=unknowns,
             parameters=search.free_parameters(orbit),
+            error=None,
         )
-        self.arguments = arguments
-        self.search, self.start = read_search(
-            stepper, arguments, search.tools, search.shooting.integrals
+        self.search, start = read_search(
+            stepper, self.arguments, search.tools, search.shooting.integrals
         )
-        names = self.search.shooting.closing.symbols if self.search.shooting.closing else ()
-        extra = np.array([orbit.unknowns[str(x)] for x in names], dtype=np.float64)
-        self.start = replace(self.start, extra=extra)
+        self.start = replace(start, extra=self.search.extra(orbit))
         self._resolved_period = orbit.period
-        self.first = self.search.shooting.sweep(self.start)
+        sizes = np.linalg.svd(self.search.shooting.sweep(self.start).matrix, compute_uv=False)
         #: Number of unknowns that the rows leave free; conditions may follow from one another.
-        self.freedom = self.search.shooting.columns - self._rank(self.first)
+        self.freedom = self.search.shooting.columns - int((sizes > RANK * sizes[0]).sum())
         if self.freedom < 1:
             reject(
                 f"the conditions leave no family along {parameter}.",
                 where=stepper.system,
                 remedy="Search with fewer conditions in fixed=, or with an unknown more.",
             )
-        self._target = Condition(parameter, 0.0) if parameter in (ENERGY, PERIOD) else None
+        program = self.search.flow.program
+        cost = StateCost(program, parameter, parameter) if varied else None
+        self._quantity = Condition(parameter, 0.0, cost)
 
     # -- geometry
 
@@ -129,59 +102,49 @@ class Continuation:
         """Return the continuation with the scale and the steps of an orbit."""
         line = copy.copy(self)
         flow = replace(self.search.flow, steps=orbit.search.flow.steps)
-        line.search = replace(self.search, shooting=self.search.shooting.with_flow(flow)).scaled_to(
-            orbit
-        )
+        line.search = self.search.with_flow(flow).scaled_to(orbit)
         return line
 
-    def _rank(self, sweep: Sweep) -> int:
-        """Return the rank of the equations."""
-        sizes = np.linalg.svd(sweep.matrix, compute_uv=False)
-        return int(np.count_nonzero(sizes > RANK * sizes[0]))
+    def _row(self, point: OrbitUnknowns) -> tuple[float, Floats]:
+        """Return the quantity that changes, and its derivatives."""
+        return self._quantity.row(self.search.flow, point.states[0], point.period, point.values)
 
     def value(self, point: OrbitUnknowns) -> float:
         """Return the quantity that changes."""
-        flow = self.search.flow
-        if self.name == ENERGY:
-            return float(flow.energy(point.states[:1], point.values)[0])
-        if self.name == PERIOD:
-            return point.period * (2 if self.search.mirror is not None else 1)
-        return float(point.values[self.search.stepper.parameters.index(self.name)])
+        return float(self._row(point)[0])
 
-    def scaled(self, point: OrbitUnknowns) -> Floats:
-        """Return the unknowns in scaled units."""
-        shooting = self.search.shooting
-        return shooting.pack(point) / shooting.units
+    def rate(self, point: OrbitUnknowns, change: Floats) -> float:
+        """Return the derivative of the quantity that changes along a direction."""
+        rows = self.search.shooting.spread(point.values, 0, self._row(point)[1])
+        return float(rows[0] @ change)
 
-    def distance(self, first: Orbit, second: Orbit) -> float:
-        """Return the distance of two orbits of the family."""
-        ends = [self.scaled(self.search.point_of(x)) for x in (first, second)]
-        return float(np.linalg.norm(ends[1] - ends[0]))
+    def at_value(self, start: OrbitUnknowns, value: float) -> Solution:
+        """Solve the equations where the quantity has a value."""
+        shooting, condition = self.search.shooting, replace(self._quantity, value=value)
+        return replace(shooting, conditions=(*shooting.conditions, condition)).solve(start)
 
     def phases(self, sweep: Sweep) -> Floats:
         """Return as many rows along symmetries as are missing beside the row of the family."""
-        shooting = self.search.shooting
-        rows, missing = shooting.phases(sweep), self.freedom - 1
+        shooting, missing = self.search.shooting, self.freedom - 1
+        rows = shooting.phases(sweep)
         if missing == 0:
             return rows[:0]
-        null = np.linalg.svd(sweep.matrix)[2][len(rows[0]) - self.freedom :]
-        left, chosen = rows @ null.T, list[int]()
-        for _ in range(missing):  # those that the conditions restrict least
-            sizes = np.linalg.norm(left, axis=1)
-            place = int(np.argmax(sizes)) if len(sizes) else 0
-            if not len(sizes) or sizes[place] < FREE:
-                self._reject_freedom(missing - len(chosen))
-            unit = left[place] / sizes[place]
-            left = left - np.outer(left @ unit, unit)
-            chosen.append(place)
-        return np.asarray(rows[chosen])
+        null = np.linalg.svd(sweep.matrix)[2][shooting.columns - self.freedom :]
+        # those that the conditions restrict least
+        weights, sizes, _ = np.linalg.svd(rows @ null.T)
+        free = int((sizes[:missing] > FREE).sum())
+        if free < missing:
+            reject(
+                f"the conditions leave {missing - free} more quantities free than {self.name}.",
+                where=self.search.stepper.system,
+                remedy="Search with more conditions in fixed=, which hold for the whole family.",
+            )
+        return np.asarray(weights[:, :missing].T @ rows)
 
-    def _reject_freedom(self, count: int) -> NoReturn:
-        reject(
-            f"the conditions leave {count} more quantities free than {self.name}.",
-            where=self.search.stepper.system,
-            remedy="Search with more conditions in fixed=, which hold for the whole family.",
-        )
+    def between(self, first: OrbitUnknowns, last: OrbitUnknowns) -> Floats:
+        """Return the way from one point to another, in scaled units."""
+        scaled = self.search.shooting.scaled
+        return scaled(last) - scaled(first)
 
     def unit(self, direction: Floats) -> Floats:
         """Return a direction in scaled units, of unit length."""
@@ -190,115 +153,76 @@ class Continuation:
 
     def tangent(self, sweep: Sweep, before: Floats | None) -> Floats:
         """Return the direction of the family in scaled units, of unit length."""
-        matrix = np.concatenate([sweep.matrix, self.phases(sweep)])
-        _, _, basis = np.linalg.svd(matrix)
-        direction = basis[-1]
-        if before is not None:
-            return np.asarray(direction if direction @ before >= 0 else -direction)
-        return np.asarray(direction)
-
-    def ahead(self, point: OrbitUnknowns, tangent: Floats, length: float) -> OrbitUnknowns:
-        """Return the point at a distance along the tangent."""
-        shooting = self.search.shooting
-        return shooting.moved(point, length * tangent * shooting.units)
+        direction = np.linalg.svd(np.concatenate([sweep.matrix, self.phases(sweep)]))[2][-1]
+        back = before is not None and direction @ before < 0
+        return np.asarray(-direction if back else direction)
 
     def correct(self, sweep: Sweep, tangent: Floats, length: float) -> Solution:
         """Solve the equations beside a prediction, at a distance along the tangent."""
-        guess = self.ahead(sweep.point, tangent, length)
-        rows = np.concatenate([self.phases(sweep), tangent[None]])
-        at = self.scaled(guess)
-
-        def more(y: Floats) -> tuple[Floats, Floats]:
-            return rows @ (y - at), rows
-
-        return self.search.shooting.solve(guess, more, MOST_ITERATIONS)
-
-    def at_value(self, start: OrbitUnknowns, value: float) -> Solution:
-        """Solve the equations where the quantity has a value."""
-        shooting, place = self.search.shooting, None
-        if self._target is not None:
-            condition = replace(self._target, value=value)
-            with_value = replace(shooting, conditions=(*shooting.conditions, condition))
-            return replace(self.search, shooting=with_value).shooting.solve(start)
-        places = self.search.flow.places
-        place = [self.search.stepper.parameters.index(self.name) == k for k in places].index(True)
-        column = shooting.flow.segments * 2 * shooting.flow.n + shooting.flow.free_period + place
-        row = np.zeros((1, shooting.columns))
-        row[0, column] = 1.0
-        unit = shooting.units[column]
-        return shooting.solve(start, lambda y: (row @ y - value / unit, row))
-
-    def rate(self, orbit: Orbit, change: Floats) -> float:
-        """Return the derivative of the quantity that changes along a direction."""
-        flow = self.search.flow
-        if self.name == ENERGY:
-            z = np.concatenate([orbit.q0, orbit.p0])
-            return float(flow.energy_gradient(z, orbit.values) @ change[: 2 * flow.n])
-        column = flow.segments * 2 * flow.n
-        if self.name == PERIOD:
-            return float(change[column])
-        places = [self.search.stepper.parameters.index(self.name) == k for k in flow.places]
-        return float(change[column + flow.free_period + places.index(True)])
+        guess = self.search.shooting.moved(sweep.point, length * tangent)
+        across = np.concatenate([self.phases(sweep), tangent[None]])
+        return self.search.shooting.solve(guess, across, MOST_ITERATIONS)
 
     # -- the family
 
     def run(
         self,
         to: float | None,
-        count: int,
+        count: Any,
         step: float,
-        largest: float,
-        tangent: Floats | None,
-        progress: bool | None,
-    ) -> Course:
+        largest_step: float,
+        progress: bool | None = None,
+        tangent: Floats | None = None,
+    ) -> Family:
         """Take up to ``count`` steps along the family."""
+        count = read_count("count", count, least=1)
         first = self.search.shooting.solve(self.start)
-        sweep, orbit = first.sweep, self.search.orbit(first)
+        sweep, orbit, status = first.sweep, self.search.orbit(first), FamilyStatus.COUNT
         if not orbit.success:
-            return Course((orbit,), (np.zeros(0),), FamilyStatus.STEP_FAILED, self.search)
-        begun = self.value(sweep.point)
+            status = FamilyStatus.STEP_FAILED
+            return Family((orbit,), self.name, status, (np.zeros(0),), self.search)
+        value, units = self.value(sweep.point), self.search.shooting.units
         direction = self.tangent(sweep, None if tangent is None else self.unit(tangent))
         if tangent is None:
-            rate = self.value(self.ahead(sweep.point, direction, 1e-6)) - begun
-            forward = np.sign(to - begun) if to is not None else np.sign(step)
-            direction = direction if rate * forward >= 0 else -direction
-        orbits, length, largest_orbit = [orbit], abs(step), _extent(orbit)
-        tangents = [direction * self.search.shooting.units]
-        status = FamilyStatus.COUNT
+            forward = step if to is None else to - value
+            if self.rate(sweep.point, direction * units) * forward < 0:
+                direction = -direction
+        orbits, tangents = [orbit], [direction * units]
+        length, largest_orbit = abs(step), _extent(orbit)
         with Progress(count, progress, "orbit") as bar, catch_interrupts() as stopped:
             while len(orbits) <= count:
-                bar.say(f"{self.name} = {self.value(sweep.point):.6g}")
+                bar.say(f"{self.name} = {value:.6g}")
                 bar.add(1)
                 length, solution, following = self._step(sweep, direction, length)
-                if stopped:
-                    status = FamilyStatus.INTERRUPTED
+                if stopped or solution is None or following is None:
+                    status = FamilyStatus.INTERRUPTED if stopped else FamilyStatus.STEP_TOO_SMALL
                     break
-                if solution is None or following is None:
-                    status = self._end(sweep)
-                    break
-                value, before = self.value(solution.sweep.point), self.value(sweep.point)
-                if to is not None and (value - to) * (before - to) <= 0:
+                before, value = value, self.value(solution.sweep.point)
+                reached = to is not None and (value - to) * (before - to) <= 0
+                if to is not None and reached:
                     last = self.at_value(solution.sweep.point, to)
-                    orbits.append(self.search.orbit(last if last.converged else solution))
-                    tangents.append(following * self.search.shooting.units)
-                    status = FamilyStatus.REACHED
-                    break
-                sweep, direction = solution.sweep, following
+                    solution = last if last.converged else solution
                 latest = self.search.orbit(solution)
                 largest_orbit = max(largest_orbit, _extent(latest))
                 small = _extent(latest) < VANISHING * largest_orbit
-                if small or _passed_equilibrium(orbits[-1], latest):
+                if not reached and (small or _passed_equilibrium(orbits[-1], latest)):
                     status = FamilyStatus.EQUILIBRIUM
                     break
                 orbits.append(latest)
-                tangents.append(direction * self.search.shooting.units)
-                sweep = self._refine(sweep, orbits)
+                tangents.append(following * self.search.shooting.units)
+                if reached:
+                    status = FamilyStatus.REACHED
+                    break
+                sweep = self._refine(solution.sweep, orbits)
                 direction = self.unit(tangents[-1])
-                if self._returned(first.sweep, sweep, tangents, length):
+                near = np.linalg.norm(self.between(first.sweep.point, sweep.point)) < length
+                ahead = self.unit(tangents[0]) @ direction > LARGEST_TURN
+                if near and ahead and len(tangents) > 4:  # in the same direction
                     status = FamilyStatus.CLOSED
                     break
-                length = self._next_length(solution, length, largest)
-        return Course(tuple(orbits), tuple(tangents), status, self.search)
+                faster = 2.0 ** ((USUAL_ITERATIONS - len(solution.corrections)) / 3)
+                length = min(length * min(2.0, faster), largest_step)
+        return Family(tuple(orbits), self.name, status, tuple(tangents), self.search)
 
     def _refine(self, sweep: Sweep, orbits: list[Orbit]) -> Sweep:
         """Take the scale of the last orbit, and double its steps if needed; solve it again."""
@@ -326,9 +250,9 @@ class Continuation:
         while length >= SHORTEST:
             solution = self.correct(sweep, tangent, length)
             if solution.interrupted:
-                return length, None, None
+                break
             if solution.converged:
-                moved = self.scaled(solution.sweep.point) - self.scaled(sweep.point)
+                moved = self.between(sweep.point, solution.sweep.point)
                 beside = np.linalg.norm(moved - length * tangent)
                 following = self.tangent(solution.sweep, tangent)
                 if beside <= FROM_PREDICTION * length and following @ tangent >= LARGEST_TURN:
@@ -336,33 +260,8 @@ class Continuation:
             length /= 2
         return length, None, None
 
-    def _next_length(self, solution: Solution, length: float, largest: float) -> float:
-        faster = 2.0 ** ((USUAL_ITERATIONS - len(solution.corrections)) / 3)
-        return float(min(length * min(2.0, faster), largest))
 
-    def _end(self, sweep: Sweep) -> FamilyStatus:
-        """Return why no further orbit was found."""
-        failed = sweep.failure is not None
-        return FamilyStatus.STEP_FAILED if failed else FamilyStatus.STEP_TOO_SMALL
-
-    def _returned(
-        self, first: Sweep, sweep: Sweep, tangents: Sequence[Floats], length: float
-    ) -> bool:
-        """Return whether the family passes its first orbit in the same direction."""
-        gap = self.scaled(first.point) - self.scaled(sweep.point)
-        close = np.linalg.norm(gap) < length and len(tangents) > 4
-        return bool(close and self.unit(tangents[0]) @ self.unit(tangents[-1]) > LARGEST_TURN)
-
-
-def follow(
-    orbit: Orbit,
-    parameter: Any,
-    to: float | None,
-    count: Any,
-    step: float,
-    largest: float,
-    progress: bool | None,
-) -> Family:
+def follow(orbit: Orbit, parameter: Any, **course: Any) -> Family:
     """Follow a family from an orbit; see :meth:`Orbit.family`."""
     if not orbit.success:
         reject(
@@ -370,24 +269,15 @@ def follow(
             where=orbit.search.stepper.system,
             remedy="A family begins at an orbit whose success is True.",
         )
-    continuation = Continuation(orbit.search, spelled(parameter), orbit)
-    count = read_count("count", count, least=1)
-    course = continuation.run(to, count, step, largest, None, progress)
-    return Family(course.orbits, continuation.name, course.status, course.tangents, course.search)
+    return Continuation(orbit.search, spelled(parameter), orbit).run(**course)
 
 
 def extend(family: Family, to: float | None, count: int) -> Family:
     """Continue a family beyond its last orbit; see :meth:`Family.extend`."""
-    last = Continuation(family.search, family.parameter, family.orbits[-1])
-    step = 0.01
+    line, step, tangent = Continuation(family.search, family.parameter, family[-1]), 0.01, None
     if len(family) > 1:
-        step = last.distance(family.orbits[-2], family.orbits[-1])
-    tangent = family.tangents[-1] if len(family) > 1 else None
-    course = last.run(to, count, step, 10 * step, tangent, None)
-    return Family(
-        (*family.orbits, *course.orbits[1:]),
-        family.parameter,
-        course.status,
-        (*family.tangents, *course.tangents[1:]),
-        course.search,
-    )
+        step = float(np.linalg.norm(line.between(*map(line.search.point_of, family.orbits[-2:]))))
+        tangent = family.tangents[-1]
+    course = line.run(to, count, step, 10 * step, tangent=tangent)
+    orbits, tangents = family.orbits + course.orbits[1:], family.tangents + course.tangents[1:]
+    return replace(course, orbits=orbits, tangents=tangents)

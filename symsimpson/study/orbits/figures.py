@@ -16,8 +16,7 @@ def plot_orbit(orbit: Orbit, ax: Any) -> Any:
     """Draw an orbit in the plane of its first two coordinates, or of q and p."""
     ax, names, run = get_axes(ax, (5, 4)), orbit.search.stepper.coordinates, orbit.trajectory
     t = np.linspace(run.t[0], run.t[-1], max(200, len(run)))
-    plain = not (orbit.search.flow.to_event or orbit.search.flow.retimed)
-    states = run.sol(t) if plain else run.y
+    states = run.sol(t) if orbit.search.flow.fixed_steps else run.y
     second = 1 if len(names) > 1 else len(names)
     ax.plot(states[0], states[second])
     ax.set(xlabel=names[0], ylabel=names[1] if len(names) > 1 else f"p_{names[0]}")
@@ -38,24 +37,18 @@ def plot_multipliers(orbits: Sequence[Orbit], ax: Any) -> Any:
 def plot_family(family: Family, x: str, y: str, ax: Any) -> Any:
     """Draw a quantity of the orbits against another, with bifurcations as points."""
     ax = get_axes(ax, (6, 4))
-
-    def values(key: str, some: Any) -> Any:
-        if key == "frequency":
-            return 1 / np.array([orbit.period for orbit in some])
-        return replace(family, orbits=tuple(some))[key]
-
-    horizontal, vertical = values(x, family.orbits), values(y, family.orbits)
+    horizontal, vertical = family[x], family[y]
     stable = np.array([orbit.stable for orbit in family])
     for holds, line in ((True, "C0-"), (False, "C0--")):
         here = np.where(stable == holds, 1.0, np.nan)
         joined = np.fmax(here, np.append(here[1:], np.nan)) if holds else here
         name = "stable" if holds else "unstable"
         ax.plot(horizontal * joined, vertical * joined, line, label=name)
-    kinds: dict[str, list[Orbit]] = {}
-    for point in family.bifurcations:
-        kinds.setdefault(point.kind, []).append(point.orbit)
-    for k, (kind, orbits) in enumerate(kinds.items(), 1):
-        ax.plot(values(x, orbits), values(y, orbits), f"C{k}o", ms=5, label=kind)
+    kinds = dict.fromkeys(point.kind for point in family.bifurcations)
+    for k, kind in enumerate(kinds, 1):
+        points = (point for point in family.bifurcations if point.kind == kind)
+        some = replace(family, orbits=tuple(point.orbit for point in points))
+        ax.plot(some[x], some[y], f"C{k}o", ms=5, label=kind)
     ax.set(xlabel=x, ylabel=y, title=f"{family.search.stepper.system}: family of periodic orbits")
     ax.legend()
     return ax

@@ -28,14 +28,14 @@ PeriodOfParameters = Callable[[Floats], tuple[float, Floats]]
 
 @dataclass(frozen=True)
 class Leg:
-    """The end of a run, and its derivatives; ``failure`` is the run if a step failed."""
+    """The end of a run, and its derivatives; all are NaN if a step failed or the run has no end."""
 
     end: Floats  #: (q, p) at the end, shape (2 n,).
-    by_state: Floats  #: By (q, p) at the start, shape (2 n, 2 n).
-    by_period: Floats  #: By the period, shape (2 n,).
-    by_unknown: Floats  #: By the unknown parameters, shape (2 n, k).
+    slopes: (
+        Floats  #: By (q, p) at the start, the period and k parameters, shape (2 n, 2 n + 1 + k).
+    )
     t: float  #: The time at the end.
-    failure: Trajectory | None = None
+    failed: Trajectory | None = None  #: The run if a step failed.
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,10 @@ class Flow:
     program: Program
     spec: RunSpec
     places: tuple[int, ...]
-    steps: int  #: Steps per period; with events or a time transformation, the most.
+    steps: int  #: Steps of the run; with events or a time transformation, the most.
     segments: int = 1
     period_of: PeriodOfParameters | None = None  #: Of driven systems.
+    parts: int = 1  #: Number of runs in an orbit: 2 if the second half mirrors the first one.
 
     @property
     def n(self) -> int:
@@ -70,20 +71,23 @@ class Flow:
         return self.program.header.retimed
 
     @property
+    def fixed_steps(self) -> bool:
+        """Whether a period has a fixed number of steps of equal length."""
+        return not (self.to_event or self.retimed)
+
+    @property
     def free_period(self) -> bool:
         """Whether the period is an unknown."""
         return self.period_of is None and not self.to_event
 
     def refined(self, factor: int) -> Flow:
         """Return the flow with ``factor`` times as many steps."""
-        if self.to_event or self.retimed:
-            spec = replace(self.spec, h=self.spec.h / factor)
-            return replace(self, spec=spec, steps=self.steps * factor)
-        return replace(self, steps=self.steps * factor)
+        h = self.spec.h if self.fixed_steps else self.spec.h / factor
+        return replace(self, spec=replace(self.spec, h=h), steps=self.steps * factor)
 
     def leg(self, number: int, z: Floats, period: float, values: Floats) -> Leg:
         """Run a segment from the state z."""
-        n, k = self.n, len(self.places)
+        n = self.n
         z = np.where(abs(z) < NEGLIGIBLE * (abs(z).max() or 1.0), 0.0, z)
         spec = replace(
             self.spec,
@@ -100,19 +104,15 @@ class Flow:
         run = self._run(spec)
         missed = run is not None and self.to_event and run.ended_by is None
         if run is None or missed or not run.success or run.variations is None:
-            nothing = np.full((2 * n, 2 * n + k), np.nan)
-            end = nothing[:, 0]
-            return Leg(end, nothing[:, : 2 * n], end, nothing[:, 2 * n :], np.nan, run)
-        end = np.concatenate([run.q[-1], run.p[-1]])
-        D = run.variations[-1]
-        by_period = np.zeros(2 * n)
-        if self.retimed:
-            by_period, first = self.rates(end, values), 2 * n
-        elif self.to_event:
-            first = 2 * n
-        else:
-            by_period, first = D[:, 2 * n] / self.steps, 2 * n + 1
-        return Leg(end, D[:, : 2 * n], by_period, D[:, first:], float(run.t[-1]))
+            nothing = np.full((2 * n, 2 * n + 1 + len(self.places)), np.nan)
+            return Leg(nothing[:, 0], nothing, np.nan, run)
+        end, D = np.concatenate([run.q[-1], run.p[-1]]), np.array(run.variations[-1])
+        if self.fixed_steps:
+            D[:, 2 * n] /= self.steps
+        else:  # (H_p, -H_q) is the rate of a retimed system, which is conservative
+            rate = turned(self.energy_gradient(end, values)) if self.retimed else 0.0
+            D = np.insert(D, 2 * n, rate, axis=1)
+        return Leg(end, D, float(run.t[-1]))
 
     def _run(self, spec: RunSpec) -> Trajectory | None:
         """Return the run, None if it cannot start; its warnings matter for the final orbit only."""
@@ -137,18 +137,17 @@ class Flow:
     def energy_gradient(self, z: Floats, values: Floats) -> Floats:
         """Return dH/d(q, p), by central differences."""
         sizes = SMALL * np.maximum(abs(z), abs(z).max() or 1.0)
-        moves = np.diag(sizes)
-        both = self.energy(np.concatenate([z + moves, z - moves]), values)
-        up, down = both.reshape(2, -1)
-        return np.asarray((up - down) / (2 * sizes))
-
-    def rates(self, z: Floats, values: Floats) -> Floats:
-        """Return the time derivative of the state of a conservative system, (H_p, -H_q)."""
-        slope = self.energy_gradient(z, values)
-        return np.concatenate([slope[self.n :], -slope[: self.n]])
+        both = self.energy(np.concatenate([z + np.diag(sizes), z - np.diag(sizes)]), values)
+        return np.asarray((both[: len(z)] - both[len(z) :]) / (2 * sizes))
 
 
 def turned(vectors: Floats) -> Floats:
     """Return J x for vectors x in the rows: (x_p, -x_q)."""
     n = vectors.shape[-1] // 2
     return np.concatenate([vectors[..., n:], -vectors[..., :n]], axis=-1)
+
+
+def scale_of(states: Floats) -> Floats:
+    """Return the scale of (q, p): the largest coordinate and the largest momentum of states."""
+    q, p = np.split(abs(states), 2, axis=1)
+    return np.repeat([q.max() or 1.0, p.max() or 1.0], q.shape[1])

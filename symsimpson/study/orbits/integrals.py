@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from symsimpson.study.analysis.discrete_flow import DiscreteFlow
 from symsimpson.study.analysis.subject import SYMMETRY_DIGITS
 from symsimpson.study.analysis.symmetries import Symmetry, linear_symmetries
 from symsimpson.study.orbits.conditions import Closing
-from symsimpson.study.orbits.flow import Flow, turned
+from symsimpson.study.orbits.flow import Flow, scale_of, turned
 from symsimpson.support.array_types import Floats
 
 #: Gradients of unit length are independent if their least singular value exceeds this.
@@ -37,12 +36,10 @@ class Integrals:
 
     def gradients(self, flow: Flow, z: Floats, values: Floats) -> Floats:
         """Return the gradients by (q, p), shape (count, 2 n)."""
-        n = flow.n
+        q, p = np.split(z, 2)
         rows = [flow.energy_gradient(z, values)] if self.energy else []
-        for x in self.symmetries:
-            q, p = z[:n], z[n:]
-            rows.append(np.concatenate([p @ x.A, x.A @ q + x.b]))
-        return np.array(rows).reshape(-1, 2 * n)
+        rows += [np.concatenate([p @ x.A, x.A @ q + x.b]) for x in self.symmetries]
+        return np.array(rows).reshape(-1, len(z))
 
     def fields(self, flow: Flow, z: Floats, values: Floats, moved: Floats) -> Floats:
         """Return the directions along which an orbit stays an orbit, one in each row.
@@ -62,16 +59,15 @@ def find_integrals(stepper: Stepper, flow: Flow, closing: Closing, z: Floats) ->
     if not header.conservative or flow.to_event or not header.autonomous:
         return Integrals(False, (), timeless)
     symmetries: list[Symmetry] = []
+    scale = scale_of(z[None])
     if not header.retimed:
         names = stepper.program.names.parameters.shown
         values = dict(zip(names, flow.spec.parameters.tolist(), strict=True))
         exact = DiscreteFlow(stepper, values, SYMMETRY_DIGITS)
-        context, n = exact.context, flow.n
-        scale = [abs(z[:n]).max() or 1.0] * n + [abs(z[n:]).max() or 1.0] * n
-        point: Any = np.array([context.mpf(float(x)) for x in z], dtype=object)
+        point = np.array([exact.context.mpf(x) for x in z.tolist()], dtype=object)
         for factor in WIDER:
-            powers = np.round(np.log2(np.array(scale) * factor)).astype(int).tolist()
-            exact.sizes = np.array([context.ldexp(1, power) for power in powers], dtype=object)
+            powers = np.round(np.log2(scale * factor)).astype(int).tolist()
+            exact.sizes = np.array([exact.context.ldexp(1, x) for x in powers], dtype=object)
             try:
                 symmetries = linear_symmetries(exact, point)
                 break
@@ -82,7 +78,7 @@ def find_integrals(stepper: Stepper, flow: Flow, closing: Closing, z: Floats) ->
     independent = Integrals(True, (), timeless)
     for symmetry in kept:  # at rest, momenta of different symmetries may have the same gradient
         more = replace(independent, symmetries=(*independent.symmetries, symmetry))
-        rows = more.gradients(flow, z, flow.spec.parameters) * np.array(scale)
+        rows = more.gradients(flow, z, flow.spec.parameters) * scale
         sizes = np.linalg.norm(rows, axis=1, keepdims=True)
         if sizes.all() and np.linalg.svd(rows / sizes, compute_uv=False)[-1] > INDEPENDENT:
             independent = more

@@ -7,7 +7,7 @@ isotropic, so n vectors give a matrix with each index once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,67 +17,47 @@ from symsimpson.support.array_types import Floats
 
 Complexes = NDArray[np.complex128]
 
-#: An index is on the unit circle if it exceeds 1 by less than this.
-STABLE = 1e-8
 #: A new Krylov vector shorter than this ends an invariant space.
 BREAKDOWN = 1e-12
 
 
-@dataclass(frozen=True)
-class Multipliers:
+class Multipliers(NamedTuple):
     """Multipliers and stability indices, without the trivial ones."""
 
-    values: Complexes
-    indices: Complexes  #: (l + 1/l)/2 of each pair; empty unless the map is symplectic.
+    multipliers: Complexes
+    stability_indices: Complexes  #: (l + 1/l)/2 of pairs; empty unless the map is symplectic.
     trivial: float  #: Largest distance of a trivial index, or multiplier, from 1.
-
-    @property
-    def stable(self) -> bool:
-        """Whether all multipliers lie in or on the unit circle."""
-        return bool((abs(self.values) <= 1 + np.sqrt(2 * STABLE)).all())
 
 
 def symplectic_indices(D: Floats) -> Complexes:
     """Return the n stability indices of a symplectic matrix."""
     size = len(D)
     n = size // 2
-    inverse = turned(turned(D).T)  # J^T D^T J
-    W = (D + inverse) / 2
+    W = (D + turned(turned(D).T)) / 2  # D^-1 = J^T D^T J
     random = np.random.default_rng(1)
-    Q, H = np.zeros((size, n)), np.zeros((n, n))
-    vector = random.normal(size=size)
+    Q, vector = np.zeros((size, n)), random.normal(size=size)
     for k in range(n):
-        for _ in range(3):
-            vector = _orthogonal(vector, Q[:, :k])
-        length = np.linalg.norm(vector)
-        Q[:, k] = vector / length
-        vector = W @ Q[:, k]
-        before = np.linalg.norm(vector)
-        H[: k + 1, k] = Q[:, : k + 1].T @ vector
-        for _ in range(3):
-            vector = _orthogonal(vector, Q[:, : k + 1])
-        if k + 1 < n:
-            if np.linalg.norm(vector) <= BREAKDOWN * before:
-                vector = random.normal(size=size)
-            else:
-                H[k + 1, k] = np.linalg.norm(vector)
-    return np.asarray(np.linalg.eigvals(_projected(W, Q)), dtype=np.complex128)
+        vector = _orthogonal(vector, Q[:, :k])
+        Q[:, k] = vector / np.linalg.norm(vector)
+        image = W @ Q[:, k]
+        vector = _orthogonal(image, Q[:, : k + 1])
+        if np.linalg.norm(vector) <= BREAKDOWN * np.linalg.norm(image):
+            vector = random.normal(size=size)
+    return np.linalg.eigvals(Q.T @ W @ Q).astype(np.complex128)
 
 
 def _orthogonal(vector: Floats, Q: Floats) -> Floats:
-    """Remove the components along the columns of Q and J Q."""
-    vector = vector - Q @ (Q.T @ vector)
-    partners = turned(Q.T).T
-    return np.asarray(vector - partners @ (partners.T @ vector))
-
-
-def _projected(W: Floats, Q: Floats) -> Floats:
-    """Return the matrix of W on the space of the columns of Q."""
-    return np.asarray(Q.T @ W @ Q)
+    """Remove the components along the columns of Q and J Q, up to round-off."""
+    both = np.concatenate([Q, turned(Q.T).T], axis=1)
+    for _ in range(3):
+        vector = vector - both @ (both.T @ vector)
+    return vector
 
 
 def multipliers_of(D: Floats, trivial: int, *, symplectic: bool, power: int) -> Multipliers:
     """Return the multipliers of D^power; the ``trivial`` ones nearest to 1 are left out."""
+    if not np.isfinite(D).all():  # of a failed run
+        return Multipliers(np.zeros(0, np.complex128), np.zeros(0, np.complex128), np.nan)
     values: Complexes = np.linalg.eigvals(D).astype(np.complex128)
     indices = symplectic_indices(D) if symplectic else values
     order = np.argsort(abs(indices - 1))
@@ -86,16 +66,9 @@ def multipliers_of(D: Floats, trivial: int, *, symplectic: bool, power: int) -> 
     if not symplectic:
         left = left[np.argsort(-abs(left))] ** power
         return Multipliers(left, left[:0], off)
-    left = _paired(left)
+    real = abs(left.imag) <= 1e-12 * np.maximum(1.0, abs(left))  # up to round-off
+    left = np.where(real, left.real + 0j, left)[np.argsort(-abs(left))]
     root = np.sqrt(left**2 - 1 + 0j)
     large = np.where(abs(left + root) >= abs(left - root), left + root, left - root) ** power
-    pairs: Complexes = np.ravel(np.column_stack([large, 1 / large]))
-    indices = np.asarray((large + 1 / large) / 2, dtype=np.complex128)
-    return Multipliers(pairs, indices, off)
-
-
-def _paired(indices: Complexes) -> Complexes:
-    """Sort indices from large to small; round-off of real ones is removed."""
-    real = abs(indices.imag) <= 1e-12 * np.maximum(1.0, abs(indices))
-    cleaned = np.where(real, indices.real + 0j, indices)
-    return cleaned[np.argsort(-abs(indices))]
+    pairs = np.column_stack([large, 1 / large])
+    return Multipliers(pairs.ravel(), pairs.mean(axis=1), off)

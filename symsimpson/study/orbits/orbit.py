@@ -10,19 +10,22 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.study.orbits.boundary_path import PERIOD, Path
-from symsimpson.study.orbits.family_quantities import quantity
-from symsimpson.study.orbits.multipliers import Multipliers
+from symsimpson.errors import reject
+from symsimpson.study.orbits.boundary_path import ENERGY, PERIOD, Path
 from symsimpson.study.orbits.outcome import FamilyStatus
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explain_methods
+from symsimpson.support.names import did_you_mean
 
 if TYPE_CHECKING:
     from symsimpson.run.ensemble.ensemble import Ensemble
 
+#: A stability index is on the unit circle if it exceeds 1 by less than this.
+ROUNDING_OF_INDEX = 1e-8
+
 
 @explain_methods()
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Orbit(Path):
     """A periodic orbit; :meth:`Stepper.periodic` returns it.
 
@@ -39,11 +42,9 @@ class Orbit(Path):
     stable : bool
         True if no deviation grows exponentially.
     trivial : float
-        Largest distance from 1 of the multipliers that are 1 for every orbit. It measures how well
-        the steps resolve the orbit.
+        Largest distance from 1 of the multipliers that are 1 if the steps resolve the orbit.
     unfolding : float
-        The part of the closing error that no correction can reduce, relative to the scale. It is
-        round-off for a resolved orbit.
+        The closing error that no correction reduces, relative to the scale; round-off if resolved.
     error : float or None
         Estimate of the error of the state and the period, if you passed ``error``.
     primitive : Orbit or None
@@ -55,38 +56,25 @@ class Orbit(Path):
     --------
     >>> import symsimpson as ss
     >>> stepper = ss.compile(ss.systems.henon_heiles(), "gauss8")
-    >>> x, y = ss.systems.henon_heiles().coordinates
     >>> orbit = stepper.periodic([0, 0.25], v0=[0.335, 0], period=6.1, steps=48,
-    ...                          fixed={"energy": 1/12, x: 0})
+    ...                          fixed={"energy": 1/12, "x": 0})
     >>> orbit.success, round(orbit.period, 9), orbit.stability_indices.real.round(9).tolist()
     (True, 6.135235496, [0.323398323])
     """
 
-    derivative: Floats = field(kw_only=True)
-    floquet: Multipliers = field(kw_only=True)
-    unfolding: float = field(kw_only=True)
-    error: float | None = field(kw_only=True, default=None)
-    primitive: Orbit | None = field(kw_only=True, default=None)
-
-    @property
-    def multipliers(self) -> NDArray[np.complex128]:
-        """The multipliers without the trivial ones, the largest first."""
-        return self.floquet.values
-
-    @property
-    def stability_indices(self) -> NDArray[np.complex128]:
-        """(l + 1/l)/2 of each pair of multipliers."""
-        return self.floquet.indices
+    derivative: Floats
+    multipliers: NDArray[np.complex128]
+    stability_indices: NDArray[np.complex128]
+    trivial: float
+    unfolding: float
+    error: float | None = None
+    primitive: Orbit | None = None
 
     @property
     def stable(self) -> bool:
-        """True if no deviation grows exponentially."""
-        return self.success and self.floquet.stable
-
-    @property
-    def trivial(self) -> float:
-        """Largest distance of a trivial multiplier from 1."""
-        return self.floquet.trivial
+        """True if no deviation grows exponentially: all multipliers lie in or on the circle."""
+        largest = abs(self.multipliers).max(initial=1.0)
+        return self.success and bool(largest <= 1 + np.sqrt(2 * ROUNDING_OF_INDEX))
 
     def refined(self, factor: int = 2) -> Orbit:
         """Return the same orbit with ``factor`` times as many steps.
@@ -103,8 +91,7 @@ class Orbit(Path):
         Examples
         --------
         >>> import symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=40, fixed={"theta": 1})
+        >>> orbit = ss.compile(ss.systems.pendulum()).periodic([1], [0], period=2.1, steps=40)
         >>> orbit.refined(2).steps
         80
         """
@@ -131,8 +118,8 @@ class Orbit(Path):
         count : int, default 200
             Largest number of new orbits.
         step, largest_step : float
-            First and largest distance between neighbours, relative to the scale of the unknowns. A
-            negative step goes the other way, if ``to`` is not given.
+            First and largest distance between neighbours, relative to the scale of the unknowns.
+            Without ``to``, a negative step goes the other way.
         progress : bool, optional
             Whether to show a progress bar, as for :meth:`Stepper.integrate`.
 
@@ -149,15 +136,13 @@ class Orbit(Path):
         Examples
         --------
         >>> import symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> orbit = stepper.periodic([0.5], v0=[0.0], period=2.0, steps=40, fixed={"v_theta": 0})
-        >>> family = orbit.family("energy", to=-5.0)
+        >>> orbit = ss.compile(ss.systems.pendulum()).periodic([1], [0], period=2.1, steps=40)
+        >>> family = orbit.family("energy", to=-3.0)
         >>> family.status.name, bool(family["period"][-1] > family["period"][0])
         ('REACHED', True)
         """
-        course = to, count, step, largest_step
-        family: Family = self.search.tools.follow(self, parameter, *course, progress)
-        return family
+        course = {"to": to, "count": count, "step": step, "largest_step": largest_step}
+        return self.search.tools.follow(self, parameter, **course, progress=progress)
 
     def manifold(
         self, kind: str = "unstable", *, size: float = 1e-6, count: int = 20, periods: float = 2.0
@@ -188,14 +173,12 @@ class Orbit(Path):
         Examples
         --------
         >>> import symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum(), "gauss8")
-        >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=40, fixed={"theta": 1})
+        >>> orbit = ss.compile(ss.systems.pendulum()).periodic([1], [0], period=2.1, steps=40)
         >>> orbit.manifold()  # doctest: +ELLIPSIS
         Traceback (most recent call last):
         symsimpson.errors.InputError: pendulum: this orbit has no unstable manifold. ...
         """
-        runs: Ensemble = self.search.manifold(self, kind, size, count, periods)
-        return runs
+        return self.search.manifold(self, kind, size, count, periods)
 
     def plot(self, *, ax: Any = None) -> Any:
         """Draw the orbit in the plane of its first two coordinates, or of q and p.
@@ -203,7 +186,7 @@ class Orbit(Path):
         Parameters
         ----------
         ax : matplotlib axes, optional
-            Axes to draw in. By default, the method creates new axes.
+            Axes to draw in, new ones by default.
 
         Returns
         -------
@@ -212,8 +195,7 @@ class Orbit(Path):
         Examples
         --------
         >>> import symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=40, fixed={"theta": 1})
+        >>> orbit = ss.compile(ss.systems.pendulum()).periodic([1], [0], period=2.1, steps=40)
         >>> orbit.plot().get_xlabel()
         'theta'
         """
@@ -225,7 +207,7 @@ class Orbit(Path):
         Parameters
         ----------
         ax : matplotlib axes, optional
-            Axes to draw in. By default, the method creates new axes.
+            Axes to draw in, new ones by default.
 
         Returns
         -------
@@ -234,8 +216,7 @@ class Orbit(Path):
         Examples
         --------
         >>> import symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=40, fixed={"theta": 1})
+        >>> orbit = ss.compile(ss.systems.pendulum()).periodic([1], [0], period=2.1, steps=40)
         >>> orbit.plot_multipliers().get_xlabel()
         'real part'
         """
@@ -247,7 +228,7 @@ class Orbit(Path):
         Parameters
         ----------
         path : path
-            The file, with a name that ends in ``.npz``.
+            The file.
 
         Raises
         ------
@@ -259,8 +240,7 @@ class Orbit(Path):
         Examples
         --------
         >>> import pathlib, tempfile, symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=40, fixed={"theta": 1})
+        >>> orbit = ss.compile(ss.systems.pendulum()).periodic([1], [0], period=2.1, steps=40)
         >>> orbit.save(pathlib.Path(tempfile.mkdtemp()) / "swing.npz")
         """
         Family((self,), PERIOD, FamilyStatus.COUNT, (np.zeros(0),), self.search).save(path)
@@ -307,18 +287,15 @@ class Family:
         The orbits in the order of the family.
     parameter : str
         The name of the quantity that changes.
-    status : FamilyStatus
+    status, message : FamilyStatus, str
         Why the family ended.
-    message : str
-        The outcome as text.
     bifurcations : tuple of Bifurcation
         Orbits at which the family turns, or others branch off.
 
     Examples
     --------
     >>> import symsimpson as ss
-    >>> stepper = ss.compile(ss.systems.pendulum())
-    >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=40, fixed={"v_theta": 0})
+    >>> orbit = ss.compile(ss.systems.pendulum()).periodic([1], [0], period=2.1, steps=40)
     >>> family = orbit.family("period", to=2.2)
     >>> family.status.name, round(float(family["period"][-1]), 9)
     ('REACHED', 2.2)
@@ -337,10 +314,27 @@ class Family:
     def __getitem__(self, key: Any) -> Any:
         """Return an orbit by its number, or a quantity of all orbits by its name.
 
-        Names are "period", "energy", "stability", parameters, and coordinates and momenta of the
-        initial states.
+        Names are "period", "frequency", "energy", "stability", parameters, and initial coordinates
+        and momenta.
         """
-        return quantity(self, key) if isinstance(key, str) else self.orbits[key]
+        if not isinstance(key, str):
+            return self.orbits[key]
+        quantities: dict[str, Any] = {
+            PERIOD: lambda x: x.period,
+            "frequency": lambda x: 1 / x.period,
+            ENERGY: lambda x: x.energy,
+            "stability": lambda x: abs(x.multipliers).max(initial=1.0),
+        }
+        names, parameters = self.search.stepper.coordinates, self.search.stepper.parameters
+        quantities |= {name: lambda x, k=k: x.values[k] for k, name in enumerate(parameters)}
+        quantities |= {f"p_{name}": lambda x, k=k: x.p0[k] for k, name in enumerate(names)}
+        quantities |= {name: lambda x, k=k: x.q0[k] for k, name in enumerate(names)}
+        if key not in quantities:
+            reject(
+                f"a family has no quantity {key!r}.{did_you_mean(key, quantities)}",
+                remedy=f"Choose from {', '.join(quantities)}.",
+            )
+        return np.array([quantities[key](x) for x in self.orbits])
 
     @property
     def message(self) -> str:
@@ -356,8 +350,7 @@ class Family:
     @cached_property
     def bifurcations(self) -> tuple[Bifurcation, ...]:
         """Orbits at which the family turns, or at which others branch off."""
-        places: tuple[Bifurcation, ...] = self.search.tools.bifurcations(self)
-        return places
+        return self.search.tools.bifurcations(self)
 
     def resonances(self, a: int, b: int) -> tuple[Bifurcation, ...]:
         """Return the orbits with a multiplier exp(2 pi i a/b).
@@ -374,13 +367,11 @@ class Family:
         Examples
         --------
         >>> import symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=40, fixed={"v_theta": 0})
+        >>> orbit = ss.compile(ss.systems.pendulum()).periodic([1], [0], period=2.1, steps=40)
         >>> orbit.family("energy", count=3).resonances(1, 3)  # a pendulum has no multipliers
         ()
         """
-        places: tuple[Bifurcation, ...] = self.search.tools.resonances(self, a, b)
-        return places
+        return self.search.tools.resonances(self, a, b)
 
     def switch(self, bifurcation: Bifurcation, *, count: int = 50, **options: Any) -> Family:
         """Follow the other family at a branch point or a period doubling.
@@ -407,14 +398,12 @@ class Family:
         Examples
         --------
         >>> import symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=40, fixed={"v_theta": 0})
+        >>> orbit = ss.compile(ss.systems.pendulum()).periodic([1], [0], period=2.1, steps=40)
         >>> family = orbit.family("energy", count=3)
         >>> [family.switch(place) for place in family.bifurcations]  # none of a pendulum
         []
         """
-        family: Family = self.search.tools.switch(self, bifurcation, count, options)
-        return family
+        return self.search.tools.switch(self, bifurcation, count, options)
 
     def extend(self, *, to: float | None = None, count: int = 200) -> Family:
         """Continue the family beyond its last orbit.
@@ -434,13 +423,11 @@ class Family:
         Examples
         --------
         >>> import symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=40, fixed={"v_theta": 0})
+        >>> orbit = ss.compile(ss.systems.pendulum()).periodic([1], [0], period=2.1, steps=40)
         >>> len(orbit.family("energy", count=3).extend(count=2))
         6
         """
-        family: Family = self.search.tools.extend(self, to, count)
-        return family
+        return self.search.tools.extend(self, to, count)
 
     def plot(self, x: str | None = None, y: str = PERIOD, *, ax: Any = None) -> Any:
         """Draw one quantity of the orbits against another; unstable orbits are dashed.
@@ -448,10 +435,9 @@ class Family:
         Parameters
         ----------
         x, y : str
-            Names of the quantities, as for ``family["..."]``. The defaults are the quantity that
-            changes and the period; "frequency" is 1/period.
+            Names as for ``family["..."]``; the default of x is the quantity that changes.
         ax : matplotlib axes, optional
-            Axes to draw in. By default, the method creates new axes.
+            Axes to draw in, new ones by default.
 
         Returns
         -------
@@ -460,8 +446,7 @@ class Family:
         Examples
         --------
         >>> import symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=40, fixed={"v_theta": 0})
+        >>> orbit = ss.compile(ss.systems.pendulum()).periodic([1], [0], period=2.1, steps=40)
         >>> orbit.family("energy", count=3).plot(y="frequency").get_ylabel()
         'frequency'
         """
@@ -473,7 +458,7 @@ class Family:
         Parameters
         ----------
         path : path
-            The file, with a name that ends in ``.npz``.
+            The file.
 
         Raises
         ------
@@ -485,16 +470,14 @@ class Family:
         Examples
         --------
         >>> import pathlib, tempfile, symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> orbit = stepper.periodic([1.0], v0=[0.0], period=2.1, steps=40, fixed={"v_theta": 0})
+        >>> orbit = ss.compile(ss.systems.pendulum()).periodic([1], [0], period=2.1, steps=40)
         >>> orbit.family("energy", count=3).save(pathlib.Path(tempfile.mkdtemp()) / "swings.npz")
         """
         self.search.tools.save(self, path)
 
     def __repr__(self) -> str:
-        low, high = self[self.parameter][[0, -1]]
-        name = f"Family({self.search.stepper.system}, {self.search.stepper.scheme}"
+        (low, high), search = self[self.parameter][[0, -1]], self.search
         return (
-            f"{name}: {len(self)} orbits, {self.parameter} from {low:.6g} to {high:.6g}; "
-            f"{self.status.name})"
+            f"Family({search.stepper.system}, {search.stepper.scheme}: {len(self)} orbits, "
+            f"{self.parameter} from {low:.6g} to {high:.6g}; {self.status.name})"
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -12,10 +11,9 @@ from symsimpson.errors import StorageError, reject
 from symsimpson.study.orbits.find import OrbitArguments, read_search
 from symsimpson.study.orbits.orbit import Family
 from symsimpson.study.orbits.outcome import FamilyStatus
-from symsimpson.study.orbits.search import Search
 from symsimpson.study.orbits.shooting import Solution
 from symsimpson.support.array_files import read_arrays, write_arrays
-from symsimpson.support.names import spelled
+from symsimpson.support.names import read_mapping, spelled
 
 #: Arguments of a search that a file cannot contain.
 SYMBOLIC = ("fixed", "middle", "conditions", "events", "period")
@@ -29,30 +27,32 @@ SIZES = {"q": 2, "p": 2, "period": 1, "values": 2, "extra": 2, "tangents": 2}
 def save_family(family: Family, path: Any) -> None:
     """Write a family to a file; see :meth:`Family.save`."""
     orbits, search = family.orbits, family.search
+    given = [name for name in SYMBOLIC if getattr(search.given, name)]
+    if search.flow.period_of is None and "period" in given:  # a number
+        given.remove("period")
     saved = {
         "digest": search.stepper.program.header.digest,
         "scheme": search.stepper.scheme,
         "parameter": family.parameter,
         "status": family.status.name,
         "steps": [x.steps for x in orbits],
-        "unknowns": [*search.unknown_names],
-        "given": _given(search),
+        "unknowns": [*orbits[0].unknowns],
+        "given": given,
         "t0": float(search.flow.spec.t0),
         "h": float(search.flow.spec.h),
     }
-    symbols = search.shooting.closing.symbols if search.shooting.closing is not None else ()
     arrays = {
-        "q": np.array([x.q0 for x in orbits]),
-        "p": np.array([x.p0 for x in orbits]),
-        "period": np.array([x.period for x in orbits]),
-        "values": np.array([x.values for x in orbits]),
-        "extra": np.array([[x.unknowns[str(s)] for s in symbols] for x in orbits], dtype=float),
-        "tangents": np.array(family.tangents),
+        "q": [x.q0 for x in orbits],
+        "p": [x.p0 for x in orbits],
+        "period": [x.period for x in orbits],
+        "values": [x.values for x in orbits],
+        "extra": [search.extra(x) for x in orbits],
+        "tangents": family.tangents,
     }
-    write_arrays(path, "family", saved, arrays)
+    write_arrays(path, "family", saved, {name: np.array(x) for name, x in arrays.items()})
 
 
-def open_family(stepper: Any, tools: Any, path: Any, given: Mapping[str, Any]) -> Family:
+def open_family(tools: Any, stepper: Any, path: Any, **given: Any) -> Family:
     """Read a family from a file; see :meth:`Stepper.open_family`."""
     place, saved, arrays = read_arrays(path, "family", KINDS, SIZES)
     q, p, period, values, extra, tangents = arrays
@@ -72,18 +72,21 @@ def open_family(stepper: Any, tools: Any, path: Any, given: Mapping[str, Any]) -
         )
     fixed = {k: v for k, v in (given["fixed"] or {}).items() if spelled(k) != saved["parameter"]}
     given = {**given, "fixed": fixed}
-    passed = [name for name in SYMBOLIC if given[name]]
-    if passed != saved["given"]:
+    none = "no symbolic arguments"
+    needed = ", ".join(f"{x}=" for x in saved["given"]) or none
+    passed = ", ".join(f"{x}=" for x in SYMBOLIC if given[x]) or none
+    if passed != needed:
         reject(
-            f"the family was found with {_list(saved['given'])}, and you passed {_list(passed)}.",
+            f"the family was found with {needed}, and you passed {passed}.",
             where=str(place),
             why="The file contains numbers only.",
             remedy="Pass the same arguments as to periodic.",
         )
-    orbits, integrals, count = [], None, len(values[0])
-    symbols = {str(x): x for x in _symbols(given["conditions"])}
+    conditions = read_mapping("conditions", given["conditions"], stepper.coordinates[0])
+    symbols = {str(x): x for y in conditions.values() for x in getattr(y, "free_symbols", ())}
+    orbits, integrals = [], None
     for k in range(shape[0]):
-        named = zip(stepper.parameters, values[k, :count].tolist(), strict=True)
+        parameters = dict(zip(stepper.parameters, values[k].tolist(), strict=True))
         arguments = OrbitArguments(
             q0=q[k],
             p0=p[k],
@@ -91,28 +94,12 @@ def open_family(stepper: Any, tools: Any, path: Any, given: Mapping[str, Any]) -
             h=saved["h"],
             t0=saved["t0"],
             unknowns=tuple(symbols.get(x, x) for x in saved["unknowns"]),
-            parameters={name: x for name, x in named if name not in header.from_start},
+            parameters={x: parameters[x] for x in parameters if x not in header.from_start},
             **{**given, "period": given["period"] or float(period[k])},
         )
         search, point = read_search(stepper, arguments, tools, integrals)
         integrals = search.shooting.integrals
         sweep = search.shooting.sweep(replace(point, extra=extra[k]))
         orbits.append(search.orbit(Solution(sweep, True, ())))
-    parts = tuple(orbits), saved["parameter"], saved["status"], tuple(tangents)
-    return Family(*parts, orbits[-1].search)
-
-
-def _given(search: Search) -> list[str]:
-    """Return the names of the symbolic arguments of a search; a number as period is none."""
-    names = [name for name in SYMBOLIC if getattr(search.given, name)]
-    return [x for x in names if x != "period" or search.flow.period_of is not None]
-
-
-def _list(names: list[str]) -> str:
-    return ", ".join(f"{name}=" for name in names) or "no symbolic arguments"
-
-
-def _symbols(conditions: Any) -> set[Any]:
-    """Return the symbols of conditions."""
-    values = conditions.values() if isinstance(conditions, Mapping) else ()
-    return {x for value in values for x in getattr(value, "free_symbols", ())}
+    course = saved["parameter"], saved["status"], tuple(tangents)
+    return Family(tuple(orbits), *course, orbits[-1].search)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
 from types import SimpleNamespace
-from typing import Any
 
 from symsimpson.study.orbits import bifurcations, continuation, figures, orbit_files
-from symsimpson.study.orbits.boundaries import find_path
-from symsimpson.study.orbits.boundary_path import Path
-from symsimpson.study.orbits.find import OrbitArguments, find_periodic
-from symsimpson.study.orbits.orbit import Family, Orbit
+from symsimpson.study.orbits.find import find_path, find_periodic
 
 #: The functions that results call.
 TOOLS = SimpleNamespace(
@@ -25,16 +22,7 @@ TOOLS = SimpleNamespace(
 )
 
 
-def periodic(stepper: Any, **given: Any) -> Orbit:
-    """Search for a periodic orbit; see :meth:`Stepper.periodic`."""
-    return find_periodic(stepper, TOOLS, OrbitArguments(**given))
-
-
-def boundary(stepper: Any, *given: Any) -> Path:
-    """Search for a path between two boundaries; see :meth:`Stepper.boundary`."""
-    return find_path(stepper, TOOLS, *given)
-
-
-def open_family(stepper: Any, path: Any, **given: Any) -> Family:
-    """Read a family from a file; see :meth:`Stepper.open_family`."""
-    return orbit_files.open_family(stepper, TOOLS, path, given)
+#: The methods of a stepper with these names.
+periodic = partial(find_periodic, TOOLS)
+boundary = partial(find_path, TOOLS)
+open_family = partial(orbit_files.open_family, TOOLS)

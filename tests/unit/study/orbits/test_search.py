@@ -283,3 +283,69 @@ def test_boundaries():
         kepler.boundary([1, 0], [1, 2], duration=-1)
     with pytest.raises(ss.InputError, match="5 conditions, but at most 4"):
         kepler.boundary({"x": 1, "y": 0, "v_x": 0}, [-0.5, 1.2], duration=2.0)
+
+
+def test_the_time_in_conditions_at_the_end():
+    """An oscillator meets a point that moves: 3/2 sin T = T/2 + 1/5."""
+    (x,) = ss.coordinates("x")
+    system = ss.MechanicalSystem(
+        "spring", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=x**2 / 2
+    )
+    stepper = ss.compile(system, "gauss12")
+    target = {x - ss.time / 2: 0.2}
+    path = stepper.boundary({x: 0.0, x.diff(): 1.5}, target, duration=None, steps=16)
+    assert path.success
+    T = path.duration
+    assert 1.5 * np.sin(T) == pytest.approx(T / 2 + 0.2, abs=1e-11)
+    assert path.iterations <= 10
+    fixed = stepper.boundary({x: 0.0}, target, duration=2.0, steps=16)
+    assert fixed.v0[0] == pytest.approx(1.2 / np.sin(2), abs=1e-11)
+
+
+def test_mirrored_orbits_keep_their_period():
+    """Refinement, a family along the period, and a condition on it mean the whole period."""
+    stepper = ss.compile(ss.systems.henon_heiles(), "gauss8")
+    x, y = ss.systems.henon_heiles().coordinates
+    half = {"fixed": {x: 0, y.diff(): 0}, "middle": {x: 0, y.diff(): 0}}
+    start = [0, 0.25], [0.335, 0]
+    given = {"period": 6.1, "steps": 48, **half}
+    given["fixed"] = {**half["fixed"], "energy": 1 / 12}
+    orbit = stepper.periodic(start[0], start[1], **given)
+    assert orbit.success
+    finer = orbit.refined(2)
+    assert finer.steps == 2 * orbit.steps
+    assert finer.period == pytest.approx(orbit.period, rel=1e-9)
+    given["fixed"] = {**half["fixed"], "period": orbit.period}
+    again = stepper.periodic(start[0], start[1], **given)
+    assert again.period == pytest.approx(orbit.period, rel=1e-13)
+    assert again.energy == pytest.approx(1 / 12, rel=1e-9)
+    family = again.family("period", to=6.2)
+    assert family["period"][-1] == pytest.approx(6.2, rel=1e-13)
+    assert family[-1].trajectory.t[-1] == pytest.approx(6.2, rel=1e-13)
+
+
+def test_tables_with_an_even_number_of_rows():
+    """Four states of a circle are interpolated to eight without an error."""
+    stepper = ss.compile(ss.systems.kepler_plane(), "gauss8")
+    t = np.arange(4) * np.pi / 2
+    q, p = np.stack([np.cos(t), np.sin(t)], 1), np.stack([-np.sin(t), np.cos(t)], 1)
+    orbit = stepper.periodic(guess=(q, p), period=2 * np.pi, steps=64, fixed={"period": 2 * np.pi})
+    assert orbit.success
+    assert orbit.iterations <= 3
+
+
+def test_unknowns_in_any_order():
+    """Names belong to their values if they are not in the order of the parameters."""
+    (x,) = ss.coordinates("x")
+    a, b = sp.symbols("a b", positive=True)
+    system = ss.MechanicalSystem(
+        "spring",
+        coordinates=(x,),
+        kinetic=a * x.diff() ** 2 / 2,
+        potential=b * x**2 / 2,
+        parameters={a: 1.0, b: 2.0},
+    )
+    orbit = ss.compile(system, "gauss6").periodic(
+        [1.0], [0.0], period=6.0, unknowns=("b", "a"), fixed={"period": 6.0, x: 1.0}
+    )
+    assert orbit.unknowns == {name: orbit.parameters[name] for name in ("a", "b")}
