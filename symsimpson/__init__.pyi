@@ -21,6 +21,7 @@ from .declare.hamiltonian import HamiltonianSystem as HamiltonianSystem
 from .declare.retimed import RetimedSystem as RetimedSystem
 from .declare.retimed import energy as energy
 from .declare.robots.robot import Robot as Robot
+from .declare.robots.robot import from_mjcf as from_mjcf
 from .declare.robots.robot import from_urdf as from_urdf
 from .declare.structure import Structure as Structure
 from .declare.system import MechanicalSystem as MechanicalSystem

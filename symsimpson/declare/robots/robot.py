@@ -15,6 +15,8 @@ from symsimpson.declare.coordinates import time
 from symsimpson.declare.orientation import read_array
 from symsimpson.declare.robots.bodies_of_tree import Bodies, find_bodies
 from symsimpson.declare.robots.forms import Form, in_bodies, in_joints
+from symsimpson.declare.robots.loops import closed
+from symsimpson.declare.robots.mjcf import read_mjcf
 from symsimpson.declare.robots.outlines import outline
 from symsimpson.declare.robots.recursion import Vector, attached, exact
 from symsimpson.declare.robots.states import find_state
@@ -220,6 +222,60 @@ def from_urdf(
     return make_robot(read_urdf(path_or_text), base, joints, locked, gravity, form)
 
 
+@explain_arguments(ModelError)
+def from_mjcf(
+    path_or_text: str | os.PathLike[str],
+    gravity: Sequence[float] | None = None,
+    ignore: Iterable[str] = (),
+    form: str = "joints",
+) -> Robot:
+    """Declare a robot by a model of MuJoCo, with MuJoCo's own compiler.
+
+    Coordinates, inputs and parameters are those of :func:`from_urdf`. Ball joints have a unit
+    quaternion. Springs, dampers and armatures of joints, and equality constraints between bodies or
+    joints, belong to the system. Constraints are rigid.
+
+    Parameters
+    ----------
+    path_or_text : str or path
+        The file, or its text, which begins with "<".
+    gravity : three floats, optional
+        The acceleration of gravity. The default is that of the model.
+    ignore : iterable of str, optional
+        What to leave out: "contacts", "tendons", "actuators", "limits", "friction", "damping",
+        "springs", "fluid" or "flexes".
+    form : {"joints", "bodies"}, default "joints"
+        See :func:`from_urdf`.
+
+    Returns
+    -------
+    Robot
+
+    Raises
+    ------
+    ModelError
+        If MuJoCo rejects the model, or it has what ``ignore`` could leave out.
+    StorageError
+        If the file cannot be read.
+    InputError
+        If MuJoCo is not installed.
+
+    Warns
+    -----
+    ModelWarning
+        If constraints follow from others. They are left out.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> ss.from_mjcf("<mujoco/>")  # doctest: +SKIP
+    Traceback (most recent call last):
+    symsimpson.errors.ModelError: the given text: no joint moves.
+    """
+    tree, pull = read_mjcf(path_or_text, ignore)
+    return make_robot(tree, "fixed", None, None, pull if gravity is None else gravity, form)
+
+
 def make_robot(
     tree: RobotTree, base: Any, joints: Any, locked: Any, gravity: Any, form: Any
 ) -> Robot:
@@ -242,7 +298,7 @@ def make_robot(
         )
     pull = exact(np.asarray(read_array("gravity", gravity, (3,))))
     write = in_joints if form == "joints" else in_bodies
-    return _declare(tree, bodies, write(tree, bodies, pull))
+    return _declare(tree, bodies, closed(tree, bodies, write(tree, bodies, pull)))
 
 
 def _with_locked(tree: RobotTree, joints: Any, locked: Any) -> RobotTree:
@@ -319,12 +375,10 @@ def _positions(
         positions[name] = tuple(origin)
     for link in tree.links.values():
         number, place = bodies.links[link.name]
-        for shape in link.shapes:
-            corners = outline(shape)
-            origin, turn = attached(places[number], place)
-            positions[f"{link.name} {shape.name}"] = [
-                tuple(origin + turn @ exact(x)) for x in corners
-            ]
+        origin, turn = attached(places[number], place)
+        for k, shape in enumerate(link.shapes, 1):
+            name = f"{link.name} {shape.kind}{f' {k}' if k > 1 else ''}"
+            positions[name] = [tuple(origin + turn @ exact(x)) for x in outline(shape)]
     return positions
 
 

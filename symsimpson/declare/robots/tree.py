@@ -80,7 +80,7 @@ class Inertia:
 class Shape:
     """A box, a cylinder or a sphere to draw."""
 
-    name: str
+    kind: str
     size: tuple[float, ...]  #: Lengths of a box; radius and length; radius.
     place: Placement
 
@@ -123,6 +123,21 @@ class RobotJoint:
 
 
 @dataclass(frozen=True)
+class Loop:
+    """A constraint that closes a loop.
+
+    "connect" keeps the origins of two frames together, and "weld" the whole frames. "joint" makes a
+    coordinate a polynomial of another one.
+    """
+
+    name: str
+    kind: str
+    ends: tuple[str, str]  #: Links, or joints; the second joint may be missing.
+    places: tuple[Placement, Placement] = (Placement(), Placement())  #: The frames in the links.
+    numbers: tuple[float, ...] = ()  #: Both coordinates at rest, and the coefficients.
+
+
+@dataclass(frozen=True)
 class RobotTree:
     """Links, and the joints between them in the order of the file."""
 
@@ -131,6 +146,7 @@ class RobotTree:
     joints: tuple[RobotJoint, ...]
     root: str
     file: str = "robot"  #: The name of the file, for messages.
+    loops: tuple[Loop, ...] = ()
 
     def outward(self) -> tuple[RobotJoint, ...]:
         """Return the joints that the base reaches, parents before children."""
@@ -149,7 +165,11 @@ def reject_robot(file: str, problem: str, where: str = "", remedy: str = "") -> 
 
 
 def make_tree(
-    name: str, links: Sequence[RobotLink], joints: Sequence[RobotJoint], file: str
+    name: str,
+    links: Sequence[RobotLink],
+    joints: Sequence[RobotJoint],
+    file: str,
+    loops: tuple[Loop, ...] = (),
 ) -> RobotTree:
     """Check that links and joints form one tree."""
     for what, some in (("link", links), ("joint", joints)):
@@ -190,7 +210,7 @@ def make_tree(
             named[roots[1]].where if len(roots) > 1 else "",
             "Exactly one link must be the child of no joint.",
         )
-    tree = RobotTree(name, MappingProxyType(named), tuple(joints), roots[0], file)
+    tree = RobotTree(name, MappingProxyType(named), tuple(joints), roots[0], file, loops)
     missed = {x.child for x in joints} - {x.child for x in tree.outward()}
     for joint in joints:
         if joint.child in missed:
@@ -268,12 +288,17 @@ def locked_at(tree: RobotTree, positions: Mapping[str, float]) -> RobotTree:
 
 def _fixed(joint: RobotJoint, position: float) -> RobotJoint:
     """Return a fixed joint at a position."""
-    moved = Placement()
-    if joint.kind == "prismatic":
-        moved = Placement(shift=position * joint.axis)
-    elif len(joint.coordinates) == 1:
-        moved = Placement(rotation_about(joint.axis, position))
+    moved = moved_by(joint.kind, joint.axis, position)
     return replace(joint, kind="fixed", place=joint.place @ moved, mimic=None)
+
+
+def moved_by(kind: str, axis: Floats, position: float) -> Placement:
+    """Return the motion of a joint with one coordinate; other joints do not move."""
+    if kind == "prismatic":
+        return Placement(shift=position * axis)
+    if kind in ("revolute", "continuous"):
+        return Placement(rotation_about(axis, position))
+    return Placement()
 
 
 def rotation_about(axis: Floats, angle: float) -> Floats:

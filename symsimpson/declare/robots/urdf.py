@@ -73,9 +73,11 @@ def _read_link(element: Element) -> RobotLink:
         mass = 0.0 if weight is None else weight.number("value")
         matrix = np.zeros((3, 3)) if moments is None else _matrix(moments)
         inertia = Inertia(mass, np.zeros(3), matrix).seen_from(place)
-    shapes = (_read_shape(x) for tag in ("visual", "collision") for x in element.all(tag))
-    drawn = {x.name: x for x in shapes if x is not None}
-    return RobotLink(name, inertia, tuple(drawn.values()), element.where)
+    shapes = tuple[Shape, ...]()
+    for tag in ("visual", "collision"):  # one of them suffices
+        read = (_read_shape(x) for x in element.all(tag))
+        shapes = shapes or tuple(x for x in read if x is not None)
+    return RobotLink(name, inertia, shapes, element.where)
 
 
 def _matrix(element: Element) -> Floats:
