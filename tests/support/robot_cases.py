@@ -33,3 +33,10 @@ class Dynamics:
         whole = np.block([[M, W.T], [W, np.zeros((m, m))]])
         a = np.linalg.solve(whole, np.concatenate([push, -curve]))[:n]
         return numbers[0], numbers[1], M, a
+
+
+def turned(e, w):
+    """Return e o w / 2, the rate of a quaternion."""
+    s, x, y, z = e
+    left = np.array([[s, -x, -y, -z], [x, s, -z, y], [y, z, s, -x], [z, -y, x, s]])
+    return left @ w / 2

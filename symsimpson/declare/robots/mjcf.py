@@ -46,7 +46,10 @@ IGNORED = {
 def read_mjcf(path_or_text: Any, ignore: Any) -> tuple[RobotTree, Floats]:
     """Read a model; return its tree and gravity. Raises ModelError for what it cannot have."""
     file, text = read_text(path_or_text)
-    parse(file, text)  # rejects entities and large files
+    root = parse(file, text)  # rejects entities and large files
+    if root.tag != "mujoco":
+        remedy = "Read it with from_urdf." if root.tag == "robot" else ""
+        reject_robot(file, "it is not a model of MuJoCo.", root.where, remedy)
     mujoco = import_library("mujoco", "from_mjcf", "robots")
     try:
         if file == "the given text":
@@ -192,7 +195,7 @@ def _loops(mujoco: Any, m: Any, file: str, name: Any) -> Iterator[Loop]:
     kinds = mujoco.mjtEq
     for k in range(m.neq):
         called = mujoco.mj_id2name(m, mujoco.mjtObj.mjOBJ_EQUALITY, k) or f"equality_{k}"
-        kind, data = m.eq_type[k], m.eq_data[k]
+        kind, data = kinds(int(m.eq_type[k])), m.eq_data[k]
         ends = int(m.eq_obj1id[k]), int(m.eq_obj2id[k])
         if not m.eq_active0[k]:
             continue
@@ -202,7 +205,7 @@ def _loops(mujoco: Any, m: Any, file: str, name: Any) -> Iterator[Loop]:
             names = first, second
             yield Loop(called, "joint", names, numbers=(*zeros, *data[:5].tolist()))
         elif kind in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
-            if m.eq_objtype[k] != mujoco.mjtObj.mjOBJ_BODY:
+            if int(m.eq_objtype[k]) != int(mujoco.mjtObj.mjOBJ_BODY):
                 reject_robot(
                     file, f"the constraint {called!r} is one of sites.", remedy="Use bodies."
                 )

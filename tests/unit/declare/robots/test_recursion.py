@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.robot_cases import Dynamics
+from support.robot_cases import Dynamics, turned
 
 import symsimpson as ss
 
 ROBOTS = json.loads((Path(__file__).parents[3] / "data" / "robots.json").read_text())["robots"]
+QUICK = "arm with six hinges"
 
 
 def state_of(robot, system, state):
@@ -43,14 +44,13 @@ def depth_first(tree):
     return [*walk(tree.root)]
 
 
-def turned(e, w):
-    """Return e o w / 2, the rate of a quaternion."""
-    s, x, y, z = e
-    left = np.array([[s, -x, -y, -z], [x, s, -z, y], [y, z, s, -x], [z, -y, x, s]])
-    return left @ w / 2
-
-
-@pytest.mark.parametrize("robot", ROBOTS, ids=[x["name"] for x in ROBOTS])
+@pytest.mark.parametrize(
+    "robot",
+    [
+        pytest.param(x, id=x["name"], marks=() if x["name"] == QUICK else pytest.mark.slow)
+        for x in ROBOTS
+    ],
+)
 def test_against_pinocchio(robot):
     base = "floating" if robot["floating"] else "fixed"
     system = ss.from_urdf(robot["urdf"], base=base, gravity=robot["gravity"])
@@ -59,8 +59,8 @@ def test_against_pinocchio(robot):
         q, v, tau, a = state_of(robot, system, state)
         T, V, M, found = dynamics.at(q, v, tau, [0.0] * len(system.parameters))
         n, size = len(a), max(abs(x) for x in a)
-        assert T == pytest.approx(state["kinetic"], rel=1e-11)
-        assert V == pytest.approx(state["potential"], rel=1e-11, abs=1e-10)
+        assert pytest.approx(state["kinetic"], rel=1e-11) == T
+        assert pytest.approx(state["potential"], rel=1e-11, abs=1e-10) == V
         names = [x.func.__name__ for x in system.coordinates]
         order = [names.index(x) for x in depth_first(system.tree)]
         expected = state["mass_matrix_of_joints"]
