@@ -26,14 +26,26 @@ if TYPE_CHECKING:
 
 #: The schemes of the generated modules in the repository.
 SCHEMES = ("midpoint", "simpson")
+#: The functions that read robots, by the end of the file's name.
+ROBOTS = {".urdf": "from_urdf", ".xml": "from_mjcf"}
 #: The default final time of a run.
 END = 10.0
 
 
 def list_systems(options: argparse.Namespace) -> int:
-    """Print the catalogue."""
+    """Print the catalogue, or the joints of a robot."""
+    from symsimpson.declare.robots.robot import Robot
     from symsimpson.systems import EVERY
 
+    if options.robot:
+        robot = find(options.robot)
+        if not isinstance(robot, Robot):
+            reject(
+                f"{options.robot} is not a robot.",
+                remedy="Pass a .urdf file, or a .xml file of MuJoCo.",
+            )
+        print(robot.table())
+        return 0
     for name, make in EVERY.items():
         system = make()
         first = (make.__doc__ or "").splitlines()[0]
@@ -294,7 +306,7 @@ def _count_steps(options: argparse.Namespace) -> int:
 
 def _read_inputs(options: argparse.Namespace, stepper: Stepper, steps: int) -> dict[str, Any]:
     """Return inputs from the file of --inputs, with one value for each step."""
-    if options.inputs is None and stepper.inputs:
+    if options.inputs is None and stepper.inputs and not stepper.program.default_inputs:
         reject(
             f"--inputs is missing: {stepper.system} has the inputs {', '.join(stepper.inputs)}.",
             remedy="Pass --inputs FILE, a .csv file. Its first line has the names of the inputs. "
@@ -406,6 +418,10 @@ def _find_by_name(name: str) -> MechanicalSystem:
         system = make()
         if system.name == name:
             return system
+    if (read := ROBOTS.get(Path(name).suffix.lower())) is not None:
+        import symsimpson as ss
+
+        return getattr(ss, read)(name)  # type: ignore[no-any-return]
     path, separator, attribute = name.rpartition(":")
     if not separator:
         if name.endswith(".py") and Path(name).is_file():
@@ -417,7 +433,7 @@ def _find_by_name(name: str) -> MechanicalSystem:
         reject(
             f"the catalogue has no system {name!r}.{did_you_mean(name, EVERY)}",
             remedy="Run symsimpson list to see the catalogue. For your own system, pass "
-            "path/to/file.py:attribute.",
+            "path/to/file.py:attribute. For a robot, pass path/to/robot.urdf.",
         )
     if not Path(path).is_file():
         reject(f"there is no file {path}.", remedy="Pass path/to/file.py:attribute.")

@@ -12,7 +12,7 @@ from symsimpson.cli import commands
 from symsimpson.support.extras import import_library
 from symsimpson.support.names import did_you_mean
 
-SYSTEM = "name in the catalogue (symsimpson list), or path/to/file.py:attribute"
+SYSTEM = "name in the catalogue (symsimpson list), path/to/file.py:attribute, or robot.urdf"
 #: A function that adds an argument to a command.
 Add = Callable[..., Any]
 SHELLS = ("bash", "zsh")
@@ -43,7 +43,8 @@ def parser() -> argparse.ArgumentParser:
         command_parser.set_defaults(run=run, parser=command_parser)
         return command_parser.add_argument
 
-    command("list", commands.list_systems, "list the systems of the catalogue")
+    add = command("list", commands.list_systems, "list the catalogue, or the joints of a robot")
+    add("robot", nargs="?", help="a .urdf file, or a .xml file of MuJoCo")
 
     add = command(
         "run", commands.run, "integrate a system and report", _build_state(), _build_run()

@@ -113,6 +113,42 @@ class Robot(MechanicalSystem):
         """
         return find_state(self.tree, self.bodies, self.form, positions, velocities)
 
+    def table(self) -> str:
+        """Return a table of the joints, as text.
+
+        Returns
+        -------
+        str
+            A line for each joint: its kind, its coordinates, limits, and what it moves.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> arm = ss.from_urdf('''<robot name="slide"><link name="a"/><link name="b"><inertial>
+        ...     <mass value="1"/></inertial></link><joint name="x" type="prismatic">
+        ...     <parent link="a"/><child link="b"/><limit lower="0" upper="2"/></joint></robot>''')
+        >>> print(arm.table())
+        slide: 1 of 1 joints moves, 1 coordinate, 1 kg
+        joint  type       limits  moves
+        x      prismatic  0 to 2  b
+        """
+        rows = [("joint", "type", "limits", "moves")]
+        for x in self.tree.joints:
+            bounds = (
+                f"{x.limits[0]:.4g} to {x.limits[1]:.4g}" if np.isfinite(x.limits).any() else ""
+            )
+            leader = f"as {x.mimic[0]}" if x.mimic else x.kind
+            rows.append((x.name, leader, bounds, x.child))
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        mass, moving = sum(x.inertia.mass for x in self.tree.links.values()), len(self.joints)
+        head = (
+            f"{self.name}: {moving} of {len(self.tree.joints)} joints "
+            f"{'moves' if moving == 1 else 'move'}, {self.n} "
+            f"coordinate{'s' if self.n > 1 else ''}, {mass:.6g} kg"
+        )
+        lines = ["  ".join(f"{x:<{w}}" for x, w in zip(row, widths, strict=True)) for row in rows]
+        return "\n".join([head, *map(str.rstrip, lines)])
+
     def frame(self, link: str) -> tuple[Matrix, Matrix]:
         """Return where a link is, for costs, constraints and events.
 
