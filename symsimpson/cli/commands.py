@@ -421,7 +421,7 @@ def _find_by_name(name: str) -> MechanicalSystem:
     if (read := ROBOTS.get(Path(name).suffix.lower())) is not None:
         import symsimpson as ss
 
-        return getattr(ss, read)(name)  # type: ignore[no-any-return]
+        return getattr(ss, read)(name)
     path, separator, attribute = name.rpartition(":")
     if not separator:
         if name.endswith(".py") and Path(name).is_file():

@@ -39,7 +39,7 @@ def consistent(
     parameters: Mapping[Any, Any] | None,
     t: float,
 ) -> tuple[Floats, Floats]:
-    """Return the nearest q and v with phi(q) = 0, Phi v = 0 and A v = b, in the norm of M(q0)."""
+    """Return the nearest q and v with phi = 0, Phi v = -phi_t and A v = b, in the norm of M(q0)."""
     names = [spelled(q) for q in system.coordinates]
     q, v = read_vector(system, "q0", q0), read_vector(system, "v0", v0)
     try:
@@ -70,12 +70,12 @@ def consistent(
     fixed_names = ", ".join(sorted(constant))
     at = _evaluator(system, values, t)
     m = len(system.constraints)
-    _, slopes, mass = at(q)
+    *_, slopes, mass = at(q)
     metric = _definite_mass(mass, slopes)[np.ix_(free, free)]
 
     def of_positions(q: Floats) -> tuple[Floats, Floats]:
-        values, slopes, _ = at(q)
-        return values[:m], slopes[:m]
+        phi, _, slopes, _ = at(q)
+        return phi, slopes[:m]
 
     # first search for the nearest positions; if that fails, apply damped Newton iterations
     for nearest in (True, False):
@@ -91,8 +91,7 @@ def consistent(
         )
     configuration = _remove_turns(of_positions, configuration, q, free)
     q = _slide(of_positions, configuration, q[free], free, metric)
-    b, slopes, mass = at(q)
-    b = np.where(np.arange(len(b)) < m, 0.0, b)
+    _, b, slopes, mass = at(q)
     if not all(np.isfinite(x).all() for x in (b, slopes, mass)):
         reject(
             f"constraints or the mass matrix are not finite at q0={_round_digits(q)}, t={t:g}.",
@@ -254,23 +253,24 @@ def _nearest_step(metric: Floats, slopes: Floats, wish: Floats, change: Floats) 
 
 def _evaluator(
     system: Declared, values: Sequence[float], t: float
-) -> Callable[[Floats], tuple[Floats, Floats, Floats]]:
-    """Return a function of q that computes (phi, b), the rows (Phi, A), and M."""
+) -> Callable[[Floats], tuple[Floats, Floats, Floats, Floats]]:
+    """Return a function of q that computes phi, (-phi_t, b), the rows (Phi, A), and M."""
     plain, n = system.plain, system.n
     graph, places = plain.graph, plain.numbers(plain.q)
-    phi, rows = list(plain.constraints.values()), list(plain.velocity_constraints.values())
-    slopes = [x for row in constraints.slopes(graph, phi, places) for x in row]
-    slopes += [x for row in rows for x in row[:-1]]
+    held = plain.write_constraints(graph)
+    slopes = [x for row in constraints.slopes(graph, held.phi, places) for x in row]
+    slopes += [x for row in held.rows for x in row[:-1]]
     mass = [plain.entry(i, j) for i in range(n) for j in range(n)]
-    wanted: list[Value] = [*phi, *(row[-1] for row in rows), *slopes, *mass]
+    sides = held.sides(graph, plain.time)
+    wanted: list[Value] = [*held.phi, *sides, *slopes, *mass]
     known = dict(zip(plain.numbers(plain.parameters), values, strict=True))
     known[plain.time] = t
 
-    def at(q: Floats) -> tuple[Floats, Floats, Floats]:
+    def at(q: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         point = known | dict(zip(places, q.tolist(), strict=True))
         numbers = np.array(evaluate_doubles(graph, wanted, point))
-        m = len(phi) + len(rows)
-        slopes, mass = numbers[m : m + m * n], numbers[m + m * n :]
-        return numbers[:m], slopes.reshape(m, n), mass.reshape(n, n)
+        m, count = len(held.phi), len(sides)
+        phi, b, slopes, mass = np.split(numbers, np.cumsum([m, count, count * n]))
+        return phi, b, slopes.reshape(count, n), mass.reshape(n, n)
 
     return at

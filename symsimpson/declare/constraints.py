@@ -1,9 +1,9 @@
-"""Constraints of positions, phi(q) = 0, and of velocities, A(t, q) v = b(t, q).
+"""Constraints of positions, phi(t, q) = 0, and of velocities, A(t, q) v = b(t, q).
 
 L - lambda.phi is the Lagrangian with multipliers lambda, so p' = L_q - Phi^T lambda with
 Phi = dphi/dq (Hairer, Lubich and Wanner, Geometric Numerical Integration, VII.1). Constraints
 A v = b describe rolling wheels and blades. They exert the force -A^T nu (Lagrange and d'Alembert),
-and their rows follow the rows of Phi.
+and their rows follow the rows of Phi. A phi that contains the time moves: Phi v = -phi_t.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class Accelerations(NamedTuple):
 
     rows: list[list[Value]]  #: W: Phi, then A.
     push: list[Value]  #: L_q + f - (d L_v/dq) v - d L_v/dt.
-    curve: list[Value]  #: The rates of change of Phi v and A v - b by q and t.
-    rates: list[Value]  #: Phi v, then A v - b.
+    curve: list[Value]  #: The rates of change of Phi v + phi_t and A v - b by q and t.
+    rates: list[Value]  #: Phi v + phi_t, then A v - b.
 
 
 def name_constraints(
@@ -122,9 +122,12 @@ def accelerations(
     """
     q, v, time = places
     derivatives, rows = Derivatives(graph), slopes(graph, constraints.phi, q)
-    rates = [graph.add(graph.products(row, v)) for row in rows]
+    sides = constraints.sides(graph, time)
     rows += [list(row[:-1]) for row in constraints.rows]
-    rates += constraints.rates(graph, v)
+    rates = [
+        graph.add([*graph.products(row, v), scale(-1, b)])
+        for row, b in zip(rows, sides, strict=True)
+    ]
     curve = []
     for rate in rates:
         moving = graph.products([derivatives(rate, x) for x in q], v)
@@ -149,9 +152,9 @@ def check_number(
 ) -> None:
     """Reject constraints that prevent all motion, or that depend on each other.
 
-    The mapping ``rows`` has the row of Phi or A of each constraint. If a velocity constraint
-    A v = b has a b, the constraints are ``driven``: there may be as many as coordinates. The
-    message names the first constraints that depend on each other.
+    The mapping ``rows`` has the row of Phi or A of each constraint. Constraints that move are
+    ``driven``: there may be as many as coordinates. The message names the first constraints that
+    depend on each other.
     """
     if not rows:
         return
@@ -160,8 +163,8 @@ def check_number(
             name,
             f"{counted(len(rows), 'constraint')} on {counted(len(symbols.q), 'coordinate')}, so "
             "nothing can move.",
-            "Declare fewer constraints than coordinates. There may be as many if a velocity "
-            "constraint has a right-hand side, for example x' = cos(t).",
+            "Declare fewer constraints than coordinates. There may be as many if one of them "
+            "moves, for example x = sin(t).",
         )
     every = list(rows.values())
     if has_full_rank(symbols, every):
@@ -221,7 +224,7 @@ def regular_mass(plain: Plain, parameters: Iterable[float]) -> bool:
 
 
 def _check_positions(name: str, key: str, expression: Any, symbols: Symbols) -> None:
-    """Reject velocities and the time in a constraint of positions."""
+    """Reject velocities and inputs in a constraint of positions."""
     if not isinstance(expression, sp.Expr):
         return  # read_expression rejects it
     present = expression.atoms(sp.Symbol, sp.Derivative)
@@ -234,14 +237,13 @@ def _check_positions(name: str, key: str, expression: Any, symbols: Symbols) -> 
             "Declare it as velocity_constraints={...}, as for a rolling wheel or a blade. If it is "
             "the time derivative of an equation of positions, declare that equation.",
         )
-    if symbols.t in expression.xreplace(symbols.replace).free_symbols:
+    driven = [u for u in symbols.u if symbols.back[u] in expression.free_symbols]
+    if driven:
         reject_model(
             name,
-            f"the constraint {key!r} depends on the time. The schemes satisfy such constraints "
-            "only up to their error.",
-            "Choose a coordinate that follows the prescribed motion, and write the motion into T "
-            f"and V, which may contain t. Or declare velocity_constraints={{{key!r}: "
-            "phi.diff(symsimpson.time)}, which satisfies phi with the error of the scheme.",
+            f"the constraint {key!r} depends on the input {spell(driven[0])}. Inputs have values "
+            "at nodes only, so the constraint would jump.",
+            "Prescribe the motion by a function of symsimpson.time and of parameters.",
         )
 
 
@@ -339,7 +341,7 @@ def warn_of_integrable(
     names = (
         list(rows) if whole else [key for key in rows if _integrable({key: rows[key]}, (), symbols)]
     )
-    # with b, the equation of positions would contain the time, and would be rejected
+    # with b, the equation of positions contains the time, and need not be known
     names = [key for key in names if not rows[key][-1][0]]
     if not names:
         return

@@ -114,7 +114,7 @@ def read_energies(
             "linear terms to a Lagrangian: MechanicalSystem.from_lagrangian(name, L, ...).",
         )
     gyroscopic = split_by_velocities(name, "gyroscopic term", linear, s)
-    constraints = read_constraints(name, given.constraints, s, read)
+    constraints = read_constraints(name, given.constraints, s, lambda *x: read(*x, (s.t,)))
 
     def read_moving(what: str, expression: Any) -> Value:
         return read(what, expression, s.v, (s.t,), s.u)
@@ -136,7 +136,10 @@ def read_energies(
     of_positions = slopes(s.graph, constraints.values(), s.numbers(s.q))
     rows = dict(zip(constraints, of_positions, strict=True))
     rows |= {key: list(row[:-1]) for key, row in rolling.items()}
-    check_number(name, rows, s, driven=any(row[-1][0] for row in rolling.values()))
+    clock = s.graph.symbol(s.t.name)[1]
+    driven = any(clock in s.graph.nodes[n].symbols for _, n in constraints.values())
+    driven |= any(row[-1][0] for row in rolling.values())
+    check_number(name, rows, s, driven=driven)
     warn_of_integrable(name, rolling, of_positions, s)
     defaults = [*parameters.values()]
     definite = not is_indefinite(s, parts.M, defaults)

@@ -38,6 +38,11 @@ class ConstraintRows(NamedTuple):
     phi: tuple[Value, ...]
     rows: tuple[tuple[Value, ...], ...] = ()
 
+    def sides(self, graph: Graph, time: int) -> list[Value]:
+        """Write the right-hand sides of Phi v = -phi_t and A v = b."""
+        still = [gradient(graph, phi, [time])[0] for phi in self.phi]
+        return [*(scale(-1, slope) for slope in still), *(row[-1] for row in self.rows)]
+
     def rates(self, graph: Graph, v: Sequence[int]) -> list[Value]:
         """Write A v - b of each velocity constraint."""
         return [graph.add([*graph.products(row, v), scale(-1, b)]) for *row, b in self.rows]
@@ -62,7 +67,7 @@ class Plain:
     ``q``, ``v``, ``p``, ``t``, ``u`` and ``parameters`` are real symbols with plain names, and
     are symbols of the graph, too. ``M`` has the nonzero entries on and below the diagonal. M, a
     and V may depend on t as well. ``forces`` has the components of each named force, and ``u``
-    their inputs. ``constraints`` are phi(q) = 0. ``velocity_constraints`` are rows of
+    their inputs. ``constraints`` are phi(t, q) = 0. ``velocity_constraints`` are rows of
     A(t, q) v = b(t, q), each followed by b.
 
     A step may treat linear damping exactly. Then -2 ``rate`` L_v enters its weights, or
@@ -236,14 +241,25 @@ class Plain:
 
     @property
     def carried(self) -> bool:
-        """True if a velocity constraint A v = b has a nonzero b, and so does work."""
-        return any(row[-1][0] for row in self.velocity_constraints.values())
+        """True if a constraint moves, and so does work: A v = b with a nonzero b, or phi(t, q)."""
+        return self.moving or any(row[-1][0] for row in self.velocity_constraints.values())
+
+    @property
+    def first_side(self) -> int:
+        """The first constraint with a right-hand side: the first of all, if positions move."""
+        return 0 if self.moving else len(self.constraints)
+
+    @cached_property
+    def moving(self) -> bool:
+        """True if a constraint of positions contains the time."""
+        nodes = self.graph.nodes
+        return any(self.time in nodes[n].symbols for _, n in self.constraints.values())
 
     @cached_property
     def powers(self) -> dict[str, Value]:
         """The power f.v of each force, and dL/dt if L or a force contains t.
 
-        Velocity constraints with a b have the power 0 here: they do work between nodes only.
+        Constraints that move have the power 0 here: they do work between nodes only.
         """
         graph, v = self.graph, self.numbers(self.v)
         powers = {

@@ -212,9 +212,10 @@ def discretise(
         _check_canonical(system, scheme, second=second)
     if varied is not None:
         check_differentiable(scheme)
-    if second and plain.velocity_constraints:
+    if second and (plain.velocity_constraints or plain.moving):
+        what = "velocity constraints" if plain.velocity_constraints else "constraints that move"
         reject(
-            f"{system.name} has velocity constraints.",
+            f"{system.name} has {what}.",
             why="Second derivatives of their steps are not implemented.",
             remedy="Use differences of first derivatives, for example of stepper.gradient.",
             error=SchemeError,
@@ -344,10 +345,11 @@ def _check_explicit(system: MechanicalSystem, scheme: Scheme) -> None:
     if not isinstance(scheme, Composition):
         return
     names, plain = [q.func.__name__ for q in system.coordinates], system.plain
-    if plain.velocity_constraints:
+    if plain.velocity_constraints or plain.moving:
+        violated = ", ".join(map(repr, plain.velocity_constraints or plain.constraints))
+        what = "velocity constraints" if plain.velocity_constraints else "moving constraints"
         reject(
-            f"drifts of {scheme.name} violate the velocity constraints "
-            f"{', '.join(map(repr, plain.velocity_constraints))}.",
+            f"drifts of {scheme.name} violate the {what} {violated}.",
             where=system.name,
             remedy="Choose a scheme of the family, such as 'simpson' or 'gauss8'.",
             error=SchemeError,

@@ -239,7 +239,8 @@ def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
     ``varied`` maps names to plain symbols. The outputs are ``("F_a", i, name)`` and
     ``("P_a", i, name)``. Systems with constraints also have the derivatives ``("phi_a", c, name)``
     of phi, and ``("pull_a", i, name)`` of Phi^T lambda + A^T nu. Systems with velocity constraints
-    A v = b have ``("b_a", c, name)`` of b, and ``("rate_a", c, name)`` of A v - b.
+    A v = b have ``("b_a", c, name)`` of b, and ``("rate_a", c, name)`` of A v - b. If constraints
+    of positions move, they have ``"b_a"`` of b = -phi_t, too.
     """
     graph, n = Graph(), len(plain.q)
     places = graph.numbers(symbol.name for symbol in plain.symbols)
@@ -252,7 +253,8 @@ def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
     m, multipliers = len(held.phi), graph.numbers(symbol.name for symbol in plain.multipliers)
     phi = [*held.phi, *(ZERO for _ in held.rows)]
     pulls = held.pulls(graph, moving[:n], multipliers) if phi else []
-    moved = {("b", c): row[-1] for c, row in enumerate(held.rows, m)}
+    sides = held.sides(graph, graph.symbol(plain.t.name)[1])
+    moved = {("b", c): b for c, b in enumerate(sides) if c >= m or plain.moving}
     moved |= {("rate", c): rate for c, rate in enumerate(held.rates(graph, moving[n:]), m)}
     derivatives = Derivatives(graph)
     outputs: dict[Key, Value] = {}
@@ -267,10 +269,10 @@ def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
             outputs |= {
                 ("P_a", i, name): by_size(P, integrated=integrated) for i, P in enumerate(momenta)
             }
-            outputs |= {("phi_a", c, name): ZERO for c in range(len(phi))}
+            outputs |= {("phi_a", c, name): by_size.later(x) for c, x in enumerate(phi)}
             outputs |= {(f"{what}_a", c, name): by_size(x) for (what, c), x in moved.items()}
             for i, pull in enumerate(pulls):
-                later = by_size.later(pull) if held.rows else ZERO
+                later = by_size.later(pull) if held.rows or plain.moving else ZERO
                 outputs["pull_a", i, name] = graph.add([by_size.over(scale(-1, pull)), later])
             continue
         slopes = gradient(graph, derivatives(L, x), moving)
@@ -379,8 +381,8 @@ def derive_constraints(plain: Plain) -> Jet:
     - ``("phi", c)`` and ``("Phi", c, a)``: the constraints, and the rows of Phi and then of A;
     - ``("pull", a, b)``: the derivatives of Phi^T lambda + A^T nu with respect to q;
     - ``("b", c)``, ``("rate", c)``: b and A v - b, with derivatives ``("b_q", c, a)`` and
-      ``("rate_q", c, a)``;
-    - ``("curve", c)``: v.phi_qq.v, or the corresponding terms of d(A v - b)/dt, at a state;
+      ``("rate_q", c, a)``; b is -phi_t for constraints of positions, if one of them moves;
+    - ``("curve", c)``: the terms without v' in d(Phi v + phi_t)/dt or d(A v - b)/dt, at a state;
     - ``("push", a)``: L_q + f - (d L_v/dq) v - d L_v/dt = M v' + Phi^T lambda + A^T nu at a state.
     """
     graph, n = Graph(), len(plain.q)
@@ -396,10 +398,13 @@ def derive_constraints(plain: Plain) -> Jet:
     outputs |= {("Phi", c, a): x for c, row in enumerate(rows) for a, x in enumerate(row)}
     outputs |= {("curve", c): value for c, value in enumerate(curve)}
     outputs |= {("push", a): value for a, value in enumerate(push)}
-    for c, (*_, b) in enumerate(held.rows, m):
-        outputs |= {("phi", c): ZERO, ("b", c): b, ("rate", c): rates[c]}
-        outputs |= {("rate_q", c, a): derivatives(rates[c], x) for a, x in enumerate(q)}
-        outputs |= {("b_q", c, a): derivatives(b, x) for a, x in enumerate(q)}
+    for c, b in enumerate(held.sides(graph, time)):
+        if c >= m:
+            outputs |= {("phi", c): ZERO, ("rate", c): rates[c]}
+            outputs |= {("rate_q", c, a): derivatives(rates[c], x) for a, x in enumerate(q)}
+        if c >= m or plain.moving:
+            outputs |= {("b", c): b}
+            outputs |= {("b_q", c, a): derivatives(b, x) for a, x in enumerate(q)}
     for a, pull in enumerate(held.pulls(graph, q, multipliers)):
         outputs |= {("pull", a, b): derivatives(pull, x) for b, x in enumerate(q)}
     return to_jet(plain, graph, outputs)

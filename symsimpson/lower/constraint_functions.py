@@ -22,7 +22,7 @@ DOCS = {
     "constraint_values": "phi at a point.",
     "curves": "Phi v' = -v.phi_qq.v, at a state.",
     "pushes": "Right-hand sides of M v' + Phi^T lambda, Phi v' and A v - b at a state.",
-    "hold_velocities": "Right-hand sides of Phi v = 0 and A v = b.",
+    "hold_velocities": "Right-hand sides of Phi v = -phi_t and A v = b.",
     "rates": "A v - b and its derivatives by q and v at a point.",
     "carried_slopes": "Derivatives of b by q at a point.",
 }
@@ -64,28 +64,32 @@ def constraint_stores(
     stores = _stores_of_phi(entry, entry_row, low.n, count)
     pushes = (Store(Row("RESIDUAL", s), entry("push", a)) for a, s in enumerate(places))
     stores["pushes"] = chain(pushes, stores.pop("curves"))
-    rolling = range(len(plain.constraints), held.count)
-    if rolling:
+    first, rolling = plain.first_side, range(len(plain.constraints), held.count)
 
-        def rates() -> Iterator[Store]:
-            return (Store(Row("SLIP", k), entry("rate", c)) for k, c in enumerate(rolling))
+    def rates() -> Iterator[Store]:
+        return (Store(Row("SLIP", k), entry("rate", c)) for k, c in enumerate(rolling))
 
-        def by_coordinates(block: str, what: str) -> Iterator[Store]:
-            return (
-                Store(Row(block, k * low.n + a), entry(what, c, a))
-                for k, c in enumerate(rolling)
-                for a in range(low.n)
-            )
+    def by_coordinates(block: str, what: str, some: Sequence[int]) -> Iterator[Store]:
+        return (
+            Store(Row(block, (c - first) * low.n + a), entry(what, c, a))
+            for c in some
+            for a in range(low.n)
+        )
 
-        stores["pushes"] = chain(stores["pushes"], rates())
+    if rolling or plain.moving:
         stores["hold_velocities"] = (
-            Store(Row("CURVATURE", c), entry("b", c) if c in rolling else low.graph.of(0))
+            Store(Row("CURVATURE", c), entry("b", c) if c >= first else low.graph.of(0))
             for c in count
         )
-        slopes_of_rates = by_coordinates("SLIP_Q", "rate_q"), by_coordinates("SLIP_V", "Phi")
-        stores["rates"] = chain(rates(), *slopes_of_rates)
-        if plain.carried and low.equations.varied is not None:
-            stores["carried_slopes"] = by_coordinates("SLIP_Q", "b_q")
+    if rolling:
+        stores["pushes"] = chain(stores["pushes"], rates())
+        stores["rates"] = chain(
+            rates(),
+            by_coordinates("SLIP_Q", "rate_q", rolling),
+            by_coordinates("SLIP_V", "Phi", rolling),
+        )
+    if plain.carried and low.equations.varied is not None:
+        stores["carried_slopes"] = by_coordinates("SLIP_Q", "b_q", range(first, held.count))
     return stores
 
 

@@ -213,14 +213,19 @@ def _parameter_stores(low: Lowering, places: Sequence[int]) -> dict[str, list[St
         ]
     }
     count = range(len(low.multipliers))
-    rolling = range(len(plain.constraints), len(plain.constraint_names))
+    first, rolling = plain.first_side, range(len(plain.constraints), len(count))
+    sides = range(first, len(count))
     if count:
         kinds = ("CONSTRAINT_A", "phi_a", count), ("CONSTRAINT_QA", "pull_a", places)
         stores["constraint_parameter_slopes"] = by_parameters(*kinds)
     if rolling:
-        stores["rate_parameter_slopes"] = by_parameters(("SLIP_A", "rate_a", rolling))
+        rates = by_parameters(("SLIP_A", "rate_a", rolling))
+        rows = [j * len(sides) + c - first for j in range(len(varied)) for c in rolling]
+        stores["rate_parameter_slopes"] = [
+            replace(store, row=Row("SLIP_A", row)) for store, row in zip(rates, rows, strict=True)
+        ]
     if plain.carried:
-        stores["carried_parameter_slopes"] = by_parameters(("SLIP_A", "b_a", rolling))
+        stores["carried_parameter_slopes"] = by_parameters(("SLIP_A", "b_a", sides))
     return stores
 
 

@@ -103,8 +103,7 @@ class _ModuleWriter:
             following = tuple(int(a not in solved) for a in range(low.n))
             self.tables |= solve_constants(storage, equations.columns, held)
             self.tables |= {"FOLLOWING": following} if any(following) else {}
-        if equations.plain.carried:
-            self.tables |= {"CARRIED": len(equations.plain.forces)}
+        self.tables |= _side_tables(equations.plain)
         if works:
             self.functions.append(terms_of_l.power_function(low, low.template))
         self.known = facts(low, equations.parts[0], storage, held)
@@ -206,7 +205,7 @@ class _ModuleWriter:
             self.tables |= held.constants(equations.scheme.degree) if held else {}
         else:
             self._add_unknowns(part)
-        self.tables |= {"CARRIED": len(plain.forces)} if plain.carried else {}
+        self.tables |= _side_tables(plain)
         self.tables |= own_tables
         if not constant:
             self.tables["PIVOT_AT"] = pivot_places(storage, held)
@@ -232,7 +231,8 @@ class _ModuleWriter:
         """Add the functions that evaluate constraints; return tables of families."""
         low, plain, kicked = self.low, self.equations.plain, has_drifts(self.equations)
         met = find_constraint_families(plain)
-        if plain.velocity_constraints or not (self.storage.banded or _are_large(met)):
+        listed = bool(plain.velocity_constraints) or plain.moving
+        if listed or not (self.storage.banded or _are_large(met)):
             self.functions += constraint_functions(low, held, places, drifting=kicked)
             return {}
         functions, tables = constraint_family_functions(low, met, places, drifting=kicked)
@@ -331,6 +331,13 @@ def _stage_kernels(low: Lowering, known: Mapping[str, object], *, by_loops: bool
     traced = TracedStages(low, known).stages() if low.n <= STAGE_COORDINATES else None
     pays = canonical or (by_loops and known["CONSTANT_MASS"])
     return looped_stages(low, known) if traced is None and pays else traced
+
+
+def _side_tables(plain: Plain) -> dict[str, object]:
+    """Return the place of the work of constraints, and the first one with a right-hand side."""
+    tables: dict[str, object] = {"CARRIED": len(plain.forces)} if plain.carried else {}
+    first = {"FIRST_SIDE": plain.first_side}
+    return tables | (first if plain.velocity_constraints or plain.moving else {})
 
 
 def _repeat_nodes(groups: Sequence[Family], plain: Plain) -> bool:

@@ -155,11 +155,11 @@ def power_stores(low: Lowering, template: JetTemplate, point: Point) -> list[Sto
 
 
 def pull_stores(low: Lowering, point: Point) -> list[Store]:
-    """Store the power of constraints A v = b that move, by their multipliers."""
+    """Store the power of constraints that move, by their multipliers."""
     plain = low.equations.plain
-    rolling = range(len(plain.constraints), len(plain.constraint_names))
-    b = [low.constraint_jet.entry(point, "powers", "b", c) for c in rolling]
-    pulls = (-x * point.multipliers[c] for c, x in zip(rolling, b, strict=True))
+    some = range(plain.first_side, len(plain.constraint_names))
+    b = [low.constraint_jet.entry(point, "powers", "b", c) for c in some]
+    pulls = (-x * point.multipliers[c] for c, x in zip(some, b, strict=True))
     row = Row("POWER", [*plain.powers].index("of constraints"))
     return [Store(row, low.graph.total(pulls))]
 

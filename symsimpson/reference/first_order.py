@@ -328,7 +328,7 @@ def _acceleration_outputs(plain: Plain) -> dict[Key, Value]:
         ("Phi", c, i): x for c, row in enumerate(slopes) for i, x in enumerate(row)
     }
     outputs |= {("force", i): value for i, value in enumerate(forces)}
-    outputs |= {("b", c): row[-1] for c, row in enumerate(constraints.rows, len(constraints.phi))}
+    outputs |= {("b", c): b for c, b in enumerate(constraints.sides(graph, plain.time))}
     return outputs | {("curvature", c): value for c, value in enumerate(curvatures)}
 
 

@@ -234,7 +234,7 @@ def _violation_error(
     )
     system = program.declared
     if system is None:
-        return InputError(f"{text}\nPass a start with phi = 0, dphi/dq.v = 0 and A v = b.")
+        return InputError(f"{text}\nPass a start with phi = 0, dphi/dq.v = -dphi/dt and A v = b.")
     parameters = dict(zip(program.parameters, map(float, values[member]), strict=True))
     usual = map(float, system.parameters.values())
     other_values = {
@@ -244,7 +244,7 @@ def _violation_error(
     }
     arguments = f", parameters={other_values}" if other_values else ""
     call = f"system.consistent(q0, v0{arguments}" + (
-        f", t={float(t)!r})" if t and system.velocity_constraints else ")"
+        f", t={float(t)!r})" if t and system.plain.carried else ")"
     )
     try:
         velocities = other[member] if kind == "v0" else 0 * other[member]

@@ -11,10 +11,12 @@ from operator import attrgetter
 class Sizes:
     """Numbers of a module that sizes of blocks follow from; 0 or False for what it has not."""
 
-    #: Numbers of coordinates, constraints, those of velocities among them, and so on.
+    #: Numbers of coordinates, constraints, those of velocities among them, those that may have a
+    #: right-hand side, and so on.
     n: int
     m: int = 0
     rolling: int = 0
+    sides: int = 0
     parameters: int = 0
     inputs: int = 0
     invariants: int = 0
@@ -277,8 +279,8 @@ TABLE = (
         lambda s: s.bordered,
     ),
     part("SLIP", "A v - b of velocity constraints at a point", lambda s: s.rolling),
-    part("SLIP_Q", "its derivatives by q", lambda s: s.rolling * s.n),
-    part("SLIP_V", "those by v, A", lambda s: s.rolling * s.n),
+    part("SLIP_Q", "its derivatives by q", lambda s: s.sides * s.n),
+    part("SLIP_V", "those by v, A", lambda s: min(1, s.rolling) * s.sides * s.n),
     part(
         "TAKEN",
         "multipliers of the projection of p at the end of a step",
@@ -351,7 +353,7 @@ TABLE = (
         "derivatives of phi by the parameters that are varied, at a control point",
         lambda s: s.varied * s.m,
     ),
-    part("SLIP_A", "those of A v - b, or of b", lambda s: s.varied * s.rolling),
+    part("SLIP_A", "those of A v - b, or of b", lambda s: s.varied * s.sides),
     part("CONSTRAINT_QA", "those of Phi^T lambda", lambda s: s.varied * s.constrained * s.n),
     part(
         "EXCHANGE", "which rows elimination has exchanged", lambda s: s.differentiated * s.unknowns

@@ -21,7 +21,7 @@ def at_point(W, h, t, point, lane):
     if point < DEGREE:
         first = INCREMENT + DEGREE * DIMENSION + point * CONSTRAINTS
         copy(W, first, MULTIPLIER, CONSTRAINTS, lane)
-    if ROLLING and not AUTONOMOUS:
+    if (ROLLING or MOVING) and not AUTONOMOUS:
         W[NODE_TIME, lane] = t + POINTS[point] * h
 
 
@@ -279,8 +279,9 @@ def assemble_rates(W, h, node, lane):
     """Write the rows A v = b of the step at a point, in the place of rows phi = 0."""
     point = node - NODES
     for c in range(HOLONOMIC, CONSTRAINTS):
-        rate = c - HOLONOMIC
-        W[RESIDUAL + DEGREE * DIMENSION + point * CONSTRAINTS + c, lane] = W[SLIP + rate, lane]
+        rate = c - FIRST_SIDE
+        row = RESIDUAL + DEGREE * DIMENSION + point * CONSTRAINTS + c
+        W[row, lane] = W[SLIP + c - HOLONOMIC, lane]
         i = HELD_PLACE[DIMENSION + c]
         row = HELD_SHIFT + point * HELD_PULL_STEP + i * HELD_PLACE_STEP
         row = JACOBIAN + row * SOLVE_STRIDE
@@ -305,7 +306,7 @@ def keep_rates(W, h, node, lane):
     for c in range(HOLONOMIC, CONSTRAINTS):
         i = HELD_PLACE[DIMENSION + c]
         for s in range(DIMENSION):
-            rate = SLIP_Q + (c - HOLONOMIC) * DIMENSION + COORDINATE[s]
+            rate = SLIP_Q + (c - FIRST_SIDE) * DIMENSION + COORDINATE[s]
             if abs(i - HELD_PLACE[s]) <= HELD_BAND:
                 W[first + i * HELD_STRIDE + HELD_PLACE[s], lane] = h * W[rate, lane]
     if VARIED_BY:
@@ -314,7 +315,7 @@ def keep_rates(W, h, node, lane):
         rate_parameter_slopes(W, lane)
         for j in range(VARIED):
             for c in range(HOLONOMIC, CONSTRAINTS):
-                rate = SLIP_A + j * (CONSTRAINTS - HOLONOMIC) + c - HOLONOMIC
+                rate = SLIP_A + j * (CONSTRAINTS - FIRST_SIDE) + c - FIRST_SIDE
                 slope = POINT_A + (point * VARIED + j) * CONSTRAINTS + c
                 W[slope, lane] = h * W[rate, lane]
 
@@ -325,24 +326,24 @@ def vary_carried(W, variation, lane):
     dq = TANGENT + variation * 2 * DIMENSION
     room = work_row_of(W, variation, lane)
     parameter = variation - int(W[TANGENTS, lane]) + VARIED
-    for c in range(HOLONOMIC, CONSTRAINTS):
+    for c in range(FIRST_SIDE, CONSTRAINTS):
         for a in range(DIMENSION):
-            slope = W[SLIP_Q + (c - HOLONOMIC) * DIMENSION + a, lane]
+            slope = W[SLIP_Q + (c - FIRST_SIDE) * DIMENSION + a, lane]
             W[room + DIMENSION + c, lane] += slope * W[dq + a, lane]
         if VARIED_BY and parameter >= 0:
-            slope = SLIP_A + parameter * (CONSTRAINTS - HOLONOMIC) + c - HOLONOMIC
+            slope = SLIP_A + parameter * (CONSTRAINTS - FIRST_SIDE) + c - FIRST_SIDE
             W[room + DIMENSION + c, lane] += W[slope, lane]
 
 
 @compiled
 def pull_carried(W, lane):
     """Add z.b_q to the derivative of a cost by q1, and z.b_a to those by parameters."""
-    for c in range(HOLONOMIC, CONSTRAINTS):
+    for c in range(FIRST_SIDE, CONSTRAINTS):
         for a in range(DIMENSION):
-            slope = W[SLIP_Q + (c - HOLONOMIC) * DIMENSION + a, lane]
+            slope = W[SLIP_Q + (c - FIRST_SIDE) * DIMENSION + a, lane]
             W[ADJOINT + a, lane] += W[MULTIPLIER + c, lane] * slope
     if VARIED_BY:
         for j in range(VARIED):
-            for c in range(HOLONOMIC, CONSTRAINTS):
-                slope = SLIP_A + j * (CONSTRAINTS - HOLONOMIC) + c - HOLONOMIC
+            for c in range(FIRST_SIDE, CONSTRAINTS):
+                slope = SLIP_A + j * (CONSTRAINTS - FIRST_SIDE) + c - FIRST_SIDE
                 W[COST_END + j, lane] += W[MULTIPLIER + c, lane] * W[slope, lane]

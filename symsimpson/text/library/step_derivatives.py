@@ -114,7 +114,7 @@ def keep_point(W, h, point, lane):
     """Store derivatives of phi and Phi^T lambda by q and by parameters at a control point."""
     copy(W, CONSTRAINT_QQ, POINT_QQ + point * HELD_SIZE, HELD_SIZE, lane)
     if VARIED_BY:
-        if SIZED and ROLLING:
+        if SIZED and (ROLLING or MOVING):
             go_to_place(W, h, POINTS[point], real(1), lane)
         constraint_parameter_slopes(W, lane)
         size = VARIED * CONSTRAINTS

@@ -81,7 +81,7 @@ def solve_velocity(W, lane):
 @compiled
 def solve_allowed(W, lane):
     """Solve for the velocity that satisfies the constraints, and for the multipliers."""
-    if ROLLING:
+    if ROLLING or MOVING:
         hold_velocities(W, lane)
     else:
         clear(W, CURVATURE, CONSTRAINTS, lane)
@@ -463,7 +463,7 @@ def multipliers(W, h, t, lane):
 def work(W, h, t, lane):
     """Add the work of forces in the last step, and the integral of dL/dt.
 
-    Velocity constraints A v = b do the work of their multipliers times b, in CURVATURE.
+    Constraints that move do the work of their multipliers times b, in CURVATURE.
     """
     if W[ACTIVE, lane] != 0:
         exchange_steps(W, lane)
@@ -478,14 +478,14 @@ def work(W, h, t, lane):
             for point in range(DEGREE):
                 at_point(W, h, t, point, lane)
                 hold_velocities(W, lane)
-                for c in range(HOLONOMIC, CONSTRAINTS):
+                for c in range(FIRST_SIDE, CONSTRAINTS):
                     pull = W[MULTIPLIER + c, lane] / h
                     W[WORK_LOW + CARRIED, lane] -= pull * W[CURVATURE + c, lane]
         exchange_steps(W, lane)
         if CARRIED:
             go_to_start(W, t + h, lane)
             hold_velocities(W, lane)
-            for c in range(HOLONOMIC, CONSTRAINTS):
+            for c in range(FIRST_SIDE, CONSTRAINTS):
                 W[WORK_LOW + CARRIED, lane] -= W[TAKEN + c, lane] * W[CURVATURE + c, lane]
         for k in range(NODE_POWERS):
             change = W[WORK_LOW + k, lane]
