@@ -237,7 +237,7 @@ def _check_positions(name: str, key: str, expression: Any, symbols: Symbols) -> 
             "Declare it as velocity_constraints={...}, as for a rolling wheel or a blade. If it is "
             "the time derivative of an equation of positions, declare that equation.",
         )
-    driven = [u for u in symbols.u if symbols.back[u] in expression.free_symbols]
+    driven = [u for x in symbols.u if (u := symbols.back[x]) in expression.free_symbols]
     if driven:
         reject_model(
             name,

@@ -76,6 +76,7 @@ class TracedSolver:
         tables = solve_tables(part, scheme) | {"SOLVE_ENTRIES": len(self._solved_unknowns) ** 2}
         if isinstance(part, Constrained):
             pairs = zip(part.rows, part.columns, strict=True)
+            tables["FIRST_SIDE"] = plain.first_side
             tables["ROW_STIFFNESS"] = tuple(scheme.stiffness[k][m] for k, m in pairs)
         tables = solve_constants(Storage.dense(len(every)), columns, held) | tables
         known = traced_facts(low, part, held)

@@ -1,9 +1,11 @@
-"""Derivatives of steps with velocity constraints: against differences, and tangent with adjoint."""
+"""Derivatives of steps with constraints that roll or move: against differences, and adjoints."""
+
+from functools import partial
 
 import numpy as np
 import pytest
 from support.cases import sweep
-from support.rolling import allowed_state, carried_by_time
+from support.rolling import allowed_state, carried_by_time, moved_by_time
 from support.tangents import carried, check_adjoint, check_parameters
 
 import symsimpson as ss
@@ -11,11 +13,16 @@ from symsimpson.study.analysis.discrete_flow import DiscreteFlow
 
 pytestmark = pytest.mark.plain
 H, STEPS, DIGITS = 0.05, 2, 30
+MADE = {
+    "carried": carried_by_time,
+    "moved": moved_by_time,
+    "moved and carried": partial(moved_by_time, rolling=True),
+}
 
 
 def case(name, scheme):
-    if name == "carried":
-        system = carried_by_time()
+    if name in MADE:
+        system = MADE[name]()
         state = allowed_state(system)
     else:
         system = ss.systems.ROLLING[name]()
@@ -29,6 +36,8 @@ def case(name, scheme):
 
 CASES = [
     ("carried", "simpson"),
+    ("moved", "gauss4"),
+    ("moved and carried", "simpson"),
     ("chaplygin_sleigh", "gauss4"),
     ("rolling_disc", "simpson"),
     ("snakeboard", "lobatto6"),

@@ -116,6 +116,12 @@ class OptimalControl:
                 f"system is a {type(system).__name__}, which optimal control does not accept.",
                 remedy="Pass a MechanicalSystem with inputs and without a time transformation.",
             )
+        if system.plain.moving:
+            reject(
+                f"{system.name} has constraints of positions that contain the time.",
+                why="Optimal control does not accept them.",
+                remedy="Declare the motion by prescribed={coordinate: expression}, if possible.",
+            )
         _ = self.reading  # raises errors of the arguments
 
     @cached_property
