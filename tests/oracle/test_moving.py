@@ -147,7 +147,12 @@ def test_what_is_refused():
     with pytest.raises(ss.InputError, match="contain the time"):
         ss.OptimalControl(system, cost=1, duration=1.0)
     (x,), u = ss.coordinates("x"), sp.Symbol("u")
-    with pytest.raises(ss.ModelError, match="'m' depends on the input u"):
+    with pytest.raises(ss.ModelError, match="'1' depends on the input u"):
         ss.MechanicalSystem(
-            "driven", coordinates=[x], kinetic=x.diff() ** 2, constraints={"m": x - u}, inputs=[u]
+            "d",
+            coordinates=[x],
+            kinetic=x.diff() ** 2,
+            potential=x,
+            constraints=[x - u],
+            inputs=[u],
         )
