@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from symsimpson.api.stepper import Stepper
 from symsimpson.declare.declared import points_of
+from symsimpson.declare.prescribed import prescribed_values
 from symsimpson.declare.retimed import RetimedSystem, extend_by_energy
 from symsimpson.declare.system import MechanicalSystem
 from symsimpson.discrete.equations import check_differentiable
@@ -57,6 +58,7 @@ TOOLS = Tools(
     kink_passed=partial(_call, "analysis.stability.kinks", "kink_passed"),
     regular_box=partial(_call, "analysis.stability.passages", "regular_box"),
     points_of=points_of,
+    prescribed=prescribed_values,
     find_orbits=partial(_call, "orbits.stepper_searches"),
 )
 

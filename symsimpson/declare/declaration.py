@@ -90,7 +90,8 @@ def read_energies(
     linear = read_timed("gyroscopic term", given.gyroscopic)
     parts = split_by_velocities(name, "kinetic energy", kinetic, s)
     left = [*parts.a, parts.rest] if parts.quadratic else []
-    prescribed = any(s.graph.symbol(s.t.name)[1] in s.graph.nodes[n].symbols for _, n in left)
+    prescribed = given.motion is not None
+    prescribed |= any(s.graph.symbol(s.t.name)[1] in s.graph.nodes[n].symbols for _, n in left)
     if prescribed:  # a prescribed motion adds terms to T that belong to a and to V
         kinetic = quadratic_form(s.graph, parts.M, s.numbers(s.v))
         potential = s.graph.add([potential, scale(-1, parts.rest)])

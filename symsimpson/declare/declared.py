@@ -46,9 +46,12 @@ class Declared:
     constraints: Mapping[str, sp.Expr] = field(kw_only=True, default_factory=dict)
     velocity_constraints: Mapping[str, sp.Expr] = field(kw_only=True, default_factory=dict)
     units: Mapping[Any, str] = field(kw_only=True, default_factory=dict)
+    prescribed: Mapping[Any, sp.Expr] = field(kw_only=True, default_factory=dict)
     mass_checked: ClassVar[bool] = False  # True if M is known to be regular: M/g of a retimed one
     plain: Plain = field(init=False)
     seconds: dict[str, float] = field(init=False)
+    #: The motion of coordinates that are prescribed, and the forces that it takes.
+    motion: Any = field(init=False, default=None)
 
     @property
     def n(self) -> int:

@@ -109,6 +109,7 @@ class HamiltonianSystem(MechanicalSystem):
     dissipation: sp.Expr | None = field(init=False, default=None)
     constraints: Mapping[str, sp.Expr] = field(init=False, default_factory=dict)
     velocity_constraints: Mapping[str, sp.Expr] = field(init=False, default_factory=dict)
+    prescribed: Mapping[Any, sp.Expr] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         name = read_name(self.name)

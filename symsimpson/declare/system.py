@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, fields
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -15,12 +15,18 @@ from sympy.core.function import AppliedUndef
 from symsimpson.declare.checks import read_coordinates, read_name, read_parameters
 from symsimpson.declare.constraints import name_constraints
 from symsimpson.declare.declaration import read_energies, read_units, split_lagrangian
-from symsimpson.declare.declared import Positions, compute_digest
+from symsimpson.declare.declared import Declared, Positions, compute_digest
 from symsimpson.declare.described import Described
 from symsimpson.declare.expression_checks import read_expression
 from symsimpson.declare.forces import read_inputs
 from symsimpson.declare.methods import read_method
 from symsimpson.declare.plain import Symbols, reduce_frozen
+from symsimpson.declare.prescribed import (
+    PrescribedMotion,
+    prescribed_name,
+    read_prescribed,
+    substitute,
+)
 from symsimpson.declare.quadratic import split_by_velocities
 from symsimpson.declare.structure import Structure, analyse
 from symsimpson.errors import ModelError
@@ -87,9 +93,10 @@ class MechanicalSystem(Described):
         Symbols in forces whose values each run receives step by step:
         ``integrate(..., inputs={"u": values})``.
     constraints : mapping from str to expression, or sequence of expressions, optional
-        Holonomic constraints phi(q) = 0, fewer than coordinates:
-        ``{"rod": x**2 + y**2 - l**2}``. They contain coordinates and parameters. M must be
-        positive definite only for velocities with dphi/dq.v = 0.
+        Holonomic constraints phi(t, q) = 0, fewer than coordinates:
+        ``{"rod": x**2 + y**2 - l**2}``. They contain coordinates, parameters, and perhaps the
+        time: ``x - sin(symsimpson.time)`` moves x. M must be positive definite only for velocities
+        with dphi/dq.v = 0.
     velocity_constraints : mapping from str to expression, or sequence of expressions, optional
         Constraints A(q, t) v - b(q, t) = 0 of rolling wheels or blades:
         ``{"blade": cos(a)*y.diff() - sin(a)*x.diff()}``. They exert the force -A^T nu.
@@ -97,6 +104,10 @@ class MechanicalSystem(Described):
         Units by quantity, ``{"x": "m", "theta": "rad", "t": "s"}``. They label figures and
         data, and figures draw quantities of different units on separate axes. No value is
         converted.
+    prescribed : mapping from coordinate to expression, optional
+        Motions of some coordinates as functions of the time and of parameters,
+        ``{x: A*sin(w*symsimpson.time)}``. The system then has the other coordinates only. Runs
+        have ``run["x"]``, ``run["v_x"]``, and ``run["force_x"]``, the force that moves x.
 
     Raises
     ------
@@ -134,6 +145,8 @@ class MechanicalSystem(Described):
         parameters = read_parameters(name, self.parameters, coordinates)
         inputs = read_inputs(name, self.inputs, coordinates, parameters)
         object.__setattr__(self, "inputs", inputs)
+        if self.prescribed:
+            coordinates = self._prescribe(name, coordinates, parameters)
         constraints = name_constraints(name, self.constraints)
         rolling = name_constraints(name, self.velocity_constraints, tuple(constraints))
         object.__setattr__(self, "constraints", MappingProxyType(constraints))
@@ -141,6 +154,7 @@ class MechanicalSystem(Described):
         with stage("reading", name) as seconds:
             plain, positions, invariants = read_energies(name, coordinates, parameters, self)
         others = [*parameters, *inputs, *invariants, *positions]
+        others += self.motion.names if self.motion else ()
         for key, value in {
             "coordinates": coordinates,
             "units": MappingProxyType(read_units(name, self.units, coordinates, others)),
@@ -155,6 +169,27 @@ class MechanicalSystem(Described):
             "seconds": seconds,
         }.items():
             object.__setattr__(self, key, value)
+
+    def _prescribe(
+        self,
+        name: str,
+        coordinates: tuple[AppliedUndef, ...],
+        parameters: Mapping[sp.Symbol, float],
+    ) -> tuple[AppliedUndef, ...]:
+        """Replace prescribed coordinates in all fields; return the others."""
+        motions = read_prescribed(name, self.prescribed, coordinates, parameters)
+        given = {f.name: getattr(self, f.name) for f in fields(Declared) if f.init}
+        constraints = {prescribed_name(q): q - x for q, x in motions.items()}
+        constraints |= name_constraints(name, self.constraints)
+        whole = given | {"constraints": constraints, "prescribed": {}}
+        whole |= dict.fromkeys(("positions", "invariants"))
+        every = partial(MechanicalSystem, **whole)
+        motion = PrescribedMotion(every, partial(type(self), **given), motions)
+        object.__setattr__(self, "motion", motion)
+        for key, x in given.items():
+            if key not in ("name", "coordinates", "parameters", "units", "prescribed"):
+                object.__setattr__(self, key, substitute(x, motions))
+        return tuple(q for q in coordinates if q not in motions)
 
     @classmethod
     def from_lagrangian(
@@ -172,6 +207,7 @@ class MechanicalSystem(Described):
         constraints: Constraints = (),
         velocity_constraints: Constraints = (),
         units: Mapping[Any, str] = NONE,
+        prescribed: Mapping[Any, sp.Expr] = NONE,
     ) -> MechanicalSystem:
         """Declare a system by its Lagrangian.
 
@@ -182,7 +218,7 @@ class MechanicalSystem(Described):
         lagrangian : sympy expression
             The Lagrangian L(q, v, t). The second derivatives of L by the velocities must form a
             regular matrix M = L_vv. L may be any function of the velocities. M may be indefinite.
-        constraints, velocity_constraints
+        constraints, velocity_constraints, prescribed
             See :class:`MechanicalSystem`.
 
         Returns
@@ -233,6 +269,7 @@ class MechanicalSystem(Described):
             constraints=phi,
             velocity_constraints=name_constraints(name, velocity_constraints, tuple(phi)),
             units=units,
+            prescribed=prescribed,
         )
 
     @classmethod
@@ -414,4 +451,4 @@ class MechanicalSystem(Described):
         return hash(self.digest)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return reduce_frozen(self)
+        return reduce_frozen(self) if self.motion is None else (self.motion.again, ())

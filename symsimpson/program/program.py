@@ -138,6 +138,8 @@ class Tools:
     regular_box: Callable[..., Any]
     #: Takes a system, times, positions and values. Returns the positions of its points by name.
     points_of: Callable[..., dict[str, Any]]
+    #: Takes a quantity's name, a system with prescribed motions, states and inputs.
+    prescribed: Callable[..., Any]
     #: Takes the name of a search for orbits, a stepper and arguments. Returns the orbit.
     find_orbits: Callable[..., Any]
 

@@ -146,6 +146,30 @@ class Quantities:
         block, count = "CONSTRAINT_FORCE", self.program.n
         return -self._evaluate_rows("multipliers", block, count, driven=True)
 
+    @property
+    def _prescribed_names(self) -> tuple[str, ...]:
+        """Names of prescribed coordinates, their velocities and the forces that move them."""
+        motion = getattr(self.program.declared, "motion", None)
+        return () if motion is None or self.program.tools is None else motion.names
+
+    def _prescribed(self, key: str) -> NDArray[Any]:
+        """Return a quantity of a prescribed coordinate."""
+        program, (t, q, values) = self.program, self._point_arguments()
+        inputs = self._inputs_at_states() if key.startswith("force_") else np.zeros((1, 0))
+        assert program.tools is not None
+        return np.asarray(
+            program.tools.prescribed(key, program.declared, (t, q, self.v, values), inputs)
+        )
+
+    def _inputs_at_states(self) -> NDArray[Any]:
+        """Return the inputs at all states, shape (..., number of inputs)."""
+        if self.program.inputs:
+            reject(
+                "forces of prescribed motions with inputs are available for single members only.",
+                remedy="Select a member first: ensemble[0]['force_x'].",
+            )
+        return np.zeros((1, 0))
+
     def _slopes(self) -> NDArray[Any]:
         """Return Phi = dphi/dq at all states, shape (..., m, n)."""
         header = self.program.header
@@ -180,6 +204,8 @@ class Quantities:
             return self.invariants[watched.shown[watched.places[key]]]
         if key in (getattr(self.program.declared, "positions", None) or ()):
             return self.points[key]
+        if key in self._prescribed_names:
+            return self._prescribed(key)
         if key == "t" or key in QUANTITIES:
             return cast(NDArray[Any], getattr(self, key))
         every = self._ipython_key_completions_()
@@ -196,7 +222,8 @@ class Quantities:
         names = self.program.names
         every = [x for vector in QUANTITIES.values() if vector.axis for x in vector.shown(names)]
         positions = getattr(self.program.declared, "positions", None) or ()
-        every += [*names.invariants.shown, *self._special_names(), *positions, "t"]
+        every += [*names.invariants.shown, *self._special_names(), *positions]
+        every += [*self._prescribed_names, "t"]
         return every + [quantity.name for quantity in scalars_of(self.program.header)]
 
     def __iter__(self: Any) -> Iterator[Any]:

@@ -412,6 +412,9 @@ class States(Quantities, Tabular, Plottable):
         """Return t, q and the parameter values, to evaluate declared positions."""
         return self.t, self.q, self.parameter_values
 
+    def _inputs_at_states(self) -> NDArray[Any]:
+        return inputs_at_times(self.program, self.driven, self.t)[0, :, 0]
+
     def _evaluate_rows(
         self, kernel: str, block: str, count: int, *, driven: bool = False
     ) -> NDArray[Any]:

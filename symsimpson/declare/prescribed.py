@@ -1,0 +1,173 @@
+"""Coordinates whose motion is prescribed, and the forces that this takes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import sympy as sp
+from sympy.core.function import AppliedUndef
+
+from symsimpson.declare.checks import reject_model, spell
+from symsimpson.declare.constraints import accelerations
+from symsimpson.declare.coordinates import time
+from symsimpson.declare.declared import Declared
+from symsimpson.graph.nodes import Value
+from symsimpson.support.array_types import Floats, Reals
+from symsimpson.support.literals import float_literals
+from symsimpson.support.names import spelled
+
+if TYPE_CHECKING:
+    from symsimpson.declare.system import MechanicalSystem
+
+
+class PrescribedMotion:
+    """Coordinates as functions of the time, and the system in which they are constrained."""
+
+    def __init__(
+        self,
+        whole: Callable[[], MechanicalSystem],
+        again: Callable[[], MechanicalSystem],
+        motions: Mapping[AppliedUndef, sp.Expr],
+    ) -> None:
+        self._make, self.motions = whole, dict(motions)
+        #: Declares the system once more, for copies.
+        self.again = again
+        names = [spelled(q) for q in motions]
+        #: What runs know by name.
+        self.names = (*names, *(f"v_{x}" for x in names), *(f"force_{x}" for x in names))
+
+    @cached_property
+    def _whole(self) -> MechanicalSystem:
+        """The system with all coordinates, and with constraints for the prescribed ones."""
+        return self._make()
+
+    @cached_property
+    def _equations(self) -> tuple[Any, int]:
+        """A function of t, q, v, parameters and inputs, and the number of constraints.
+
+        It returns M, W, the right-hand sides of M v' + W^T lambda and of W v'.
+        """
+        plain = self._whole.plain
+        places = plain.numbers(plain.q), plain.numbers(plain.v), plain.time
+        held = plain.write_constraints(plain.graph)
+        terms = accelerations(plain.graph, plain.L, held, plain.f, places)
+        n, written = len(plain.q), plain.to_sympy
+        M: list[Value] = [plain.entry(i, j) for i in range(n) for j in range(n)]
+        wanted = [*M, *(x for row in terms.rows for x in row), *terms.push, *terms.curve]
+        arguments = [plain.t, *plain.q, *plain.v, *plain.parameters, *plain.u]
+        expressions = float_literals([written(x) for x in wanted])
+        return sp.lambdify(arguments, expressions, "numpy", cse=True), len(terms.rows)
+
+    def values(
+        self, key: str, system: Declared, states: tuple[Reals, ...], inputs: Reals
+    ) -> Floats:
+        """Return a quantity at states t, q and v, with values of parameters; see ``names``.
+
+        The force is positive in the direction of the coordinate.
+        """
+        t, q, v, parameters = (np.asarray(x, dtype=np.float64) for x in states)
+        columns = [parameters[..., k] for k in range(parameters.shape[-1])]
+        moving = self._motions(system, t, columns)
+        if key in moving:
+            return np.broadcast_to(moving[key], q.shape[:-1]).astype(np.float64)
+        q1 = next(x for x in self.motions if key == f"force_{spelled(x)}")
+        n, place = self._whole.n, list(self._whole.constraints).index(prescribed_name(q1))
+        evaluate, m = self._equations
+        known = {spelled(x): (q[..., k], v[..., k]) for k, x in enumerate(system.coordinates)}
+        known |= {spelled(x): (moving[spelled(x)], moving[f"v_{spelled(x)}"]) for x in self.motions}
+        every = [known[spelled(x)] for x in self._whole.coordinates]
+        driven = [inputs[..., k] for k in range(inputs.shape[-1])]
+        found = evaluate(t, *(x for x, _ in every), *(x for _, x in every), *columns, *driven)
+        shape = q.shape[:-1]
+        rows = np.stack([np.broadcast_to(x, shape) for x in found], axis=-1)
+        M, W, push, curve = np.split(rows, np.cumsum([n * n, m * n, n]), axis=-1)
+        matrix = np.zeros((*shape, n + m, n + m))
+        matrix[..., :n, :n] = M.reshape(*shape, n, n)
+        matrix[..., n:, :n] = W.reshape(*shape, m, n)
+        matrix[..., :n, n:] = np.swapaxes(matrix[..., n:, :n], -1, -2)
+        right = np.concatenate([push, -curve], axis=-1)
+        multipliers = np.linalg.solve(matrix, right[..., None])[..., n:, 0]
+        return np.asarray(-multipliers[..., place])
+
+    def _motions(self, system: Declared, t: Floats, columns: list[Any]) -> dict[str, Any]:
+        """Return the prescribed coordinates and their velocities, by name."""
+        arguments = {x: sp.Symbol(f"x_{k}") for k, x in enumerate((time, *system.parameters))}
+        given = {spelled(q): x for q, x in self.motions.items()}
+        given |= {f"v_{name}": x.diff(time) for name, x in given.items()}
+        written = float_literals([x.xreplace(arguments) for x in given.values()])
+        found = sp.lambdify([*arguments.values()], written, "numpy")(t, *columns)
+        return dict(zip(given, found, strict=True))
+
+
+def prescribed_values(
+    key: str, system: Declared, states: tuple[Reals, ...], inputs: Reals
+) -> Floats:
+    """Return a prescribed coordinate, its velocity or its force; see :class:`PrescribedMotion`."""
+    values: Floats = system.motion.values(key, system, states, inputs)
+    return values
+
+
+def prescribed_name(q: AppliedUndef) -> str:
+    """Return the name of the constraint that stands for a prescribed motion."""
+    return f"motion of {spelled(q)}"
+
+
+def read_prescribed(
+    name: str, given: Any, coordinates: Any, parameters: Mapping[sp.Symbol, float]
+) -> dict[AppliedUndef, sp.Expr]:
+    """Check that prescribed coordinates are functions of the time and of parameters."""
+    if not isinstance(given, Mapping):
+        reject_model(
+            name,
+            f"prescribed is a {type(given).__name__}, not a mapping from coordinates.",
+            "Write prescribed={x: sp.sin(symsimpson.time)}.",
+        )
+    found: dict[AppliedUndef, sp.Expr] = {}
+    for q, motion in given.items():
+        if q not in coordinates:
+            reject_model(
+                name,
+                f"prescribed contains {q}, which is not one of the coordinates "
+                f"{', '.join(map(spelled, coordinates))}.",
+                "List it among the coordinates. The system then has one fewer.",
+            )
+        expression = sp.sympify(motion)
+        if not isinstance(expression, sp.Expr) or expression.atoms(AppliedUndef):
+            reject_model(
+                name,
+                f"the prescribed motion of {spelled(q)}, {spell(expression)}, contains a "
+                "coordinate.",
+                "Write a function of symsimpson.time and of parameters. If it depends on other "
+                f"coordinates, declare the constraint {spelled(q)} - ... = 0.",
+            )
+        if unknown := expression.free_symbols - {time, *parameters}:
+            reject_model(
+                name,
+                f"the prescribed motion of {spelled(q)} contains {min(map(str, unknown))}, which "
+                "is no parameter.",
+                "Give it a value in parameters=. Inputs cannot prescribe a motion.",
+            )
+        found[q] = expression
+    if len(found) == len(coordinates):
+        reject_model(
+            name,
+            "the motions of all coordinates are prescribed, so nothing is left to compute.",
+            "Leave one coordinate free. For the forces alone, declare constraints={...}.",
+        )
+    return found
+
+
+def substitute(given: Any, motions: Mapping[AppliedUndef, sp.Expr]) -> Any:
+    """Replace prescribed coordinates in expressions, and in mappings and sequences of them."""
+    if isinstance(given, Mapping):
+        left = {k: substitute(x, motions) for k, x in given.items() if k not in motions}
+        return {k: x for k, x in left.items() if x != {}}
+    if isinstance(given, (list, tuple)):
+        return type(given)(substitute(x, motions) for x in given)
+    if not isinstance(given, (sp.Basic, sp.MatrixBase)):
+        return given
+    moved = given.xreplace({q.diff(time): x.diff(time) for q, x in motions.items()})
+    return moved.xreplace(dict(motions))
