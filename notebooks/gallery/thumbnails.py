@@ -17,6 +17,7 @@ SIZE = (420, 300)
 #: The panel of the first figure that is shown: left, upper, right, lower, as parts of the figure.
 PANELS = {
     "argon_crystal": (0, 0, 0.41, 1),
+    "arm_from_urdf": (0.53, 0.06, 0.9, 0.475),
     "cloth": (0, 0.5, 0.33, 1),
     "duffing": (0.5, 0, 1, 1),
     "families_of_orbits": (0.67, 0, 1, 1),
