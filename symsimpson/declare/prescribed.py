@@ -80,9 +80,9 @@ class PrescribedMotion:
         known |= {spelled(x): (moving[spelled(x)], moving[f"v_{spelled(x)}"]) for x in self.motions}
         every = [known[spelled(x)] for x in self._whole.coordinates]
         driven = [inputs[..., k] for k in range(inputs.shape[-1])]
-        found = evaluate(t, *(x for x, _ in every), *(x for _, x in every), *columns, *driven)
+        numbers = evaluate(t, *(x for x, _ in every), *(x for _, x in every), *columns, *driven)
         shape = q.shape[:-1]
-        rows = np.stack([np.broadcast_to(x, shape) for x in found], axis=-1)
+        rows = np.stack([np.broadcast_to(x, shape) for x in numbers], axis=-1)
         M, W, push, curve = np.split(rows, np.cumsum([n * n, m * n, n]), axis=-1)
         matrix = np.zeros((*shape, n + m, n + m))
         matrix[..., :n, :n] = M.reshape(*shape, n, n)
@@ -98,8 +98,8 @@ class PrescribedMotion:
         given = {spelled(q): x for q, x in self.motions.items()}
         given |= {f"v_{name}": x.diff(time) for name, x in given.items()}
         written = float_literals([x.xreplace(arguments) for x in given.values()])
-        found = sp.lambdify([*arguments.values()], written, "numpy")(t, *columns)
-        return dict(zip(given, found, strict=True))
+        positions = sp.lambdify([*arguments.values()], written, "numpy")(t, *columns)
+        return dict(zip(given, positions, strict=True))
 
 
 def prescribed_values(
@@ -111,7 +111,7 @@ def prescribed_values(
 
 
 def prescribed_name(q: AppliedUndef) -> str:
-    """Return the name of the constraint that stands for a prescribed motion."""
+    """Return the name of the constraint that replaces a prescribed motion."""
     return f"motion of {spelled(q)}"
 
 
@@ -125,7 +125,7 @@ def read_prescribed(
             f"prescribed is a {type(given).__name__}, not a mapping from coordinates.",
             "Write prescribed={x: sp.sin(symsimpson.time)}.",
         )
-    found: dict[AppliedUndef, sp.Expr] = {}
+    motions: dict[AppliedUndef, sp.Expr] = {}
     for q, motion in given.items():
         if q not in coordinates:
             reject_model(
@@ -150,14 +150,14 @@ def read_prescribed(
                 "is no parameter.",
                 "Give it a value in parameters=. Inputs cannot prescribe a motion.",
             )
-        found[q] = expression
-    if len(found) == len(coordinates):
+        motions[q] = expression
+    if len(motions) == len(coordinates):
         reject_model(
             name,
             "the motions of all coordinates are prescribed, so nothing is left to compute.",
             "Leave one coordinate free. For the forces alone, declare constraints={...}.",
         )
-    return found
+    return motions
 
 
 def substitute(given: Any, motions: Mapping[AppliedUndef, sp.Expr]) -> Any:

@@ -341,7 +341,7 @@ def _side_tables(plain: Plain) -> dict[str, object]:
 
 
 def _repeat_nodes(groups: Sequence[Family], plain: Plain) -> bool:
-    """Return whether the terms of families share most of their nodes, as those of a robot do."""
+    """Return whether the terms of families share most of their nodes, as in robots."""
     whole = plain.graph.descendants(n for _, n in (plain.T, *plain.energies))
     parts = sum(len(family.plain.graph.nodes) for family in groups)
     return parts > REPEATED * len(whole)

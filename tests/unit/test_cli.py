@@ -44,18 +44,18 @@ def test_a_robot_from_its_file(tmp_path, capsys):
     file = tmp_path / "swing.urdf"
     file.write_text(
         '<robot name="swing"><link name="base"/><link name="bar"><inertial>'
-        '<origin xyz="0 0 -1"/><mass value="2"/><inertia ixx="1" iyy="1" izz="1"/></inertial></link>'
-        '<joint name="hinge" type="continuous"><parent link="base"/><child link="bar"/>'
+        '<origin xyz="0 0 -1"/><mass value="2"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
+        '</link><joint name="hinge" type="continuous"><parent link="base"/><child link="bar"/>'
         '<axis xyz="0 1 0"/></joint></robot>'
     )
     assert main(["list", str(file)]) == 0
     assert "hinge  continuous" in capsys.readouterr().out
     assert main(["run", str(file), "--t-end", "1"]) == 0
     assert "100 steps to t = 1" in capsys.readouterr().out
-    assert main(["list", "pendulum"]) == 2
+    assert main(["list", "pendulum"]) == 1
     assert "not a robot" in capsys.readouterr().err
     file.write_text("<robot><link/></robot>")
-    assert main(["run", str(file)]) == 2
+    assert main(["run", str(file)]) == 1
     assert "line 1, <link>: it has no attribute 'name'" in capsys.readouterr().err
 
 

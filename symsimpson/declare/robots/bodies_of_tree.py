@@ -74,7 +74,7 @@ def axes_along(axis: Floats) -> Floats:
 
 
 def regrouped(bodies: Bodies) -> list[Inertia]:
-    """Return inertias with the same energies, of which many entries are zero, and the world's.
+    """Return inertias with the same energies and many zero entries; the last is the world's.
 
     What a joint does not turn may belong to the parent: for a revolute joint, the mass, the
     moment along the axis, and as much of the inertia as is equal about both other axes. For a
@@ -82,9 +82,9 @@ def regrouped(bodies: Bodies) -> list[Inertia]:
     calculation of minimum set of inertial parameters of serial robots", IEEE Transactions on
     Robotics and Automation 10 (1994), 78-79).
     """
-    own = [*(body.inertia for body in bodies.moving), Inertia()]  # the last one is the world's
+    inertias = [*(body.inertia for body in bodies.moving), Inertia()]  # the last one is the world's
     for number in reversed(range(len(bodies.moving))):
-        body, inertia = bodies.moving[number], own[number]
+        body, inertia = bodies.moving[number], inertias[number]
         if body.kind in ("revolute", "continuous"):
             across = np.diag([inertia.matrix[1, 1]] * 2 + [0.0])
             along = np.array([0.0, 0.0, inertia.moment[2]])
@@ -93,8 +93,8 @@ def regrouped(bodies: Bodies) -> list[Inertia]:
             moved = Inertia(matrix=inertia.matrix)
         else:
             continue
-        own[number] = Inertia(
+        inertias[number] = Inertia(
             inertia.mass - moved.mass, inertia.moment - moved.moment, inertia.matrix - moved.matrix
         )
-        own[body.parent] = own[body.parent] + moved.seen_from(body.place)
-    return own
+        inertias[body.parent] = inertias[body.parent] + moved.seen_from(body.place)
+    return inertias

@@ -9,10 +9,10 @@ import numpy as np
 import sympy as sp
 
 from symsimpson.declare.robots.bodies_of_tree import Bodies
-from symsimpson.declare.robots.forms import Form
+from symsimpson.declare.robots.coordinate_forms import Form
+from symsimpson.declare.robots.joint_states import find_state
 from symsimpson.declare.robots.recursion import attached, exact_number
-from symsimpson.declare.robots.states import find_state
-from symsimpson.declare.robots.tree import Loop, RobotTree, reject_robot
+from symsimpson.declare.robots.tree import ClosedLoop, RobotTree, reject_robot
 from symsimpson.errors import ModelWarning
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import warn
@@ -44,7 +44,7 @@ def closed(tree: RobotTree, bodies: Bodies, form: Form) -> Form:
     return replace(form, constraints={name: constraints[name] for name in kept})
 
 
-def _equations(tree: RobotTree, bodies: Bodies, form: Form, loop: Loop) -> dict[str, sp.Expr]:
+def _equations(tree: RobotTree, bodies: Bodies, form: Form, loop: ClosedLoop) -> dict[str, sp.Expr]:
     """Return the constraints of a loop."""
     if loop.kind == "joint":
         if any(x and x not in form.functions for x in loop.ends):

@@ -9,8 +9,8 @@ import numpy as np
 
 from symsimpson.declare.bodies import rotation_matrix
 from symsimpson.declare.robots.tree import (
+    ClosedLoop,
     Inertia,
-    Loop,
     Placement,
     RobotJoint,
     RobotLink,
@@ -83,7 +83,7 @@ def _missing(mujoco: Any, m: Any) -> Iterator[str]:
     touching = (m.geom_contype != 0) | (m.geom_conaffinity != 0)
     allowed = not m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT
     medium = any((m.opt.density, m.opt.viscosity, *m.opt.wind))
-    found = {
+    features = {
         "contacts": allowed and (len(set(m.geom_bodyid[touching].tolist())) > 1 or m.npair > 0),
         "tendons": m.ntendon > 0,
         "actuators": not direct.all(),
@@ -94,7 +94,7 @@ def _missing(mujoco: Any, m: Any) -> Iterator[str]:
         "fluid": medium,
         "flexes": m.nflex > 0,
     }
-    return (what for what, there in found.items() if there)
+    return (what for what, there in features.items() if there)
 
 
 def _any(model: Any, name: str) -> bool:
@@ -127,19 +127,19 @@ def _tree(mujoco: Any, m: Any, file: str) -> RobotTree:
     links = [RobotLink("world")]
     joints = list[RobotJoint]()
     for body in range(1, m.nbody):
-        above, own = name("BODY", m.body_parentid[body]), name("BODY", body)
+        above, link_name = name("BODY", m.body_parentid[body]), name("BODY", body)
         above = "world" if m.body_parentid[body] == 0 else above
         place = _place(m.body_pos[body], m.body_quat[body])
         first = m.body_jntadr[body]
         for k in range(first, first + m.body_jntnum[body]):
             joint, link = _joint(
-                m, k, name("JOINT", k), above, f"{own} after {name('JOINT', k)}", place
+                m, k, name("JOINT", k), above, f"{link_name} after {name('JOINT', k)}", place
             )
             joints.append(joint)
             links.append(RobotLink(link))
             above, place = link, Placement(shift=-m.jnt_pos[k])
-        joints.append(RobotJoint(f"{own} fixed", "fixed", above, own, place))
-        links.append(_link(m, body, own))
+        joints.append(RobotJoint(f"{link_name} fixed", "fixed", above, link_name, place))
+        links.append(_link(m, body, link_name))
     loops = tuple(_loops(mujoco, m, file, name))
     return make_tree(mujoco_name(m), links, joints, file, loops)
 
@@ -190,7 +190,7 @@ def _link(m: Any, body: int, name: str) -> RobotLink:
     return RobotLink(name, inertia.seen_from(place), tuple(shapes))
 
 
-def _loops(mujoco: Any, m: Any, file: str, name: Any) -> Iterator[Loop]:
+def _loops(mujoco: Any, m: Any, file: str, name: Any) -> Iterator[ClosedLoop]:
     """Yield the equality constraints that are active."""
     kinds = mujoco.mjtEq
     for k in range(m.neq):
@@ -203,7 +203,7 @@ def _loops(mujoco: Any, m: Any, file: str, name: Any) -> Iterator[Loop]:
             zeros = [float(m.qpos0[m.jnt_qposadr[x]]) if x >= 0 else 0.0 for x in ends]
             first, second = (name("JOINT", x) if x >= 0 else "" for x in ends)
             names = first, second
-            yield Loop(called, "joint", names, numbers=(*zeros, *data[:5].tolist()))
+            yield ClosedLoop(called, "joint", names, numbers=(*zeros, *data[:5].tolist()))
         elif kind in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
             if int(m.eq_objtype[k]) != int(mujoco.mjtObj.mjOBJ_BODY):
                 reject_robot(
@@ -212,14 +212,14 @@ def _loops(mujoco: Any, m: Any, file: str, name: Any) -> Iterator[Loop]:
             first, second = ("world" if x == 0 else name("BODY", x) for x in ends)
             names = first, second
             if kind == kinds.mjEQ_CONNECT:
-                yield Loop(
+                yield ClosedLoop(
                     called,
                     "connect",
                     names,
                     (Placement(shift=data[:3].copy()), Placement(shift=data[3:6].copy())),
                 )
             else:
-                yield Loop(
+                yield ClosedLoop(
                     called,
                     "weld",
                     names,

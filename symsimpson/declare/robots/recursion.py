@@ -1,7 +1,7 @@
 """T, V and frames of a robot with joint coordinates, from link to link.
 
-Velocities are expressed in the frame of each body, from those of the previous body (Luh, Walker and
-Paul, Journal of Dynamic Systems, Measurement and Control 102 (1980), 69-76). The length of T is
+Velocities are expressed in the frame of each body, from velocities of the previous body (Luh,
+Walker and Paul, Journal of Dynamic Systems, Measurement and Control 102 (1980), 69-76). The length of T is
 proportional to the number of bodies.
 """
 
@@ -90,32 +90,32 @@ def motions_of(
 def velocities(bodies: Bodies, motions: Sequence[Motion]) -> list[tuple[Vector, Vector]]:
     """Return angular velocity and velocity of the origin of each body, in its frame."""
     zero = np.full(3, sp.S.Zero)
-    found = [(zero, zero)]  # of the world, and then of the bodies
+    rates = [(zero, zero)]  # of the world, and then of the bodies
     for body, motion in zip(bodies.moving, motions, strict=True):
-        omega, velocity = found[body.parent + 1]
+        omega, velocity = rates[body.parent + 1]
         velocity = velocity + np.cross(omega, exact(body.place.shift))
         omega, velocity = (exact(body.place.turn).T @ x for x in (omega, velocity))
         velocity = velocity + np.cross(omega, motion.shift)
         omega, velocity = (motion.turn.T @ x for x in (omega, velocity))
-        found.append((omega + motion.rate, velocity + motion.velocity))
-    return found[1:]
+        rates.append((omega + motion.rate, velocity + motion.velocity))
+    return rates[1:]
 
 
 def energies(bodies: Bodies, motions: Sequence[Motion], gravity: Vector) -> tuple[sp.Expr, sp.Expr]:
     """Return T and V."""
-    own, moving = regrouped(bodies), velocities(bodies, motions)
+    inertias, moving = regrouped(bodies), velocities(bodies, motions)
     pulls = [
         (gravity, sp.S.Zero)
     ]  # gravity in the frame of each body, and the height of its origin
-    weights = [-exact(own[WORLD].moment) @ gravity]
-    for inertia, body, motion in zip(own, bodies.moving, motions, strict=False):
+    weights = [-exact(inertias[WORLD].moment) @ gravity]
+    for inertia, body, motion in zip(inertias, bodies.moving, motions, strict=False):
         pull, level = pulls[body.parent + 1]
         level -= pull @ exact(body.place.shift)
         pull = exact(body.place.turn).T @ pull
         level, pull = level - pull @ motion.shift, motion.turn.T @ pull
         pulls.append((pull, level))
         weights += [exact_number(inertia.mass) * level, -exact(inertia.moment) @ pull]
-    terms = [_kinetic(inertia, *state) for inertia, state in zip(own, moving, strict=False)]
+    terms = [_kinetic(inertia, *state) for inertia, state in zip(inertias, moving, strict=False)]
     return sp.Add(*terms), sp.Add(*weights)
 
 
@@ -130,11 +130,11 @@ def _kinetic(inertia: Inertia, omega: Vector, velocity: Vector) -> sp.Expr:
 
 def frames(bodies: Bodies, motions: Sequence[Motion]) -> list[tuple[Vector, Vector]]:
     """Return position and rotation of all bodies in the world; the last one is the world."""
-    found = [(np.full(3, sp.S.Zero), exact(np.eye(3)))]
+    places = [(np.full(3, sp.S.Zero), exact(np.eye(3)))]
     for body, motion in zip(bodies.moving, motions, strict=True):
-        origin, turn = attached(found[body.parent + 1], body.place)
-        found.append((origin + turn @ motion.shift, turn @ motion.turn))
-    return [*found[1:], found[0]]
+        origin, turn = attached(places[body.parent + 1], body.place)
+        places.append((origin + turn @ motion.shift, turn @ motion.turn))
+    return [*places[1:], places[0]]
 
 
 def attached(frame: tuple[Vector, Vector], place: Placement) -> tuple[Vector, Vector]:

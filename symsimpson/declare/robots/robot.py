@@ -14,12 +14,12 @@ import sympy as sp
 from symsimpson.declare.coordinates import time
 from symsimpson.declare.orientation import read_array
 from symsimpson.declare.robots.bodies_of_tree import Bodies, find_bodies
-from symsimpson.declare.robots.forms import Form, in_bodies, in_joints
+from symsimpson.declare.robots.coordinate_forms import Form, in_bodies, in_joints
+from symsimpson.declare.robots.joint_states import find_state
 from symsimpson.declare.robots.loops import closed
 from symsimpson.declare.robots.mjcf import read_mjcf
 from symsimpson.declare.robots.outlines import outline
 from symsimpson.declare.robots.recursion import Vector, attached, exact
-from symsimpson.declare.robots.states import find_state
 from symsimpson.declare.robots.tree import RobotTree, locked_at, reject_robot, system_name
 from symsimpson.declare.robots.urdf import read_urdf
 from symsimpson.declare.system import MechanicalSystem
@@ -162,7 +162,7 @@ class Robot(MechanicalSystem):
         position : sympy matrix, 3 by 1
             The origin of the link in the world.
         rotation : sympy matrix, 3 by 3
-            The matrix from the axes of the link to those of the world.
+            The matrix from the axes of the link to the axes of the world.
 
         Raises
         ------
@@ -202,7 +202,7 @@ def from_urdf(
 ) -> Robot:
     """Declare a robot by a URDF file.
 
-    The coordinates are those of a floating base, if there is one, and one for each joint that
+    The coordinates are seven of a floating base, if there is one, and one for each joint that
     moves, with the name of the joint. Each of these joints has the input ``tau_<joint>``, its
     torque or force, and the parameter ``damping_<joint>``.
 
@@ -267,7 +267,7 @@ def from_mjcf(
 ) -> Robot:
     """Declare a robot by a model of MuJoCo, with MuJoCo's own compiler.
 
-    Coordinates, inputs and parameters are those of :func:`from_urdf`. Ball joints have a unit
+    Coordinates, inputs and parameters are as for :func:`from_urdf`. Ball joints have a unit
     quaternion. Springs, dampers and armatures of joints, and equality constraints between bodies or
     joints, belong to the system. Constraints are rigid.
 

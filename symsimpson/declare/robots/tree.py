@@ -65,8 +65,8 @@ class Inertia:
         R, s = place.turn, place.shift
         turned = R @ self.moment
         shifted = 2 * (s @ turned) * np.eye(3) - np.outer(s, turned) - np.outer(turned, s)
-        own = self.mass * (s @ s * np.eye(3) - np.outer(s, s))
-        return Inertia(self.mass, turned + self.mass * s, R @ self.matrix @ R.T + shifted + own)
+        steiner = self.mass * (s @ s * np.eye(3) - np.outer(s, s))
+        return Inertia(self.mass, turned + self.mass * s, R @ self.matrix @ R.T + shifted + steiner)
 
     def about_centre(self) -> Floats:
         """Return the inertia matrix about the centre of mass."""
@@ -97,7 +97,7 @@ class RobotLink:
 
 @dataclass(frozen=True)
 class RobotJoint:
-    """A joint between two links. Its frame is that of the child at the coordinate 0."""
+    """A joint between two links. Its frame equals the frame of the child at the coordinate 0."""
 
     name: str
     kind: str
@@ -123,7 +123,7 @@ class RobotJoint:
 
 
 @dataclass(frozen=True)
-class Loop:
+class ClosedLoop:
     """A constraint that closes a loop.
 
     "connect" keeps the origins of two frames together, and "weld" the whole frames. "joint" makes a
@@ -146,7 +146,7 @@ class RobotTree:
     joints: tuple[RobotJoint, ...]
     root: str
     file: str = "robot"  #: The name of the file, for messages.
-    loops: tuple[Loop, ...] = ()
+    loops: tuple[ClosedLoop, ...] = ()
 
     def outward(self) -> tuple[RobotJoint, ...]:
         """Return the joints that the base reaches, parents before children."""
@@ -169,7 +169,7 @@ def make_tree(
     links: Sequence[RobotLink],
     joints: Sequence[RobotJoint],
     file: str,
-    loops: tuple[Loop, ...] = (),
+    loops: tuple[ClosedLoop, ...] = (),
 ) -> RobotTree:
     """Check that links and joints form one tree."""
     for what, some in (("link", links), ("joint", joints)):

@@ -105,11 +105,15 @@ def in_joints(tree: RobotTree, bodies: Bodies, gravity: Vector) -> Form:
 def in_bodies(tree: RobotTree, bodies: Bodies, gravity: Vector) -> Form:
     """Return T and V of free bodies, and joints as constraints.
 
-    The coordinates of a body are those of its centre of mass and a quaternion.
+    The coordinates of a body are its centre of mass and a quaternion.
     """
     functions = {x.name: functions_of_time(x.name, "floating") for x in bodies.moving}
     terms, weights, constraints = list[sp.Expr](), list[sp.Expr](), dict[str, sp.Expr]()
-    rates, found, omegas = dict[str, sp.Expr](), list[tuple[Vector, Vector]](), list[Vector]()
+    rates, frames_of_bodies, omegas = (
+        dict[str, sp.Expr](),
+        list[tuple[Vector, Vector]](),
+        list[Vector](),
+    )
     for body in bodies.moving:
         q, inertia = functions[body.name], body.inertia
         if not inertia.mass:
@@ -129,14 +133,14 @@ def in_bodies(tree: RobotTree, bodies: Bodies, gravity: Vector) -> Form:
         turn = np.array(rotation_matrix(q[3:]), dtype=object)
         origin = np.array(q[:3]) - turn @ exact(inertia.moment / inertia.mass)
         omegas.append(omega)
-        found.append((origin, turn))
-    found.append((np.full(3, sp.S.Zero), exact(np.eye(3))))
+        frames_of_bodies.append((origin, turn))
+    frames_of_bodies.append((np.full(3, sp.S.Zero), exact(np.eye(3))))
     for number, body in enumerate(bodies.moving):
         if body.joint is None:
             continue
         _reject_dependent(tree, body)
-        joint, (origin, turn) = body.joint, found[number]
-        place, axes = attached(found[body.parent], body.place)
+        joint, (origin, turn) = body.joint, frames_of_bodies[number]
+        place, axes = attached(frames_of_bodies[body.parent], body.place)
         gap = axes.T @ (origin - place)
         twist = turn.T @ axes  # components of the axes of the joint in the body
         conditions, moved = _conditions(joint.kind, gap, twist, origin - place)
@@ -156,7 +160,7 @@ def in_bodies(tree: RobotTree, bodies: Bodies, gravity: Vector) -> Form:
         sp.Add(*weights),
         constraints,
         rates,
-        found,
+        frames_of_bodies,
         tuple(q[3:] for q in functions.values()),
     )
 

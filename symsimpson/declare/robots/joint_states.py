@@ -10,7 +10,7 @@ import sympy as sp
 
 from symsimpson.declare.orientation import multiply, read_orientation
 from symsimpson.declare.robots.bodies_of_tree import Bodies
-from symsimpson.declare.robots.forms import Form
+from symsimpson.declare.robots.coordinate_forms import Form
 from symsimpson.declare.robots.recursion import frames, motions_of, velocities
 from symsimpson.declare.robots.tree import COORDINATES, RobotTree
 from symsimpson.errors import reject
