@@ -1,8 +1,8 @@
 """T, V and frames of a robot with joint coordinates, from link to link.
 
 Velocities are expressed in the frame of each body, from velocities of the previous body (Luh,
-Walker and Paul, Journal of Dynamic Systems, Measurement and Control 102 (1980), 69-76). The length of T is
-proportional to the number of bodies.
+Walker and Paul, Journal of Dynamic Systems, Measurement and Control 102 (1980), 69-76). The length
+of T is proportional to the number of bodies.
 """
 
 from __future__ import annotations
