@@ -230,7 +230,7 @@ def test_expressions_of_the_time_are_functions():
 
 def test_solutions_are_written_to_files_of_one_kind(tmp_path):
     found = cart().solve("gauss4", steps=3)
-    with pytest.raises(ss.InputError, match=r"Use the extension \.npz\. result\.trajectory\.save"):
+    with pytest.raises(ss.InputError, match=r"Use the extension \.npz\. The save method"):
         found.save(tmp_path / "cart.csv")
     assert not [*tmp_path.iterdir()]
 
