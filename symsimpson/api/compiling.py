@@ -196,10 +196,12 @@ def _derive(
         LOG.info("derived %s for %s in %.2f s", scheme.name, system.name, seconds)
         return derivation
 
-    if system.retiming is not None or running is not None or system.too_large_for_sympy:
+    if system.retiming is not None or running is not None:
         return derive_module()
-    energies = [system.kinetic, system.potential, system.gyroscopic]
-    energies.append(getattr(system, "hamiltonian", None))
+    energies: list[object] = []  # a large system has its digest only: SymPy would take too long
+    if not system.too_large_for_sympy:
+        energies = [system.kinetic, system.potential, system.gyroscopic]
+        energies.append(getattr(system, "hamiltonian", None))
     wanted = sorted(exploit), varied, second
     parts: list[object] = [system.digest, *energies, astuple(scheme), *wanted]
     parts += [(symbol.name, value) for symbol, value in system.parameters.items()]

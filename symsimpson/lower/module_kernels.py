@@ -42,7 +42,7 @@ from symsimpson.text.workspace_layout import layout
 #: The least average number of members of families for which loops pay.
 FAMILY_MEMBERS = 2
 #: Families with this many times the nodes of all energies repeat what their terms share.
-REPEATED = 2
+REPEATED = 4
 #: The most coordinates for nodes as lanes: the solve at each node takes n^3/6 operations.
 STAGE_COORDINATES = 24
 

@@ -279,7 +279,6 @@ def test_values_that_begin_with_a_minus(capsys):
         ("run pendulum --steps many", "not a positive whole"),
         ("export pendulum --h 0.1 --out x", "no option --h.\nsymsimpson export takes --scheme"),
         ("run pendulum --shceme midpoint", "no option --shceme. Did you mean --scheme?"),
-        ("list pendulum", "symsimpson list: error: unrecognized arguments: pendulum"),
     ],
 )
 def test_wrong_values_are_named(line, said, capsys):

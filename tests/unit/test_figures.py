@@ -109,9 +109,9 @@ def first_calls(cache_folder):
 
 #: Lines of text in each room.
 LINES = {
-    "api": 1862,
+    "api": 1864,
     "cli": 800,
-    "declare": 8549,
+    "declare": 8553,
     "discrete": 1902,
     "graph": 2190,
     "lower": 6126,
@@ -149,14 +149,14 @@ FIGURES = {
     "functions with more than 8 arguments": (18, lambda: with_more_arguments(8)),
     "functions with more than 12 arguments": (8, lambda: with_more_arguments(12)),
     "private names asked of others": (25, lambda: sum(map(is_reach, nodes(ast.Attribute)))),
-    "values called found, made, own or one": (11, lambda: sum(map(is_vague, every_node()))),
-    "names that several files have": (3, repeated_names),
+    "values called found, made, own or one": (0, lambda: sum(map(is_vague, every_node()))),
+    "names that several files have": (1, repeated_names),
     "modules at the root": (3, lambda: len(list(PACKAGE.glob("*.py")))),
-    "lines of the package": (69823, lambda: sum(lines_of_rooms().values())),
+    "lines of the package": (69829, lambda: sum(lines_of_rooms().values())),
     "files": (301, lambda: len(FILES)),
     "floors": (10, floors),
     "class names that occur twice": (7, repeated_classes),
-    "docstrings with private words": (41, private_words),
+    "docstrings with private words": (33, private_words),
     "docstrings that cannot be read alone": (
         0,
         lambda: sum(
