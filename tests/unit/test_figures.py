@@ -111,7 +111,7 @@ def first_calls(cache_folder):
 LINES = {
     "api": 1864,
     "cli": 800,
-    "declare": 8553,
+    "declare": 8555,
     "discrete": 1902,
     "graph": 2190,
     "lower": 6126,
@@ -152,10 +152,10 @@ FIGURES = {
     "values called found, made, own or one": (0, lambda: sum(map(is_vague, every_node()))),
     "names that several files have": (1, repeated_names),
     "modules at the root": (3, lambda: len(list(PACKAGE.glob("*.py")))),
-    "lines of the package": (69829, lambda: sum(lines_of_rooms().values())),
+    "lines of the package": (69831, lambda: sum(lines_of_rooms().values())),
     "files": (301, lambda: len(FILES)),
     "floors": (10, floors),
-    "class names that occur twice": (7, repeated_classes),
+    "class names that occur twice": (6, repeated_classes),
     "docstrings with private words": (33, private_words),
     "docstrings that cannot be read alone": (
         0,

@@ -25,7 +25,7 @@ Vector = NDArray[Any]
 
 
 @dataclass(frozen=True)
-class Motion:
+class JointMotion:
     """How a joint moves its body: the shift and turn in the frame of the joint, and their rates.
 
     The rates are in the frame of the body.
@@ -50,22 +50,22 @@ def exact_number(x: float) -> sp.Expr:
     return exact(np.array([x]))[0]
 
 
-def joint_motion(kind: str, q: Sequence[sp.Expr], v: Sequence[sp.Expr]) -> Motion:
+def joint_motion(kind: str, q: Sequence[sp.Expr], v: Sequence[sp.Expr]) -> JointMotion:
     """Return the motion of a joint along or about the axis z."""
     zero, turn, both = np.full(3, sp.S.Zero), exact(np.eye(3)), (tuple(q), tuple(v))
     if kind == "prismatic":
         along = np.array([sp.S.Zero, sp.S.Zero, v[0]])
-        return Motion(np.array([sp.S.Zero, sp.S.Zero, q[0]]), turn, along, zero, *both)
+        return JointMotion(np.array([sp.S.Zero, sp.S.Zero, q[0]]), turn, along, zero, *both)
     if kind in ("floating", "ball"):
         turn = np.array(rotation_matrix(q[-4:]), dtype=object)
         rate = np.array(list(body_rates(q[-4:], v[-4:])), dtype=object)
         shift, speed = (np.array(x[:3]) if len(x) == 7 else zero for x in both)
-        return Motion(shift, turn, turn.T @ speed, rate, *both)
+        return JointMotion(shift, turn, turn.T @ speed, rate, *both)
     c, s = sp.cos(q[-1]), sp.sin(q[-1])
     turn[:2, :2] = [[c, -s], [s, c]]
     rate = np.array([sp.S.Zero, sp.S.Zero, v[-1]])
     shift, speed = (np.array([*x[:-1], *[sp.S.Zero] * (4 - len(x))]) for x in both)
-    return Motion(shift, turn, turn.T @ speed, rate, *both)
+    return JointMotion(shift, turn, turn.T @ speed, rate, *both)
 
 
 def motions_of(
@@ -73,7 +73,7 @@ def motions_of(
     bodies: Bodies,
     q: Mapping[str, Sequence[sp.Expr]],
     v: Mapping[str, Sequence[sp.Expr]],
-) -> list[Motion]:
+) -> list[JointMotion]:
     """Return the motions of all bodies from coordinates and velocities by joint, or "base"."""
     named, motions = {x.name: x for x in tree.joints}, []
     for body in bodies.moving:
@@ -87,7 +87,7 @@ def motions_of(
     return motions
 
 
-def velocities(bodies: Bodies, motions: Sequence[Motion]) -> list[tuple[Vector, Vector]]:
+def velocities(bodies: Bodies, motions: Sequence[JointMotion]) -> list[tuple[Vector, Vector]]:
     """Return angular velocity and velocity of the origin of each body, in its frame."""
     zero = np.full(3, sp.S.Zero)
     rates = [(zero, zero)]  # of the world, and then of the bodies
@@ -101,7 +101,9 @@ def velocities(bodies: Bodies, motions: Sequence[Motion]) -> list[tuple[Vector, 
     return rates[1:]
 
 
-def energies(bodies: Bodies, motions: Sequence[Motion], gravity: Vector) -> tuple[sp.Expr, sp.Expr]:
+def energies(
+    bodies: Bodies, motions: Sequence[JointMotion], gravity: Vector
+) -> tuple[sp.Expr, sp.Expr]:
     """Return T and V."""
     inertias, moving = regrouped(bodies), velocities(bodies, motions)
     pulls = [
@@ -128,7 +130,7 @@ def _kinetic(inertia: Inertia, omega: Vector, velocity: Vector) -> sp.Expr:
     return sp.Add(exact_number(inertia.mass) * (velocity @ velocity) / 2, coupling, *turning)
 
 
-def frames(bodies: Bodies, motions: Sequence[Motion]) -> list[tuple[Vector, Vector]]:
+def frames(bodies: Bodies, motions: Sequence[JointMotion]) -> list[tuple[Vector, Vector]]:
     """Return position and rotation of all bodies in the world; the last one is the world."""
     places = [(np.full(3, sp.S.Zero), exact(np.eye(3)))]
     for body, motion in zip(bodies.moving, motions, strict=True):

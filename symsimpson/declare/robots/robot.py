@@ -276,7 +276,7 @@ def from_mjcf(
     path_or_text : str or path
         The file, or its text, which begins with "<".
     gravity : three floats, optional
-        The acceleration of gravity. The default is that of the model.
+        The acceleration of gravity. By default, the model has it.
     ignore : iterable of str, optional
         What to leave out: "contacts", "tendons", "actuators", "limits", "friction", "damping",
         "springs", "fluid" or "flexes".
