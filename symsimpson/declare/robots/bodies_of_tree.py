@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
+from symsimpson.declare.plain import reduce_frozen
 from symsimpson.declare.robots.tree import Inertia, Placement, RobotJoint, RobotTree
 from symsimpson.support.array_types import Floats
 
@@ -37,6 +39,9 @@ class Bodies:
 
     moving: tuple[MovingBody, ...]
     links: Mapping[str, tuple[int, Placement]]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return reduce_frozen(self)
 
 
 def find_bodies(tree: RobotTree, *, floating: bool) -> Bodies:

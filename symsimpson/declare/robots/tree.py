@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from symsimpson.declare.plain import reduce_frozen
 from symsimpson.errors import ModelError, ModelWarning, reject
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import warn
@@ -147,6 +148,9 @@ class RobotTree:
     root: str
     file: str = "robot"  #: The name of the file, for messages.
     loops: tuple[ClosedLoop, ...] = ()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return reduce_frozen(self)
 
     def outward(self) -> tuple[RobotJoint, ...]:
         """Return the joints that the base reaches, parents before children."""

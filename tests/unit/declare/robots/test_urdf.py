@@ -1,5 +1,7 @@
 """Robots from URDF files: coordinates, inputs, joints of every kind, and what is rejected."""
 
+import pickle
+
 import numpy as np
 import pytest
 import sympy as sp
@@ -188,6 +190,16 @@ def test_both_forms_move_alike(kind, damping):
         ends.append([np.array(x.subs(at), float) for x in system.frame("c")])
     for x, y in zip(*ends, strict=True):
         np.testing.assert_allclose(x, y, atol=1e-12)
+
+
+def test_copies_and_strange_names():
+    """Robots are sent to other processes; names of joints need not be identifiers."""
+    text = robot(*CHAIN[:3], joint("a-b", "a", "b"), joint("é 1", "b", "c"))
+    system = ss.from_urdf(text)
+    copy = pickle.loads(pickle.dumps(system))
+    assert copy == system
+    assert copy.table() == system.table()
+    assert copy.state({"a-b": 1.0, "é 1": 2.0})[0].tolist() == [1.0, 2.0]
 
 
 def test_bodies_need_a_mass_and_joints_of_their_own():
