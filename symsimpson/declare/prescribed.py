@@ -126,7 +126,9 @@ def read_prescribed(
             "Write prescribed={x: sp.sin(symsimpson.time)}.",
         )
     motions: dict[AppliedUndef, sp.Expr] = {}
-    for q, motion in given.items():
+    names = {spelled(x): x for x in coordinates}
+    for key, motion in given.items():
+        q = names.get(key, key) if isinstance(key, str) else key
         if q not in coordinates:
             reject_model(
                 name,

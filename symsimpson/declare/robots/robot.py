@@ -332,9 +332,30 @@ def make_robot(
         reject_robot(
             tree.file, "no joint moves.", remedy="Lock fewer joints, or let the base float."
         )
+    _check_carried(tree, bodies)
     pull = exact(np.asarray(read_array("gravity", gravity, (3,))))
     write = in_joints if form == "joints" else in_bodies
     return _declare(tree, bodies, closed(tree, bodies, write(tree, bodies, pull)))
+
+
+def _check_carried(tree: RobotTree, bodies: Bodies) -> None:
+    """Reject a joint that moves links without mass and moments only: it has no equation."""
+    carried = [bool(x.inertia.mass or x.inertia.matrix.any()) for x in bodies.moving]
+    for number in reversed(range(len(bodies.moving))):
+        body = bodies.moving[number]
+        joint, moving = "", body.joint
+        if moving is not None:
+            joint = moving.name
+            carried[number] |= bool(moving.armature or moving.mimic)
+        if not carried[number]:
+            reject_robot(
+                tree.file,
+                f"the joint {joint!r} moves the link {body.name!r}, which has no mass.",
+                tree.links[body.name].where,
+                f"Give it an <inertial>, or lock the joint: locked={{{joint!r}: 0}}.",
+            )
+        if body.parent >= 0:
+            carried[body.parent] |= carried[number]
 
 
 def _with_locked(tree: RobotTree, joints: Any, locked: Any) -> RobotTree:
@@ -408,7 +429,7 @@ def _positions(
     positions: dict[str, Any] = {}
     for body, (origin, _) in zip(bodies.moving, places, strict=False):
         name = "base" if body.joint is None else body.joint.name
-        positions[name] = tuple(origin)
+        positions[f"{name} origin"] = tuple(origin)
     for link in tree.links.values():
         number, place = bodies.links[link.name]
         origin, turn = attached(places[number], place)

@@ -250,7 +250,7 @@ def _check_mimics(file: str, joints: Mapping[str, RobotJoint]) -> None:
 def _check_inertias(file: str, links: Sequence[RobotLink]) -> None:
     """Reject negative masses and moments, and warn of moments that no body has."""
     moments = {x.name: np.linalg.eigvalsh(x.inertia.about_centre()) for x in links}
-    largest, strange = max(x[2] for x in moments.values()), list[str]()
+    largest, strange, light = max(x[2] for x in moments.values()), list[str](), list[str]()
     for link in links:
         mass, (least, middle, most) = link.inertia.mass, moments[link.name]
         if mass < 0:
@@ -262,14 +262,22 @@ def _check_inertias(file: str, links: Sequence[RobotLink]) -> None:
                 link.where,
                 "Moments are integrals of squared distances. Check the signs.",
             )
-        if most - middle - least > WRITTEN * most or (mass == 0 and most > 0):
+        if most - middle - least > WRITTEN * most:
             strange.append(link.name)
+        if mass == 0 and most > 0:
+            light.append(link.name)
     if strange:
         warn(
             f"{file}: no body has the moments of inertia of {', '.join(strange[:5])}"
             f"{f' and {len(strange) - 5} more' if len(strange) > 5 else ''}.\nA principal moment "
-            "exceeds the sum of the other two, or there is no mass. The motion is computed with "
-            "these numbers. Check them.",
+            "exceeds the sum of the other two. The motion is computed with these numbers. Check "
+            "them.",
+            ModelWarning,
+        )
+    if light:
+        warn(
+            f"{file}: there are moments of inertia without a mass: {', '.join(light[:5])}.\nThe "
+            "motion is computed with these numbers. Check whether <mass> is missing.",
             ModelWarning,
         )
 

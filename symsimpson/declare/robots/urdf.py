@@ -67,7 +67,9 @@ def _placement(element: Element) -> Placement:
 
 def _read_link(element: Element) -> RobotLink:
     name, inertial, inertia = element.text("name"), element.first("inertial"), Inertia()
+    element.warn_of_typos("inertial visual collision collision_checking", "name")
     if inertial is not None:
+        inertial.warn_of_typos("origin mass inertia", "")
         place = _placement(inertial)
         weight, moments = inertial.first("mass"), inertial.first("inertia")
         mass = 0.0 if weight is None else weight.number("value")
@@ -121,16 +123,24 @@ def _read_joint(element: Element) -> RobotJoint:
             reject_robot(file, "the axis is zero.", given.where)
         axis = axis / (length or 1.0)
         axis = np.where(abs(axis) < ROUNDED, 0.0, axis)
+    element.warn_of_typos("origin parent child axis calibration dynamics limit mimic", "name type")
     limit, dynamics = element.first("limit"), element.first("dynamics")
     numbers: dict[str, Any] = {}
     if limit is not None:
+        limit.warn_of_typos("", "lower upper effort velocity")
         if kind in ("revolute", "prismatic"):
-            numbers["limits"] = limit.number("lower", 0.0), limit.number("upper", 0.0)
+            low, high = limit.number("lower", 0.0), limit.number("upper", 0.0)
+            if low > high:
+                reject_robot(file, f"lower is {low:g}, above upper, {high:g}.", limit.where)
+            numbers["limits"] = low, high
         numbers["effort"] = limit.number("effort", np.inf)
         numbers["speed"] = limit.number("velocity", np.inf)
     if dynamics is not None:
-        numbers["damping"] = dynamics.number("damping", 0.0)
-        numbers["friction"] = dynamics.number("friction", 0.0)
+        dynamics.warn_of_typos("", "damping friction")
+        for what in ("damping", "friction"):
+            numbers[what] = dynamics.number(what, 0.0)
+            if numbers[what] < 0:
+                reject_robot(file, f"the {what} is {numbers[what]:g}.", dynamics.where)
     if (mimic := element.first("mimic")) is not None and kind != "fixed":
         if len(COORDINATES[kind]) != 1:
             reject_robot(file, f"a {kind} joint cannot mimic another one.", mimic.where)

@@ -5,18 +5,22 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from typing import Any
 from xml.parsers import expat
 
 import numpy as np
 
 from symsimpson.declare.robots.tree import reject_robot
-from symsimpson.errors import StorageError, reject
+from symsimpson.errors import ModelWarning, StorageError, reject
 from symsimpson.support.array_types import Floats
+from symsimpson.support.calling import warn
 from symsimpson.support.files import read_path
 
 #: The largest file and the largest number of elements. Larger files are mistakes or attacks.
 MOST_BYTES, MOST_ELEMENTS = 10 * 2**20, 10_000
+#: Names that are more alike than this are probably misspelled.
+SIMILAR = 0.8
 
 
 @dataclass
@@ -42,6 +46,21 @@ class Element:
     def first(self, tag: str) -> Element | None:
         """Return the first child with a tag."""
         return next(self.all(tag), None)
+
+    def warn_of_typos(self, tags: str, attributes: str) -> None:
+        """Warn of children and attributes whose names are nearly those of known ones."""
+        for what, given, known in (
+            ("element", [x.tag for x in self.children], tags.split()),
+            ("attribute", [*self.attributes], attributes.split()),
+        ):
+            for name in given:
+                near = get_close_matches(name, known, 1, SIMILAR)
+                if name not in known and near:
+                    warn(
+                        f"{self.file}, {self.where}: the {what} {name!r} is ignored. Did you mean "
+                        f"{near[0]}?",
+                        ModelWarning,
+                    )
 
     def text(self, name: str) -> str:
         """Return an attribute that must be there."""
@@ -116,5 +135,7 @@ def parse(file: str, text: str) -> Element:
         parser.Parse(text.encode(), True)
     except expat.ExpatError as error:
         reason = expat.errors.messages.get(error.code, "a mistake")
+        if len(path) > 1 and reason == "no element found":
+            reason = f"the closing tag </{path[-1].tag}> is missing"
         reject_robot(file, f"it is not XML: {reason}.", f"line {error.lineno}")
     return whole.children[0]

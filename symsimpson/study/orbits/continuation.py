@@ -135,7 +135,7 @@ class Continuation:
         free = int((sizes[:missing] > FREE).sum())
         if free < missing:
             reject(
-                f"the conditions leave {missing - free} more quantities free than {self.name}.",
+                f"the conditions leave {missing - free} of the quantities free beside {self.name}.",
                 where=self.search.stepper.system,
                 remedy="Search with more conditions in fixed=, which hold for the whole family.",
             )

@@ -29,6 +29,8 @@ from symsimpson.support.names import as_tuple, did_you_mean, spelled
 
 #: Segments of searches that begin with states along the whole path.
 SEGMENTS = 8
+#: The time, in periods over 2 pi, after which a position that is no equilibrium has moved.
+SOON = 0.01
 #: The most steps to an event without a guess of the period, and the most periods with one.
 STEPS_TO_EVENT, PERIODS_TO_EVENT = 1000, 4
 #: Relative damping of an oscillation, and difference of two steps, that count as none.
@@ -208,6 +210,8 @@ def _states_of_mode(stepper: Stepper, given: OrbitArguments) -> OrbitArguments:
             where=stepper.system,
             remedy="Count from 0, the slowest one.",
         )
+    frequency = values[turning[number]].imag
+    _check_equilibrium(stepper, rest, given, frequency)
     vector = vectors[:, turning[number]]
     vector = vector / vector[:n][abs(vector[:n]).argmax()]  # one coordinate starts at its extreme
     turns = np.exp(2j * np.pi * np.arange(SEGMENTS) / SEGMENTS)
@@ -215,7 +219,23 @@ def _states_of_mode(stepper: Stepper, given: OrbitArguments) -> OrbitArguments:
     q, p = states[:, :n], states[:, n:]
     if not canonical:
         p = _momenta(stepper, q, p, given)
-    return replace(given, period=2 * np.pi / values[turning[number]].imag, guess=(q, p), mode=None)
+    return replace(given, period=2 * np.pi / frequency, guess=(q, p), mode=None)
+
+
+def _check_equilibrium(
+    stepper: Stepper, rest: Any, given: OrbitArguments, frequency: float
+) -> None:
+    """Reject a position whose equilibrium is farther away than the amplitude of the guess."""
+    options = {"parameters": given.parameters, "t0": given.t0, "steps": 1}
+    after = stepper.integrate(rest.q[0], p0=rest.p[0], h=SOON / frequency, **options)
+    away = 2 * (after.q[1] - rest.q[0]) / SOON**2  # the acceleration, divided by the frequency^2
+    if not abs(away).max() <= given.size:
+        worst = stepper.coordinates[int(abs(away).argmax())]
+        reject(
+            f"mode= needs an equilibrium, but forces move this position, most of all {worst}.",
+            where=stepper.system,
+            remedy="Pass the position at which all forces are zero, or a larger size=.",
+        )
 
 
 def _momenta(stepper: Stepper, q: Floats, v: Floats, given: OrbitArguments) -> Floats:

@@ -30,7 +30,7 @@ class OrbitStatus(_Outcome):
     FOUND = 0, "The orbit closes up to round-off."
     FOUND_COARSE = 1, "The orbit closes, but not up to round-off. Take more steps."
     SHORTER = 2, "The orbit repeats one of a shorter period, orbit.primitive."
-    NOT_ISOLATED = 3, "All motions nearby are periodic, too. This one is the nearest to the guess."
+    NOT_ISOLATED = 3, "Motions nearby have the same period. This orbit is the nearest to the guess."
     NOT_CONVERGED = (
         4,
         "Newton's method did not converge. Give a nearer guess, a guess along the whole orbit "

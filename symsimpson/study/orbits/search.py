@@ -24,6 +24,8 @@ FOUND, COARSE = 1e-11, 1e-8
 UNFOLDED, TRIVIAL = 1e-9, 1e-4
 #: The speed of an equilibrium, and the error of a shorter period, relative to the scale.
 AT_REST, REPEATED = 1e-8, 1e-7
+#: Motion of positions that is only round-off, relative to the scale.
+ROUNDED = 1e-12
 #: The least period as a part of its guess, and the largest number of repetitions.
 SHRUNK, MOST_REPEATED = 1e-3, 12
 #: Singular values of D - I below this part of the largest derivative are zeros.
@@ -204,7 +206,9 @@ class Search:
         if abs(orbit.period) < SHRUNK * abs(shooting.reference_period):
             why = "The period fell to zero: give a nearer guess of it."
             return OrbitStatus.NOT_CONVERGED, why, None
-        if (abs(states - states[0]) < AT_REST * scale).all():
+        moves = abs(states - states[0]) / scale
+        still = (moves < AT_REST).all() or (moves[:, : self.stepper.n] < ROUNDED).all()
+        if still and self.stepper.program.header.autonomous:
             return OrbitStatus.EQUILIBRIUM, "", None
         growth = self._growth(orbit.derivative)
         if closing is not None and not self.flow.to_event:

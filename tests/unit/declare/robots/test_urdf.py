@@ -72,6 +72,15 @@ DROP = '<origin xyz="0 0 -2"/><axis xyz="0 1 0"/>'
         ([link("a")], "no joint moves"),
         (["<link"], "line 3: it is not XML"),
         (["</link>"], "line 2: it is not XML: mismatched tag"),
+        (
+            [link("a"), link("b", ""), joint("j", "a", "b")],
+            r"line 3, .*'j' moves the link 'b', which has no mass",
+        ),
+        ([*CHAIN, joint("k", "b", "c", inside='<dynamics damping="-1"/>')], "the damping is -1"),
+        (
+            [*CHAIN, joint("k", "b", "c", "revolute", '<limit lower="1" upper="0"/>')],
+            "lower is 1, above upper, 0",
+        ),
         (["<x/>"] * 10_001, "it has more than 10000 elements"),
     ],
 )
@@ -85,6 +94,8 @@ def test_entities_and_large_texts_are_rejected(tmp_path):
         text = f"<!DOCTYPE robot [<!ENTITY e {entity}>]>\n{robot(link('&e;'))}"
         with pytest.raises(ss.ModelError, match="line 1: it declares the entity 'e'"):
             ss.from_urdf(text)
+    with pytest.raises(ss.ModelError, match="the closing tag </robot> is missing"):
+        ss.from_urdf(f"<robot>{link('a')}")
     with pytest.raises(ss.ModelError, match="more than 10 MB"):
         ss.from_urdf("<robot>" + " " * 10 * 2**20)
     with pytest.raises(ss.StorageError, match="cannot be read"):
@@ -109,6 +120,18 @@ def test_entities_and_large_texts_are_rejected(tmp_path):
 def test_bad_arguments(arguments, message):
     with pytest.raises(ss.SymsimpsonError, match=message):
         ss.from_urdf(robot(*CHAIN, joint("k", "b", "c")), **arguments)
+
+
+@pytest.mark.parametrize(
+    ("inside", "told"),
+    [
+        ('<dynamics dampin="0.3"/>', "line 4, <dynamics>: the attribute 'dampin' .* damping"),
+        ('<dynamic damping="0.3"/>', "the element 'dynamic' is ignored. Did you mean dynamics"),
+    ],
+)
+def test_misspelled_names_warn(inside, told):
+    with pytest.warns(ss.ModelWarning, match=told):
+        ss.from_urdf(robot(link("a", ""), link("b"), joint("j", "a", "b", inside=inside)))
 
 
 def test_inertias_that_no_body_has_and_friction_warn():
@@ -225,7 +248,7 @@ def test_shapes_are_drawn():
         )
     )
     system = ss.from_urdf(robot(link("a", ""), link("b", BAR + shapes), joint("j", "a", "b")))
-    assert {"j", "b box", "b cylinder 2", "b sphere 3"} == set(map(str, system.positions))
+    assert {"j origin", "b box", "b cylinder 2", "b sphere 3"} == set(map(str, system.positions))
     corners = np.array(
         [[x.subs({system.joints["j"]: 0}) for x in p] for p in system.positions["b box"]]
     )
