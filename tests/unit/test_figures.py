@@ -111,7 +111,7 @@ def first_calls(cache_folder):
 LINES = {
     "api": 1864,
     "cli": 800,
-    "declare": 8555,
+    "declare": 8626,
     "discrete": 1902,
     "graph": 2190,
     "lower": 6126,
@@ -123,7 +123,7 @@ LINES = {
     "run": 7154,
     "schemes": 790,
     "stepping": 2456,
-    "study": 12936,
+    "study": 12960,
     "support": 1175,
     "systems": 1915,
     "targets": 4604,
@@ -152,11 +152,11 @@ FIGURES = {
     "values called found, made, own or one": (0, lambda: sum(map(is_vague, every_node()))),
     "names that several files have": (1, repeated_names),
     "modules at the root": (3, lambda: len(list(PACKAGE.glob("*.py")))),
-    "lines of the package": (69831, lambda: sum(lines_of_rooms().values())),
+    "lines of the package": (69926, lambda: sum(lines_of_rooms().values())),
     "files": (301, lambda: len(FILES)),
     "floors": (10, floors),
     "class names that occur twice": (6, repeated_classes),
-    "docstrings with private words": (33, private_words),
+    "docstrings with private words": (34, private_words),
     "docstrings that cannot be read alone": (
         0,
         lambda: sum(

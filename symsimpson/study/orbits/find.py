@@ -141,7 +141,7 @@ def _check_system(stepper: Stepper) -> None:
         )
     if not program.numbers.compiled:
         reject("a search for orbits needs double precision.", remedy="Compile without precision=.")
-    if program.inputs:
+    if program.inputs and program.default_inputs is None:
         reject(
             "orbits of systems with inputs are not available.",
             where=stepper.system,

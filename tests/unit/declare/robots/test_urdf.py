@@ -225,6 +225,18 @@ def test_copies_and_strange_names():
     assert copy.state({"a-b": 1.0, "é 1": 2.0})[0].tolist() == [1.0, 2.0]
 
 
+@pytest.mark.slow
+def test_periodic_orbits_have_the_torques_zero():
+    system = ss.from_urdf(robot(*CHAIN, joint("k", "b", "c", inside=DROP)))
+    j, k = system.coordinates
+    free = {"coordinates": (j, k), "kinetic": system.kinetic, "potential": system.potential}
+    periods = [
+        ss.compile(x, "gauss8").periodic(mode=([0.0, 0.0], 0), size=0.05, steps=16).period
+        for x in (system, ss.MechanicalSystem("free", **free))
+    ]
+    assert periods[0] == pytest.approx(periods[1], rel=1e-12)
+
+
 def test_bodies_need_a_mass_and_joints_of_their_own():
     light = robot(
         link("a", ""), link("b", ""), link("c"), joint("j", "a", "b"), joint("k", "b", "c")
