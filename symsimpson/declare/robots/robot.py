@@ -278,7 +278,7 @@ def from_mjcf(
     gravity : three floats, optional
         The acceleration of gravity. By default, the model has it.
     ignore : iterable of str, optional
-        What to leave out: "contacts", "tendons", "actuators", "limits", "friction", "damping",
+        What to ignore: "contacts", "tendons", "actuators", "limits", "friction", "damping",
         "springs", "fluid" or "flexes".
     form : {"joints", "bodies"}, default "joints"
         See :func:`from_urdf`.

@@ -48,7 +48,7 @@ class Element:
         return next(self.all(tag), None)
 
     def warn_of_typos(self, tags: str, attributes: str) -> None:
-        """Warn of children and attributes whose names are nearly those of known ones."""
+        """Warn of children and attributes whose names resemble known names."""
         for what, given, known in (
             ("element", [x.tag for x in self.children], tags.split()),
             ("attribute", [*self.attributes], attributes.split()),

@@ -88,7 +88,7 @@ def test_files_of_driven_orbits(tmp_path):
 
 @pytest.mark.slow
 def test_along_a_parameter_and_the_period(swing):
-    with pytest.raises(ss.InputError, match="leave 1 more quantities free than l"):
+    with pytest.raises(ss.InputError, match="leave 1 of the quantities free beside l"):
         swing.family("l", to=2.0)
     slower = swing.family("period", to=3.0)
     assert slower["period"][-1] == pytest.approx(3.0, abs=1e-13)
