@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -19,17 +19,14 @@ from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.literals import float_literals
 from symsimpson.support.names import spelled
 
-if TYPE_CHECKING:
-    from symsimpson.declare.system import MechanicalSystem
-
 
 class PrescribedMotion:
     """Coordinates as functions of the time, and the system in which they are constrained."""
 
     def __init__(
         self,
-        whole: Callable[[], MechanicalSystem],
-        again: Callable[[], MechanicalSystem],
+        whole: Callable[[], Declared],
+        again: Callable[[], Declared],
         motions: Mapping[AppliedUndef, sp.Expr],
     ) -> None:
         self._make, self.motions = whole, dict(motions)
@@ -40,7 +37,7 @@ class PrescribedMotion:
         self.names = (*names, *(f"v_{x}" for x in names), *(f"force_{x}" for x in names))
 
     @cached_property
-    def _whole(self) -> MechanicalSystem:
+    def _whole(self) -> Declared:
         """The system with all coordinates, and with constraints for the prescribed ones."""
         return self._make()
 
