@@ -114,7 +114,7 @@ def _is_torque(mujoco: Any, m: Any, k: int) -> bool:
 
 def _place(position: Floats, quaternion: Floats) -> Placement:
     turn = np.array(rotation_matrix(quaternion.tolist()), dtype=np.float64)
-    return Placement(turn) if position is None else Placement(turn, np.array(position))
+    return Placement(turn, np.array(position))
 
 
 def _tree(mujoco: Any, m: Any, file: str) -> RobotTree:
@@ -132,10 +132,8 @@ def _tree(mujoco: Any, m: Any, file: str) -> RobotTree:
         place = _place(m.body_pos[body], m.body_quat[body])
         first = m.body_jntadr[body]
         for k in range(first, first + m.body_jntnum[body]):
-            joint, link = _joint(
-                m, k, name("JOINT", k), above, f"{link_name} after {name('JOINT', k)}", place
-            )
-            joints.append(joint)
+            link = f"{link_name} after {name('JOINT', k)}"
+            joints.append(_joint(m, k, name("JOINT", k), above, link, place))
             links.append(RobotLink(link))
             above, place = link, Placement(shift=-m.jnt_pos[k])
         joints.append(RobotJoint(f"{link_name} fixed", "fixed", above, link_name, place))
@@ -149,10 +147,8 @@ def mujoco_name(m: Any) -> str:
     return str(m.names.split(b"\0", 1)[0].decode(errors="replace")) or "robot"
 
 
-def _joint(
-    m: Any, k: int, name: str, above: str, link: str, place: Placement
-) -> tuple[RobotJoint, str]:
-    """Return a joint, and the name of the link that it moves."""
+def _joint(m: Any, k: int, name: str, above: str, link: str, place: Placement) -> RobotJoint:
+    """Return a joint between two links."""
     kind, dof, q = KINDS[m.jnt_type[k]], m.jnt_dofadr[k], m.jnt_qposadr[k]
     place = Placement() if kind == "floating" else place @ Placement(shift=m.jnt_pos[k].copy())
     axis = m.jnt_axis[k].copy()
@@ -171,10 +167,7 @@ def _joint(
     elif m.dof_armature[dof : dof + 3].any():
         reject(f"the joint {name!r} has an armature, but turns about all axes.", error=ModelError)
     armature = float(m.dof_armature[dof]) if scalar else 0.0
-    return (
-        RobotJoint(name, kind, above, link, place, axis, limits, armature=armature, **numbers),
-        link,
-    )
+    return RobotJoint(name, kind, above, link, place, axis, limits, armature=armature, **numbers)
 
 
 def _link(m: Any, body: int, name: str) -> RobotLink:
@@ -202,8 +195,7 @@ def _loops(mujoco: Any, m: Any, file: str, name: Any) -> Iterator[ClosedLoop]:
         if kind == kinds.mjEQ_JOINT:
             zeros = [float(m.qpos0[m.jnt_qposadr[x]]) if x >= 0 else 0.0 for x in ends]
             first, second = (name("JOINT", x) if x >= 0 else "" for x in ends)
-            names = first, second
-            yield ClosedLoop(called, "joint", names, numbers=(*zeros, *data[:5].tolist()))
+            yield ClosedLoop(called, "joint", (first, second), numbers=(*zeros, *data[:5].tolist()))
         elif kind in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
             if int(m.eq_objtype[k]) != int(mujoco.mjtObj.mjOBJ_BODY):
                 reject_robot(
