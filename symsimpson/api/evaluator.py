@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from symsimpson.errors import reject
-from symsimpson.program.observed import evaluate_energy
+from symsimpson.program.evaluation import evaluate_energy
 from symsimpson.program.program import Program
 from symsimpson.run.requested import take_step
 from symsimpson.run.step_equations import StepArguments, evaluate_curvature, evaluate_equations

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike
-
 from symsimpson.errors import reject
-from symsimpson.program.input_values import read_array
-from symsimpson.program.numbers import NO_INPUTS, workspace
 from symsimpson.program.program import Program
 from symsimpson.program.reader import OF_MATH, ExpressionParser
 from symsimpson.program.recorders import Recorder
-from symsimpson.support.array_types import Reals
 from symsimpson.text.header import Header
 from symsimpson.text.interface import FADED, MET, WATCHED, ZERO
-from symsimpson.text.quantity import OBSERVABLE, VECTORS
+from symsimpson.text.quantity import MULTIPLIERS, OBSERVABLE, VECTORS
 
 #: Reductions over the steps of a run, in the order of their numbers: four of values at states,
 #: three of variations, and the number of times that an event acted.
@@ -41,6 +35,7 @@ class ObservedExpression:
     wrapped: tuple[int, ...] = ()  #: Coordinates whose angle is wrapped to -pi..pi.
     #: Whether it is a remainder such as ``Mod(q1, 2*pi)``, which never changes its sign.
     rest: bool = False
+    held: bool = False  #: Whether it contains multipliers, which the multipliers kernel computes.
 
     @property
     def constant(self) -> bool:
@@ -115,7 +110,8 @@ def read_expression(
     """
     parser = ExpressionParser(program, what)
     text = parser.parse(expression)
-    return ObservedExpression(str(expression), text, parser.energetic, wrapped, parser.rest)
+    flags = parser.energetic, wrapped, parser.rest, parser.held
+    return ObservedExpression(str(expression), text, *flags)
 
 
 def check_not_constant(observed: ObservedExpression, what: str) -> None:
@@ -181,8 +177,15 @@ def read_reductions(
         parser = ExpressionParser(program, f"reduce[{name!r}]")
         text = parser.parse(expression)
         portable = parser.to_portable(expression, text)
-        reductions.append(Reduction(portable, text, parser.energetic, name=str(name), kind=kind))
+        about: dict[str, Any] = {"held": parser.held, "name": str(name), "kind": kind}
+        reductions.append(Reduction(portable, text, parser.energetic, **about))
     return tuple(reductions)
+
+
+def kernels_before(observed: Sequence[ObservedExpression]) -> list[str]:
+    """Return the kernels that must run, in this order, before the expressions are evaluated."""
+    kernels = ["energy"] if any(quantity.energetic for quantity in observed) else []
+    return kernels + (["multipliers"] if any(quantity.held for quantity in observed) else [])
 
 
 def observing_kernel(header: Header, observed: Sequence[ObservedExpression]) -> str:
@@ -219,9 +222,9 @@ def reduction_recorders(
         lines += [f"value = {quantity.text}", *_reduced(quantity.kind, row, now, passed)]
     lines.append(f"W[{count}, lane] = number + 1.0")
     text = _kernel("Quantities that are watched, reduced over states.", [], _where_active(lines))
-    energy = (Recorder("energy", of_states=True),) if any(x.energetic for _, x in watched) else ()
+    needed = (Recorder(x, of_states=True) for x in kernels_before([x for _, x in watched]))
     rows = 2 * len(reductions) + 1
-    return *energy, Recorder("observe", first, room=rows, text=text, of_states=True)
+    return *needed, Recorder("observe", first, room=rows, text=text, of_states=True)
 
 
 def event_recorders(
@@ -281,10 +284,9 @@ def event_recorders(
     lines += ["if met > 0.0:", f"    W[STATUS, lane] = {MET}.0", "else:"]
     lines += [f"    {line}" for line in updates]
     text = _kernel("Signs of the watched expressions.", [], _where_active(lines))
-    energetic = any(x.energetic for x in watched)
-    energy = (Recorder("energy", of_events=True),) if energetic else ()
+    needed = (Recorder(kernel, of_events=True) for kernel in kernels_before(watched))
     room = WATCHED * len(watched)
-    return *energy, Recorder("watch", first, room=room, text=text, of_events=True)
+    return *needed, Recorder("watch", first, room=room, text=text, of_events=True)
 
 
 def _where_active(lines: Sequence[str]) -> list[str]:
@@ -322,6 +324,8 @@ def _names(header: Header) -> list[str]:
     rows = [(f"{x.symbol}{i}", f"{x.block} + {i}") for x in VECTORS for i in range(header.n)]
     rows += [(f"a_{i}", f"PARAMETER + {i}") for i in range(len(header.parameters))]
     rows += [(x.symbol, x.block) for x in OBSERVABLE]
+    multipliers = range(len(header.constraints))
+    rows += [(f"{MULTIPLIERS.symbol}{i}", f"MULTIPLIER + {i}") for i in multipliers]
     return [f"{name} = W[{row}, lane]" for name, row in rows]
 
 
@@ -340,119 +344,3 @@ def _kernel(doc: str, names: Sequence[str], lines: Iterable[str]) -> str:
             "",
         ]
     )
-
-
-def evaluate(
-    program: Program,
-    kernel: str,
-    block: str,
-    count: int,
-    states: tuple[Reals, Reals, Reals],
-    values: Reals,
-    inputs: Reals = NO_INPUTS,
-) -> Reals:
-    """Evaluate a kernel of the state at many states (t, q, p); shape (..., count).
-
-    ``q`` and ``p`` have shape (..., n). The kernel "legendre" takes velocities in place of p.
-    ``values`` of the parameters have shape (m,), or (K, m) if the first axis of ``q`` counts
-    members. The axis of ``inputs`` for steps counts states here; only powers of forces use inputs.
-    For huge angles, at which fast sines are NaN, the states are evaluated again with the sines of
-    the C library.
-    """
-    header, numbers, kernels = program.header, program.numbers, program.kernels
-    driver, shape = numbers.driver("evaluate"), states[1].shape[:-1]
-    with numbers.working():
-        rows_of_values = np.atleast_2d(numbers.read(values))
-        W, unit = workspace(header, numbers, rows_of_values[0]), numbers.read(1.0).item()
-        t, q, p = map(numbers.read, states)
-        t = t if t.shape == shape else np.broadcast_to(t, shape).copy()
-        t, q, p = t.reshape(-1), q.reshape(-1, header.n), p.reshape(-1, header.n)
-
-        def at(some: Any, values: Reals, inputs: Reals, *, any_angle: bool) -> Reals:
-            address = kernels.address(kernel, any_angle=any_angle)
-            addresses, here = (kernels.address("prepare"), 0, address), (t[some], q[some], p[some])
-            out, given = numbers.zeros((len(here[0]), count)), (inputs, values)
-            setting = unit, W, header.driver_layout, here, header.layout[block]
-            driver(addresses, *setting, out, given)
-            return numbers.result(out)
-
-        rows = at(slice(None), rows_of_values, inputs, any_angle=False)
-        if header.fast_sines and not numbers.all_finite(rows):
-            known = numbers.finite(q).all(axis=1) & numbers.finite(p).all(axis=1)
-            again = np.flatnonzero(known & ~numbers.finite(rows).all(axis=1))
-            if again.size:
-                some_values = rows_of_values[again * len(rows_of_values) // len(rows)]
-                some_inputs = inputs if inputs.shape[1] == 1 else inputs[:, again]
-                rows[again] = at(again, some_values, some_inputs, any_angle=True)
-    return rows.reshape(*shape, count)
-
-
-def prepare_observation(
-    program: Program, observed: Sequence[ObservedExpression], values: Reals, kernel: Any = None
-) -> tuple[tuple[int, int, int], Reals]:
-    """Return the kernels that evaluate expressions (prepare, energy, observe), and a workspace.
-
-    The ``kernel`` is compiled unless it is given. Raises InputError for a multiprecision stepper.
-    """
-    header, numbers, kernels = program.header, program.numbers, program.kernels
-    if kernel is None:
-        kernel = kernels.compile_observer(observing_kernel(header, observed), len(observed))
-    W = workspace(header, numbers, np.atleast_2d(numbers.read(values))[0], more=len(observed))
-    return (kernels.address("prepare"), kernels.address("energy"), kernel), W
-
-
-def make_evaluator(
-    program: Program, observed: Sequence[ObservedExpression], values: Reals, kernel: Any = None
-) -> Callable[[Reals, Reals, Reals], Reals]:
-    """Return a function of states (t, q, p) that evaluates expressions.
-
-    Its result has shape (len(q), len(observed)). ``values`` of the parameters have shape (m,), or
-    (K, m) for equally many states of each of K members, one member after another. The ``kernel`` is
-    compiled unless it is given. Raises InputError for a multiprecision stepper.
-    """
-    header, numbers = program.header, program.numbers
-    (prepare, energy, kernel), W = prepare_observation(program, observed, values, kernel)
-    # callers often pass a single state, so everything else is prepared once
-    others = energy if any(quantity.energetic for quantity in observed) else 0, kernel
-    driver = numbers.driver("evaluate")
-    first, about, count = header.rows, header.driver_layout, len(observed)
-    given = NO_INPUTS, np.atleast_2d(numbers.read(values))
-    prepared = False
-
-    def watch(t: Reals, q: Reals, p: Reals) -> Reals:
-        nonlocal prepared
-        out = numbers.zeros((len(q), count))
-        # copies, because arrays from files and from other processes may be read-only
-        states = tuple(np.array(x, dtype=out.dtype, order="C") for x in (t, q, p))
-        again = prepared and len(given[1]) == 1
-        driver((0 if again else prepare, *others), 1.0, W, about, states, first, out, given)
-        prepared = True
-        return out
-
-    return watch
-
-
-def evaluate_energy(
-    program: Program,
-    given_q: ArrayLike,
-    given_p: ArrayLike,
-    parameters: Mapping[Any, Any] | None,
-    t: ArrayLike,
-) -> Reals:
-    """Evaluate the Hamiltonian at given states, shape (N,), or at one state."""
-    numbers, n = program.numbers, program.n
-    with numbers.working():
-        states = [read_array(name, x, numbers) for name, x in (("q", given_q), ("p", given_p))]
-        single = all(state.shape == (n,) for state in states)
-        states = [state[None] for state in states] if single else states
-        for name, state in zip("qp", states, strict=True):
-            if state.ndim != 2 or state.shape != (len(states[0]), n):
-                reject(
-                    f"{name} has shape {state.shape}, expected (N, {n}) or ({n},).",
-                    remedy="Pass one row for each state, and as many rows in q as in p.",
-                )
-        values = program.values(parameters)
-        times = np.broadcast_to(read_array("t", t, numbers), len(states[0]))
-    q, p = states
-    energies: Reals = evaluate(program, "energy", "ENERGY", 1, (times, q, p), values)
-    return energies[0, 0] if single else energies[:, 0]

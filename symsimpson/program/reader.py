@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 from symsimpson.errors import reject
 from symsimpson.program.program import Program
 from symsimpson.support.names import counted, did_you_mean, spelled
-from symsimpson.text.quantity import QUANTITIES, VECTORS, scalars_of
+from symsimpson.text.quantity import MULTIPLIERS, QUANTITIES, SCALARS, VECTORS, scalars_of
 
 #: Functions of ``math`` that an expression may contain.
 OF_MATH = "acos, asin, atan, atan2, cos, cosh, exp, log, sin, sinh, sqrt, tan, tanh"
@@ -31,7 +31,9 @@ SYNTAX = re.compile(r"[\w\s.+\-*/%(),]*")
 OPERATORS = re.compile(r"[.+\-*/%(),]")
 #: Symbols of the quantities that the energy kernel computes before it evaluates an expression.
 COMPUTED = tuple(
-    quantity.symbol for quantity in QUANTITIES.values() if quantity.symbol and quantity.kernel
+    quantity.symbol
+    for quantity in QUANTITIES.values()
+    if quantity.symbol and quantity.kernel and quantity is not MULTIPLIERS
 )
 #: Most characters of a text of the user, and of a text that SymPy writes.
 LONGEST, LONGEST_OF_SYMPY = 2000, 100_000
@@ -59,14 +61,14 @@ class ExpressionParser:
     """A parser that translates an expression through its syntax tree, from a list of known nodes.
 
     Names are names of the user, which need not be identifiers of Python, or names of the module.
-    ``energetic`` tells whether the expression contains the energy or velocities. ``rest`` tells
-    whether it is a remainder such as ``Mod(q1, 2*pi)``. Every method raises InputError for an
-    invalid expression.
+    ``energetic`` tells whether the expression contains the energy or velocities, and ``held``
+    whether it contains multipliers of constraints. ``rest`` tells whether it is a remainder such as
+    ``Mod(q1, 2*pi)``. Every method raises InputError for an invalid expression.
     """
 
     def __init__(self, program: Program, where: str) -> None:
         self._where, self._header = where, program.header
-        self.energetic = self.rest = False
+        self.energetic = self.held = self.rest = False
         coordinates, parameters = program.names.coordinates, program.names.parameters
         self._known = {"t": "t", "pi": "3.141592653589793"}
         self._known |= {scalar.name: scalar.symbol for scalar in scalars_of(program.header)}
@@ -79,12 +81,17 @@ class ExpressionParser:
         }
         self._double = set(parameters.places) & (reserved | (of_state.keys() - coordinates.places))
         self._known |= of_state
+        multipliers = zip(
+            MULTIPLIERS.shown(program.names), range(len(program.header.constraints)), strict=True
+        )
+        held = {name: f"{MULTIPLIERS.symbol}{i}" for name, i in multipliers}
+        self._known = held | self._known
         momenta = getattr(program.declared, "momenta", ())
         self._known |= {str(p): f"p_{i}" for i, p in enumerate(momenta)}
         self._moving = set(coordinates.places)
         shown = [vector.shown(program.names) for vector in VECTORS]
         self._listed = [*chain(*shown), *parameters.shown]
-        self._listed += ["t", *(scalar.name for scalar in scalars_of(program.header)), "pi"]
+        self._listed += [*held, "t", *(scalar.name for scalar in scalars_of(program.header)), "pi"]
         self._used: set[str] = set()
         #: Plain identifiers, and the names of the user that they replace in a text.
         self._replaced: dict[str, str] = {}
@@ -114,12 +121,14 @@ class ExpressionParser:
         written = {f"q_{i}": name for i, name in coordinates}
         written |= {f"{kind}_{i}": f"{kind}_{name}" for kind in "pv" for i, name in coordinates}
         written |= {f"a_{i}": name for i, name in parameters}
+        held = enumerate(self._header.constraints)
+        written |= {f"{MULTIPLIERS.symbol}{i}": f"{MULTIPLIERS.prefix}{x}" for i, x in held}
         known = {"t": "t", "pi": self._known["pi"]}
         known |= {scalar.name: scalar.symbol for scalar in scalars_of(self._header)}
         known |= {name: symbol for symbol, name in written.items()}
         if all(known.get(name) == self._known[name] for name in self._used):
             return str(expression)
-        return re.sub(r"\b[qpva]_\d+\b", lambda match: written[match[0]], text)
+        return re.sub(r"\b[qpval]_\d+\b", lambda match: written[match[0]], text)
 
     def _with_plain_symbols(self, expression: Any) -> Any:
         """Replace symbols, coordinates and velocities of a SymPy expression by plain symbols."""
@@ -224,6 +233,9 @@ class ExpressionParser:
                     self._reject(f"{name!r} is a parameter, and the name of another quantity, too")
                 self._used.add(name)
                 self.energetic |= self._known[name].startswith(COMPUTED)
+                self.held |= self._known[name].startswith(MULTIPLIERS.symbol)
+                if self.held and {scalar.name for scalar in SCALARS} & self._used:
+                    self._reject("it contains both the energy and a multiplier")
                 return self._known[name]
             case ast.Call(
                 func=ast.Name(id="Derivative"),

@@ -10,8 +10,8 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from symsimpson.errors import reject
+from symsimpson.program.evaluation import evaluate
 from symsimpson.program.numbers import workspace
-from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder, driver_layout, work
 from symsimpson.results.states import FinishedRun, States

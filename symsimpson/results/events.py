@@ -10,13 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import reject
+from symsimpson.program.evaluation import make_evaluator
 from symsimpson.program.input_values import whole_number
-from symsimpson.program.observed import (
-    ObservedExpression,
-    check_not_constant,
-    make_evaluator,
-    read_expression,
-)
+from symsimpson.program.observed import ObservedExpression, check_not_constant, read_expression
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.interpolate import DenseOutput

@@ -418,7 +418,7 @@ class States(Quantities, Tabular, Plottable):
     def _evaluate_rows(
         self, kernel: str, block: str, count: int, *, driven: bool = False
     ) -> NDArray[Any]:
-        from symsimpson.program.observed import evaluate
+        from symsimpson.program.evaluation import evaluate
 
         states, values = (self.t, self.q, self.p), self.parameter_values
         inputs = inputs_at_times(self.program, self.driven, self.t) if driven else NO_INPUTS

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, ModelError, reject
-from symsimpson.program.observed import evaluate, make_evaluator
+from symsimpson.program.evaluation import evaluate, make_evaluator
 from symsimpson.program.program import Program
 from symsimpson.stepping.constrained_start import project_start
 from symsimpson.stepping.event import Impact

@@ -12,7 +12,7 @@ from numba import types
 from numpy.typing import NDArray
 
 from symsimpson.program.driver import driver_text
-from symsimpson.program.observed import prepare_observation
+from symsimpson.program.evaluation import prepare_observation
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.events import BESIDE, EventRecord, signs_near

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from symsimpson.errors import InputError, StorageError, reject
+from symsimpson.program.evaluation import evaluate
 from symsimpson.program.input_values import read_count
 from symsimpson.program.numbers import NOTHING
-from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder
 from symsimpson.program.status import Status

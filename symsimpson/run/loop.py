@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from symsimpson.errors import ResolutionWarning, reject
+from symsimpson.program.evaluation import evaluate
 from symsimpson.program.input_values import MOST_STEPS
 from symsimpson.program.numbers import NOTHING
-from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
 from symsimpson.results.states import States
 from symsimpson.results.trajectory import Trajectory

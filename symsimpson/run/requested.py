@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from symsimpson.errors import reject
-from symsimpson.program.observed import evaluate_energy
+from symsimpson.program.evaluation import evaluate_energy
 from symsimpson.program.program import Program
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.integrate import integrate

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.program.observed import evaluate
+from symsimpson.program.evaluation import evaluate
 from symsimpson.program.program import Program, new_program
 from symsimpson.results.energies import approximate_work, exact_work
 from symsimpson.results.trajectory import Trajectory

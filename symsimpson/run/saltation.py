@@ -16,7 +16,8 @@ import numpy as np
 
 from symsimpson.errors import ResolutionWarning
 from symsimpson.program.digits import read_precision
-from symsimpson.program.observed import make_evaluator, observing_kernel
+from symsimpson.program.evaluation import make_evaluator
+from symsimpson.program.observed import observing_kernel
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import tangents
 from symsimpson.run.event_actions import EventMaps, read_restitution

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from symsimpson.errors import reject
+from symsimpson.program.evaluation import evaluate
 from symsimpson.program.input_values import read_array
 from symsimpson.program.numbers import Numbers, workspace
-from symsimpson.program.observed import evaluate, read_expression
+from symsimpson.program.observed import read_expression
 from symsimpson.program.program import Program
 from symsimpson.stepping.inputs import STEP
 from symsimpson.support.array_types import Reals

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import ConstraintWarning, ResolutionWarning
-from symsimpson.program.observed import evaluate
+from symsimpson.program.evaluation import evaluate
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory

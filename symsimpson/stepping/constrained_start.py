@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, ModelError, reject
-from symsimpson.program.observed import evaluate
+from symsimpson.program.evaluation import evaluate
 from symsimpson.program.program import Program
 from symsimpson.support.array_types import Reals
 from symsimpson.support.lengths import bending_length
@@ -118,7 +118,8 @@ def project_start(
     if not kind:
         return q, other
     speeds = other.astype(np.float64)
-    pulled = np.abs(at("VELOCITY", n, rest).astype(np.float64)).max(axis=1)
+    accelerations = at("HELD_RIGHT", n + m, rest)[:, list(header.tables["HELD_PLACE"][:n])]
+    pulled = np.abs(accelerations.astype(np.float64)).max(axis=1)
     # at a turning point v is only round-off: compare it with the speed that forces produce over q
     gained = np.sqrt(np.nan_to_num(pulled[:, None] * reach))
     fastest = np.abs(speeds).max(axis=1)[:, None]

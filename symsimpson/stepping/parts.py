@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.program.evaluation import make_evaluator
 from symsimpson.program.numbers import NO_INPUTS, Numbers, workspace
-from symsimpson.program.observed import Reduction, make_evaluator
+from symsimpson.program.observed import Reduction
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import with_clock, work
 from symsimpson.program.status import Status

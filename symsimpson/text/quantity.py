@@ -68,6 +68,7 @@ _TABLE = (
         by("multipliers"),
         axis="constraints",
         prefix="lambda_",
+        symbol="l_",
         driven=True,
     ),
     Quantity("energy", "energy H", "ENERGY", by("energy"), symbol="energy"),
@@ -81,6 +82,7 @@ _TABLE = (
     ),
 )
 QUANTITIES = {quantity.name: quantity for quantity in _TABLE}
+MULTIPLIERS = QUANTITIES["multipliers"]
 #: Those with a number for each coordinate, and those of one number.
 VECTORS = tuple(quantity for quantity in _TABLE if quantity.axis == "coordinates")
 SCALARS = tuple(quantity for quantity in _TABLE if not quantity.axis)

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import reject
+from symsimpson.program.evaluation import evaluate
 from symsimpson.program.input_values import read_count
-from symsimpson.program.observed import evaluate
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.energies import WORK, name_columns

@@ -18,7 +18,7 @@ from symsimpson.errors import (
     SymsimpsonError,
     reject,
 )
-from symsimpson.program.observed import evaluate
+from symsimpson.program.evaluation import evaluate
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory

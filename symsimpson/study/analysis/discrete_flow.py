@@ -11,8 +11,8 @@ import numpy as np
 
 from symsimpson.api.stepper import Stepper
 from symsimpson.program.digits import Digits, read_precision
+from symsimpson.program.evaluation import evaluate
 from symsimpson.program.numbers import workspace
-from symsimpson.program.observed import evaluate
 from symsimpson.program.program import new_program
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.stepping.constrained_start import project_start

@@ -10,7 +10,7 @@ import numpy as np
 
 from symsimpson.api.stepper import Stepper
 from symsimpson.errors import ConvergenceError, InputError, reject
-from symsimpson.program.observed import evaluate
+from symsimpson.program.evaluation import evaluate
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.ended import raise_if_interrupted
 from symsimpson.support.array_types import Floats, State

@@ -12,8 +12,8 @@ import numpy as np
 
 from symsimpson.api.stepper import Stepper
 from symsimpson.errors import ConvergenceError, SymsimpsonError
+from symsimpson.program.evaluation import evaluate
 from symsimpson.program.input_values import read_number
-from symsimpson.program.observed import evaluate
 from symsimpson.program.program import RunCache
 from symsimpson.reference.extrapolation import extrapolate
 from symsimpson.reference.first_order import canonical

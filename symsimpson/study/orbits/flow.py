@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symsimpson.errors import ConvergenceError, InputError
-from symsimpson.program.observed import evaluate
+from symsimpson.program.evaluation import evaluate
 from symsimpson.program.program import Program
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.integrate import integrate

@@ -301,10 +301,12 @@ def find_allowed_velocity(W, t, lane):
 
 @compiled
 def find_multipliers(W, lane):
-    """Find multipliers for this velocity; accelerations replace velocities."""
+    """Find multipliers for this velocity; HELD_RIGHT has the accelerations."""
     pushes(W, lane)
     copy(W, RESIDUAL, NODE_VELOCITY, DIMENSION, lane)
+    copy(W, VELOCITY, CONSTRAINT_FORCE, DIMENSION, lane)
     solve_held(W, lane)
+    copy(W, CONSTRAINT_FORCE, VELOCITY, DIMENSION, lane)
     constraint_forces(W, lane)
 
 

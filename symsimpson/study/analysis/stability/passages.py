@@ -20,7 +20,7 @@ from symsimpson.declare.system import MechanicalSystem
 from symsimpson.errors import SymsimpsonError
 from symsimpson.graph.evaluate import evaluate_nodes
 from symsimpson.graph.nodes import Value
-from symsimpson.program.observed import evaluate
+from symsimpson.program.evaluation import evaluate
 from symsimpson.program.program import Program
 from symsimpson.reference.first_order import SystemOutputs
 from symsimpson.results.trajectory import Trajectory
