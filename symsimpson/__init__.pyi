@@ -13,6 +13,9 @@ from .declare.bodies import body_rates as body_rates
 from .declare.bodies import coincide as coincide
 from .declare.bodies import quaternion as quaternion
 from .declare.bodies import rotation_matrix as rotation_matrix
+from .declare.contacts import Contact as Contact
+from .declare.contacts import Friction as Friction
+from .declare.contacts import slip as slip
 from .declare.coordinates import approach as approach
 from .declare.coordinates import coordinates as coordinates
 from .declare.coordinates import momenta as momenta
@@ -47,6 +50,7 @@ from .results.archive import open_trajectory as open_trajectory
 from .results.events import Actions as Actions
 from .results.events import Events as Events
 from .results.interpolate import DenseOutput as DenseOutput
+from .results.modes import ModeHistory as ModeHistory
 from .results.motion_derivatives import Chaos as Chaos
 from .results.motion_derivatives import Gradient as Gradient
 from .results.motion_derivatives import Linearisation as Linearisation

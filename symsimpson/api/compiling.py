@@ -175,7 +175,17 @@ def _compile_program(
         derivation=derivation,
         tools=tools,
         differentiate=partial(_compile_program, system, scheme, exploit, numbers, progress),
+        compile_for=partial(_compile_mode, scheme, exploit, varied),
     )
+
+
+def _compile_mode(
+    scheme: Scheme,
+    exploit: frozenset[str],
+    varied: tuple[str, ...] | None,
+    system: MechanicalSystem,
+) -> Program:
+    return _compile_program(system, scheme, exploit, None, False, varied)
 
 
 @lru_cache(maxsize=64)  # steppers of one declaration share its derivation

@@ -287,11 +287,11 @@ def read_velocity_constraints(
                 if nothing
                 else "It is a constraint of positions. Declare it as constraints={...}.",
             )
-        rows[key] = _split_row(name, key, expression, value, symbols)
+        rows[key] = split_row(name, key, expression, value, symbols)
     return rows
 
 
-def _split_row(
+def split_row(
     name: str, key: str, expression: Any, value: Value, symbols: Symbols
 ) -> tuple[Value, ...]:
     """Split A v - b into the row of A, followed by b."""

@@ -140,8 +140,9 @@ def read_energies(
     clock = s.graph.symbol(s.t.name)[1]
     driven = any(clock in s.graph.nodes[n].symbols for _, n in constraints.values())
     driven |= any(row[-1][0] for row in rolling.values())
-    check_number(name, rows, s, driven=driven)
-    warn_of_integrable(name, rolling, of_positions, s)
+    if not given.in_mode:  # in a mode, nothing may be left to move
+        check_number(name, rows, s, driven=driven)
+        warn_of_integrable(name, rolling, of_positions, s)
     defaults = [*parameters.values()]
     definite = not is_indefinite(s, parts.M, defaults)
     if rows:
@@ -169,7 +170,10 @@ def read_energies(
         )
 
     forces = read_forces(name, coordinates, given.forces, given.dissipation, s, read_moving)
-    check_used(name, given.inputs, s, forces)
+    if not given.in_mode:
+        elements = (*given.contacts.values(), *given.friction.values())
+        of_friction = set().union(*(x.free_symbols for x in elements))
+        check_used(name, [u for u in given.inputs if u not in of_friction], s, forces)
     positions = read_positions(name, given, s, read)
     pairs = zip(momenta(*coordinates), s.p, strict=True)
     of_momenta = {user: s.graph.symbol(symbol.name) for user, symbol in pairs}

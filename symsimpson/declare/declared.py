@@ -47,11 +47,16 @@ class Declared:
     velocity_constraints: Mapping[str, sp.Expr] = field(kw_only=True, default_factory=dict)
     units: Mapping[Any, str] = field(kw_only=True, default_factory=dict)
     prescribed: Mapping[Any, sp.Expr] = field(kw_only=True, default_factory=dict)
+    contacts: Mapping[str, Any] = field(kw_only=True, default_factory=dict)
+    friction: Mapping[str, Any] = field(kw_only=True, default_factory=dict)
+    in_mode: ClassVar[bool] = False  # True for the system of one mode of contacts and friction
     mass_checked: ClassVar[bool] = False  # True if M is known to be regular: M/g of a retimed one
     plain: Plain = field(init=False)
     seconds: dict[str, float] = field(init=False)
     #: The motion of coordinates that are prescribed, and the forces that it takes.
     motion: Any = field(init=False, default=None)
+    #: The modes of contacts and friction; None without either.
+    modes: Any = field(init=False, default=None)
 
     @property
     def n(self) -> int:
@@ -108,6 +113,7 @@ def compute_digest(system: Declared) -> str:
         *([list(map(str, system.inputs))] if system.inputs else []),
         *([["constraints", *plain.constraints]] if plain.constraints else []),
         *([["of velocities", *rolling]] if (rolling := plain.velocity_constraints) else []),
+        *([[repr(system.contacts), repr(system.friction)]] if system.modes is not None else []),
     ]
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 

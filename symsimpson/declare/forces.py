@@ -185,8 +185,8 @@ def check_used(
     """Reject an input that no force contains."""
     nodes = symbols.graph.nodes
     used = {s for force in forces.values() for _, n in force for s in nodes[n].symbols}
-    for u, n in zip(inputs, symbols.numbers(symbols.u), strict=True):
-        if n not in used:
+    for u in inputs:
+        if symbols.known[u][1] not in used:
             reject_model(
                 name,
                 f"no force contains the input {spell(u)}, so its values would change nothing.",

@@ -361,6 +361,12 @@ class Symbols:
         self.known = {user: (1, self._nodes[symbol]) for user, symbol in self.replace.items()}
         self.signs = _signs(self.graph, self.a)
 
+    def add(self, symbol: sp.Symbol) -> Value:
+        """Add a plain symbol, and return its value."""
+        value = self.graph.symbol(symbol.name)
+        self._nodes[symbol] = value[1]
+        return value
+
     def numbers(self, symbols: Iterable[sp.Symbol]) -> tuple[int, ...]:
         """Return the nodes of plain symbols."""
         return tuple(self._nodes[symbol] for symbol in symbols)

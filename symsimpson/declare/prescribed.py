@@ -11,10 +11,9 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from symsimpson.declare.checks import reject_model, spell
-from symsimpson.declare.constraints import accelerations
 from symsimpson.declare.coordinates import time
 from symsimpson.declare.declared import Declared
-from symsimpson.graph.nodes import Value
+from symsimpson.declare.index_one import IndexOneFunction
 from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.literals import float_literals
 from symsimpson.support.names import spelled
@@ -42,21 +41,8 @@ class PrescribedMotion:
         return self._make()
 
     @cached_property
-    def _equations(self) -> tuple[Any, int]:
-        """A function of t, q, v, parameters and inputs, and the number of constraints.
-
-        It returns M, W, the right-hand sides of M v' + W^T lambda and of W v'.
-        """
-        plain = self._whole.plain
-        places = plain.numbers(plain.q), plain.numbers(plain.v), plain.time
-        held = plain.write_constraints(plain.graph)
-        terms = accelerations(plain.graph, plain.L, held, plain.f, places)
-        n, written = len(plain.q), plain.to_sympy
-        M: list[Value] = [plain.entry(i, j) for i in range(n) for j in range(n)]
-        wanted = [*M, *(x for row in terms.rows for x in row), *terms.push, *terms.curve]
-        arguments = [plain.t, *plain.q, *plain.v, *plain.parameters, *plain.u]
-        expressions = float_literals([written(x) for x in wanted])
-        return sp.lambdify(arguments, expressions, "numpy", cse=True), len(terms.rows)
+    def _equations(self) -> IndexOneFunction:
+        return IndexOneFunction(self._whole.plain)
 
     def values(
         self, key: str, system: Declared, states: tuple[Reals, ...], inputs: Reals
@@ -72,20 +58,21 @@ class PrescribedMotion:
             return np.broadcast_to(moving[key], q.shape[:-1]).astype(np.float64)
         q1 = next(x for x in self.motions if key == f"force_{spelled(x)}")
         n, place = self._whole.n, list(self._whole.constraints).index(prescribed_name(q1))
-        evaluate, m = self._equations
         known = {spelled(x): (q[..., k], v[..., k]) for k, x in enumerate(system.coordinates)}
         known |= {spelled(x): (moving[spelled(x)], moving[f"v_{spelled(x)}"]) for x in self.motions}
-        every = [known[spelled(x)] for x in self._whole.coordinates]
-        driven = [inputs[..., k] for k in range(inputs.shape[-1])]
-        numbers = evaluate(t, *(x for x, _ in every), *(x for _, x in every), *columns, *driven)
+        pairs = [known[spelled(x)] for x in self._whole.coordinates]
         shape = q.shape[:-1]
-        rows = np.stack([np.broadcast_to(x, shape) for x in numbers], axis=-1)
-        M, W, push, curve = np.split(rows, np.cumsum([n * n, m * n, n]), axis=-1)
+        every = (
+            np.stack([np.broadcast_to(x, shape) for x in side], axis=-1)
+            for side in zip(*pairs, strict=True)
+        )
+        positions, velocities = every
+        at = self._equations(t, positions, velocities, parameters, inputs)
+        m = at.W.shape[-2]
         matrix = np.zeros((*shape, n + m, n + m))
-        matrix[..., :n, :n] = M.reshape(*shape, n, n)
-        matrix[..., n:, :n] = W.reshape(*shape, m, n)
-        matrix[..., :n, n:] = np.swapaxes(matrix[..., n:, :n], -1, -2)
-        right = np.concatenate([push, -curve], axis=-1)
+        matrix[..., :n, :n], matrix[..., n:, :n] = at.M, at.W
+        matrix[..., :n, n:] = np.swapaxes(at.W, -1, -2)
+        right = np.concatenate([at.push, -at.curve], axis=-1)
         multipliers = np.linalg.solve(matrix, right[..., None])[..., n:, 0]
         return np.asarray(-multipliers[..., place])
 
@@ -166,6 +153,8 @@ def substitute(given: Any, motions: Mapping[AppliedUndef, sp.Expr]) -> Any:
         return {k: x for k, x in left.items() if x != {}}
     if isinstance(given, (list, tuple)):
         return type(given)(substitute(x, motions) for x in given)
+    if hasattr(given, "replaced"):  # a contact, or friction
+        return given.replaced(lambda x: substitute(x, motions))
     if not isinstance(given, (sp.Basic, sp.MatrixBase)):
         return given
     moved = given.xreplace({q.diff(time): x.diff(time) for q, x in motions.items()})

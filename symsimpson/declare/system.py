@@ -14,6 +14,7 @@ from sympy.core.function import AppliedUndef
 
 from symsimpson.declare.checks import read_coordinates, read_name, read_parameters
 from symsimpson.declare.constraints import name_constraints
+from symsimpson.declare.contacts import Contact, Friction, name_elements
 from symsimpson.declare.declaration import read_energies, read_units, split_lagrangian
 from symsimpson.declare.declared import Declared, Positions, compute_digest
 from symsimpson.declare.described import Described
@@ -104,6 +105,9 @@ class MechanicalSystem(Described):
         Units by quantity, ``{"x": "m", "theta": "rad", "t": "s"}``. They label figures and
         data, and figures draw quantities of different units on separate axes. No value is
         converted.
+    contacts, friction : mapping from str to Contact or Friction, or sequence, optional
+        Contacts that collide, rest and leave (:class:`Contact`), and dry friction that sticks and
+        slides (:class:`Friction`).
     prescribed : mapping from coordinate to expression, optional
         Motions of some coordinates as functions of the time and of parameters,
         ``{x: A*sin(w*symsimpson.time)}``. The system then has the other coordinates only. Runs
@@ -145,6 +149,10 @@ class MechanicalSystem(Described):
         parameters = read_parameters(name, self.parameters, coordinates)
         inputs = read_inputs(name, self.inputs, coordinates, parameters)
         object.__setattr__(self, "inputs", inputs)
+        touching = name_elements(name, self.contacts, Contact)
+        object.__setattr__(self, "contacts", MappingProxyType(touching))
+        rubbing = name_elements(name, self.friction, Friction, tuple(touching))
+        object.__setattr__(self, "friction", MappingProxyType(rubbing))
         if self.prescribed:
             coordinates = self._prescribe(name, coordinates, parameters)
         constraints = name_constraints(name, self.constraints)
@@ -169,6 +177,10 @@ class MechanicalSystem(Described):
             "seconds": seconds,
         }.items():
             object.__setattr__(self, key, value)
+        if touching or rubbing:
+            from symsimpson.declare.modes import Modes  # few systems have modes
+
+            object.__setattr__(self, "modes", Modes(self))
 
     def _prescribe(
         self,
@@ -182,7 +194,7 @@ class MechanicalSystem(Described):
         constraints = {prescribed_name(q): q - x for q, x in motions.items()}
         constraints |= name_constraints(name, self.constraints)
         whole = given | {"constraints": constraints, "prescribed": {}}
-        whole |= dict.fromkeys(("positions", "invariants"))
+        whole |= dict.fromkeys(("positions", "invariants", "contacts", "friction"))
         every = partial(MechanicalSystem, **whole)
         motion = PrescribedMotion(every, partial(type(self), **given), motions)
         object.__setattr__(self, "motion", motion)
@@ -208,6 +220,8 @@ class MechanicalSystem(Described):
         velocity_constraints: Constraints = (),
         units: Mapping[Any, str] = NONE,
         prescribed: Mapping[Any, sp.Expr] = NONE,
+        contacts: Any = NONE,
+        friction: Any = NONE,
     ) -> MechanicalSystem:
         """Declare a system by its Lagrangian.
 
@@ -218,7 +232,7 @@ class MechanicalSystem(Described):
         lagrangian : sympy expression
             The Lagrangian L(q, v, t). The second derivatives of L by the velocities must form a
             regular matrix M = L_vv. L may be any function of the velocities. M may be indefinite.
-        constraints, velocity_constraints, prescribed
+        constraints, velocity_constraints, prescribed, contacts, friction
             See :class:`MechanicalSystem`.
 
         Returns
@@ -270,6 +284,8 @@ class MechanicalSystem(Described):
             velocity_constraints=name_constraints(name, velocity_constraints, tuple(phi)),
             units=units,
             prescribed=prescribed,
+            contacts=contacts,
+            friction=friction,
         )
 
     @classmethod

@@ -108,6 +108,8 @@ def read_expression(
     of coordinates, momenta, velocities, parameters, t, energy and kinetic_energy. Raises InputError
     for anything else.
     """
+    if isinstance(expression, ObservedExpression):
+        return expression
     parser = ExpressionParser(program, what)
     text = parser.parse(expression)
     flags = parser.energetic, wrapped, parser.rest, parser.held

@@ -164,6 +164,8 @@ class RunCache:
     wide: dict[int, KernelSets] = field(default_factory=dict)
     #: Multiprecision kernels, by the text of a module with expressions of events.
     many_digits: dict[str, KernelSets] = field(default_factory=dict)
+    #: Programs of the modes of contacts and friction, by the key of the mode.
+    modes: dict[Any, Program] = field(default_factory=dict)
     events: dict[Any, Any] = field(default_factory=dict)  #: Events of runs, after their checks.
     #: The faster number of lanes for members of an ensemble, by the number of lanes of a block.
     lanes: dict[int, int] = field(default_factory=dict)
@@ -196,6 +198,8 @@ class Program:
     reference_state: Mapping[str, Any] | None = None  #: An initial state: q0, and v0 or p0.
     #: Returns a program that also differentiates its steps by the named parameters and inputs.
     differentiate: Callable[..., Program] | None = None
+    #: Returns the program of another system with the same scheme, such as a mode of contacts.
+    compile_for: Callable[[Any], Program] | None = None
     findings: RunCache
 
     @property
@@ -252,6 +256,7 @@ class Program:
             "numbers": self.numbers,
             "tools": self.tools,
             "differentiate": self.differentiate,
+            "compile_for": self.compile_for,
             "names": self.names,
             "default_inputs": self.default_inputs,
         }
@@ -259,6 +264,11 @@ class Program:
 
     def __repr__(self) -> str:
         return f"Program({self.system}, {self.scheme})"
+
+    @property
+    def modes(self) -> Any:
+        """The modes of a system with contacts or dry friction; None for other systems."""
+        return getattr(self.declared, "modes", None)
 
     def kernels_for(self, lanes: int) -> KernelSets:
         """Return the kernels for a number of lanes."""

@@ -32,6 +32,8 @@ class Status(IntEnum):
     EVENTS_ACCUMULATE = interface.EVENTS_ACCUMULATE
     TOLERANCE_NOT_MET = interface.TOLERANCE_NOT_MET
     SINGULAR_LEGENDRE = interface.SINGULAR_LEGENDRE
+    CONTACT_PARADOX = interface.CONTACT_PARADOX
+    CONTACT_UNDECIDED = interface.CONTACT_UNDECIDED
 
     @property
     def message(self) -> str:
@@ -90,8 +92,8 @@ _MESSAGES = {
     ),
     Status.EVENTS_ACCUMULATE: (
         "Impacts follow each other ever faster, or at rest: the bodies stay in contact from there. "
-        "The states up to the last impact are kept. Replace the contact by a constraint there, or "
-        "end the run with a terminal event."
+        "The states up to the last impact are kept. Declare the gap as a symsimpson.Contact, which "
+        "can rest, or end the run with a terminal event."
     ),
     Status.TOLERANCE_NOT_MET: (
         "The run reached its end, but its error is unknown or larger than the wanted error. The "
@@ -101,6 +103,16 @@ _MESSAGES = {
         "The mass matrix is singular or indefinite at the end of that step, so velocities do not "
         "follow from momenta. The states before are kept. End the run earlier, or look for masses "
         "that vanish. If the motion does not reach such a point, try a smaller h."
+    ),
+    Status.CONTACT_PARADOX: (
+        "A contact slides so that its normal force has no value, or several (Painleve). The "
+        "friction is too large for rigid bodies there. The states before are kept. Use a smaller "
+        "coefficient of friction, or end the run earlier."
+    ),
+    Status.CONTACT_UNDECIDED: (
+        "Contacts or friction elements change without end at this time, or too many of them may "
+        "change at once. The states before are kept. Use fewer contacts, or an h that differs a "
+        "little."
     ),
     Status.FILE_ERROR: (
         "The checkpoint could not be written. The states before are kept. Free space on the disk, "

@@ -19,6 +19,7 @@ from symsimpson.results.interpolate import DenseOutput
 from symsimpson.results.states import FinishedRun, States
 from symsimpson.results.tables import Variable
 from symsimpson.support.array_types import Floats
+from symsimpson.support.contact_values import OF_CONTACT
 from symsimpson.support.names import did_you_mean, spelled
 from symsimpson.text.interface import ZERO
 
@@ -388,6 +389,7 @@ class EventRecord(NamedTuple):
     direction: int
     impulse: float
     simultaneous: bool
+    kind: str = ""  #: What a contact or friction began: "rest", "slip+", ...; "" for other events.
 
     @property
     def as_json(self) -> list[Any]:
@@ -420,6 +422,9 @@ class Actions(Events):
         Impulse of an impact along the gradient of the gap. It is 0 for other actions.
     simultaneous : ndarray of bool, shape (N,)
         True if another impact acted at the same time.
+    kind : list of str
+        What happened at a contact or a friction element: "impact", "rest", "lift", "stick", "slip+"
+        or "slip-". It is empty for other events.
 
     Examples
     --------
@@ -437,6 +442,7 @@ class Actions(Events):
     p_after: Floats
     impulse: Floats
     simultaneous: NDArray[np.bool_]
+    kind: list[str]
 
     @property
     def after(self) -> States:
@@ -449,13 +455,15 @@ class Actions(Events):
             "impulse": self.impulse,
             "simultaneous": self.simultaneous.astype(int),
         }
+        if any(self.kind):
+            further["kind"] = np.array(self.kind)
         return [event_variable(name, values) for name, values in further.items()]
 
 
 def read_actions(run: Any, name: str) -> Actions:
-    """Return the record of an event of a run, by the name of the event."""
-    number = run.event_names.index(name)
-    records = [record for record in run.records if record.event == number]
+    """Return the record of an event of a run, by its name; a contact includes its friction."""
+    wanted = {k for k, x in enumerate(run.event_names) if x in (name, f"{name}{OF_CONTACT}")}
+    records = [record for record in run.records if record.event in wanted]
 
     def rows(what: str) -> Floats:
         values = [getattr(record, what) for record in records]
@@ -472,6 +480,7 @@ def read_actions(run: Any, name: str) -> Actions:
         p_after=rows("p_after"),
         impulse=np.array([record.impulse for record in records]),
         simultaneous=np.array([record.simultaneous for record in records], dtype=np.bool_),
+        kind=[record.kind for record in records],
     )
 
 

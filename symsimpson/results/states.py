@@ -475,6 +475,8 @@ class FinishedRun(RunOutcome, States):
     varied_by: tuple[str, ...] | None = field(default=None, repr=False)
     recorded_values: tuple[tuple[str, NDArray[Any]], ...] = field(default=(), repr=False)
     ended_by: str | None = None
+    #: The modes of contacts and friction; None without either.
+    history: Any = field(default=None, repr=False)
 
     @property
     def recorded(self) -> dict[str, NDArray[Any]]:

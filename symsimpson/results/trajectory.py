@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from symsimpson.plotting.films import Animation
     from symsimpson.results.events import Events
     from symsimpson.results.interpolate import DenseOutput
+    from symsimpson.results.modes import ModeHistory
 
 #: Upper bound of the round-off error of times, in steps.
 STEP_ROUNDING = 1e-6
@@ -151,7 +152,44 @@ class Trajectory(Savable, Energies, StateDerivatives):
         """
         from symsimpson.results.interpolate import DenseOutput
 
+        if self.history is not None:
+            from symsimpson.results.modes import DenseOutputOfModes
+
+            return DenseOutputOfModes(self)
         return DenseOutput(self)
+
+    @property
+    def modes(self) -> ModeHistory:
+        """The modes of contacts and dry friction; see :class:`symsimpson.ModeHistory`.
+
+        Raises
+        ------
+        InputError
+            If the system has neither contacts nor friction.
+        """
+        if self.history is None:
+            reject(
+                "this run has no modes.",
+                where=self.program.system,
+                why="The system declares neither contacts nor friction, or the run is from a file.",
+                remedy="Declare contacts={...} or friction={...}.",
+            )
+        history: ModeHistory = self.history
+        return history
+
+    def _special_quantity(self, key: str) -> Any:
+        if self.history is None or key not in self._special_names():
+            return None
+        from symsimpson.results.modes import forces_by_name
+
+        return forces_by_name(self)[key]
+
+    def _special_names(self) -> list[str]:
+        if self.history is None:
+            return []
+        from symsimpson.results.modes import quantity_names
+
+        return quantity_names(self.program)
 
     def at(self, t: ArrayLike) -> States:
         """Return the states at any times of the run, with the order of the scheme.

@@ -24,6 +24,7 @@ from symsimpson.support.array_types import Floats, State
 from symsimpson.targets.binding import bind
 from symsimpson.text.driver.impacts import EVENT, IMPULSE, STATES_OF, STEP_OF, TIME_OF
 from symsimpson.text.interface import FADED, ZERO
+from symsimpson.text.workspace_layout import DRIVER_LAYOUT
 
 #: Distances from a kink, as fractions of a step, at which a step may be split on one side of it.
 KINK_DISTANCES = [2.0**k for k in range(-50, -15, 2)]
@@ -89,13 +90,18 @@ class EventSigns:
         marked = ~self._actions.impacts & (np.abs(values) <= self.small)
         self.side[marked & (np.abs(self.side) == 1.0)] *= 2.0
 
-    def events_at_start(self, t: float, state: State, step: int, small: Floats) -> list[int]:
-        """Return the events, other than impacts, that act at the initial state of a step."""
+    def events_at_start(
+        self, t: float, state: State, step: int, small: Floats, share: float = 0.0
+    ) -> list[int]:
+        """Return the events, other than impacts, that act at the initial state of a step.
+
+        ``share`` is the place of this state within the step.
+        """
         values, self._recent_sizes = self._actions.values(t, state), 0 * self.size
         zeros = ~self._actions.impacts & (np.abs(values) <= small)
         if not zeros.any():
             return []
-        ahead = np.where(zeros, self.signs_after(t, state, (step, 0.0)), 0.0)
+        ahead = np.where(zeros, self.signs_after(t, state, (step, share)), 0.0)
         acting = self.acting_events(ahead)
         others = np.where(ahead == 0, np.sign(self.side) / 2, ahead)
         self.side[:] = np.where(zeros & ~acting, others, self.side)
@@ -281,6 +287,12 @@ class EventLocator:
                 means = partial(self._part, place), self._evaluate, room
                 event = _locate_in_python()(means, start, t, *known)
         return event, state
+
+    def set_inputs(self, inputs: Floats) -> None:
+        """Set the inputs for the evaluation of expressions, shape (1, number of inputs)."""
+        _, W, layout, _ = self._evaluation
+        first, stride = layout[DRIVER_LAYOUT["INPUT"]], layout[DRIVER_LAYOUT["INPUT_STRIDE"]]
+        W[first : first + inputs.shape[1] * stride, 0] = np.repeat(inputs[0], stride)
 
     def _part(
         self, place: tuple[int, float], start: State, t: float, size: float, state: State, room: Any

@@ -48,7 +48,14 @@ REMAINING_TIME, RATIO_TOLERANCE = 1e-6, 0.1
 
 
 class EventRun(Run):
-    """A run with events: it undoes a step that contains an event and repeats it in parts."""
+    """A run with events: it undoes a step that contains an event and repeats it in parts.
+
+    A run may be a piece of another one. It then begins at a step and a duration within it
+    (``begin_at``), ``continues`` the sums of its recorders, and ``pauses`` at a terminal event.
+    """
+
+    begin_at: tuple[int, float] = (0, 0.0)
+    continues = pauses = False
 
     def __init__(
         self,
@@ -78,8 +85,15 @@ class EventRun(Run):
             self._saltation = Saltation(program, run_events, spec.parameters, float(spec.h), inputs)
         watch = self._actions.rows
         self._locator = EventLocator(program, run_events, self._parts, watch, first, self.records)
+        self._held = any(expression.held for expression in run_events.watched)
+        if self._held and inputs.size and inputs.shape[2] > 1:
+            reject(
+                "events of multipliers need inputs that are constant over each step.",
+                where=program.system,
+                remedy="Pass one value for each step, or events of other expressions.",
+            )
         restitution = read_plain_restitution(program, run_events, spec, self._actions)
-        if restitution is not None and not (inputs.size or works):
+        if restitution is not None and not (inputs.size or works or self.pauses):
             self._take_steps = partial(self._locator.take_steps, restitution)
 
     def recorded_fields(self, recorded: Reals, result: Any) -> dict[str, Any]:
@@ -89,18 +103,20 @@ class EventRun(Run):
 
     def observe_start(self) -> None:
         """Let impacts that touch at the initial state act; reject a state inside a wall."""
-        state, t = self._state(), float(self.t0)
+        step, done = self.begin_at
+        state, t = self._state(), float(self.t0 + self.h * step) + done
+        self._set_inputs(step)
         row = self._actions.row(t, state)
         sides, values = self.sides, row[: len(self._value)]
         moved, sizes = self.h * self._actions.rates(row), self._actions.sizes(row, state[0])
         h = float(self.h)
-        after, _ = self._parts(state, t, h, 0, 0.0)
-        ahead = np.nan_to_num(self._actions.values(t + h, after), posinf=0, neginf=0)
+        after, _ = self._parts(state, t, h - done, step, done / h)
+        ahead = np.nan_to_num(self._actions.values(t + h - done, after), posinf=0, neginf=0)
         ahead[values >= 0] = 0  # the only size of a gap that starts at rest and slightly below 0
         sides.size[:] = np.max([abs(values), abs(moved), abs(ahead), sizes], axis=0)
         sides.side[:] = 0  # a zero at the initial state is not an event
         small = sides.small_at(t, state)
-        sides.events_at_start(t, state, 0, small)
+        sides.events_at_start(t, state, step, small, done / h)
         sides.side[:] = sides.signs_of(values, small)
         for k, event in enumerate(self._events.events):
             if not (isinstance(event.action, Impact) and self._actions.may_act(row, k)):
@@ -114,9 +130,11 @@ class EventRun(Run):
                 )
             sides.side[k] = 1
         if self._actions.touching_impacts(values, sides.small).any():
-            self._act_at_current_state(t, 0, state, [])
-        self._store_values()
-        super().observe_start()
+            self._act_at_current_state(t, step, state, [])
+        if not done:
+            self._store_values()
+        if not self.continues:
+            super().observe_start()
 
     def reduction_values(self, reductions: Sequence[Reduction]) -> tuple[tuple[str, float], ...]:
         """Return the names and current values of reductions, including counts of events."""
@@ -168,9 +186,20 @@ class EventRun(Run):
         self._earlier[:] = self._value - self.h * self._actions.rates(row)
         self.sides.mark_zeros(self._value)
 
-    def _split_step(self, *, completed: bool) -> None:
-        """Repeat a step with its events; first undo the step if it was ``completed``."""
+    def _set_inputs(self, step: int) -> None:
+        """Set the inputs of a step, on which multipliers depend."""
+        if self._held and self._inputs.size:
+            place = min(step, self._inputs.shape[1] - 1)
+            self._actions.rows.inputs = self._inputs[:1, place : place + 1]
+            self._locator.set_inputs(self._inputs[0, place])
+
+    def _split_step(self, *, completed: bool, done: float = 0.0) -> None:
+        """Repeat a step with its events, from the duration ``done`` on.
+
+        If the step was ``completed``, undo it first.
+        """
         self._progress[0] -= completed
+        self._set_inputs(self.step)
         workspace, rows = self.W.copy(), 4 * self.header.n
         if completed:  # otherwise the step failed at a kink
             self.rows("POSITION", rows)[:] = self.rows("PREVIOUS", rows)
@@ -178,13 +207,13 @@ class EventRun(Run):
         step, acted = self.step, len(self.records)
         start, side = self._state(), self.sides.side.copy()
         worked = self._work.copy()
-        state = self._split(step, start)
+        state = self._split(step, start, done)
         if state is None:
             self._work[:] = worked if self.ended_by is None else self._work
             t, *end = self.end_within or (float(self._grid_time()),)
             part = t - float(self._grid_time())
             # pass the state at the end of the run to the recorders of states
-            if abs(part) > TOGETHER * max(abs(t), abs(float(self.h))):
+            if not self.pauses and abs(part) > TOGETHER * max(abs(t), abs(float(self.h))):
                 self._continue_from((end[0], end[1]))
                 self._call_recorders(t, of_states=True, h=part)
             self._continue_from(start)
@@ -232,9 +261,12 @@ class EventRun(Run):
         for kernel in kernels[last:] if of_states else kernels[first:last]:
             self._driver("apply")(kernel, self.h if h is None else h, time, self.W)
 
-    def _split(self, step: int, start: Any) -> Any:
-        """Take a step in parts, with its events; return the state, or None if the run ends."""
-        h, t0, done = float(self.h), float(self.t0 + self.h * step), 0.0
+    def _split(self, step: int, start: Any, done: float) -> Any:
+        """Take a step in parts, with its events; return the state, or None if the run ends.
+
+        The step has already been taken for the duration ``done``.
+        """
+        h, t0 = float(self.h), float(self.t0 + self.h * step)
         state, times = start, Times()
         self._actions.touched.clear()
         if self._saltation is not None:

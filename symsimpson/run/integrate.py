@@ -49,10 +49,14 @@ def start_run(
     given = spec.inputs if inputs is None else inputs
     attached = tuple(recorders) or make_run_recorders(program, spec)
     try:
-        if spec.run_events is not None:
+        if program.modes is not None:
+            from symsimpson.run.mode_run import ModeRun  # few systems need it
+
+            run: Run = ModeRun(program, spec, (stride, stored), given)
+        elif spec.run_events is not None:
             from symsimpson.run.event_run import EventRun  # few runs need it
 
-            run: Run = EventRun(program, spec, spec.run_events, (stride, stored), given, attached)
+            run = EventRun(program, spec, spec.run_events, (stride, stored), given, attached)
         else:
             size = spec.parameters, spec.h, spec.t0, (stride, stored)
             run = Run(program, *size, inputs=given, recorders=attached)
@@ -259,7 +263,8 @@ def follow_run(
         left_out = int(stored.iterations.sum() - iterations.sum())
     count = run.step if run.has_arrived else count
     trajectory = make_trajectory(program, run, count, status, spec, selected, spec.every, left_out)
-    if count and status is not Status.INTERRUPTED and problem is None:
+    judged = program.modes is None  # contacts and friction change the energy
+    if count and judged and status is not Status.INTERRUPTED and problem is None:
         try:
             trajectory = judge_run(program, run, trajectory, stored)
         except KeyboardInterrupt:  # the states are complete, but not judged

@@ -238,7 +238,7 @@ def run(
     if request.t_eval is not None or request.save is not None:
         return _run_with_selection(program, request, progress, on_failure)
     plain = request.inputs is None and not request.recorded and request.checkpoint is None
-    plain = plain and request.events is None
+    plain = plain and request.events is None and program.modes is None
     read_progress(progress)
     check_on_failure(on_failure)
     if plain and progress is None:
@@ -275,7 +275,8 @@ def _run_with_selection(
 
 def take_step(program: Program, request: Request) -> Trajectory:
     """Take the single step of a request; faster than :func:`run`."""
-    end = try_short_run(program, request) if request.inputs is None else None
+    short = request.inputs is None and program.modes is None
+    end = try_short_run(program, request) if short else None
     return integrate(program, read_run(program, request)) if end is None else end
 
 

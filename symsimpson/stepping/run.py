@@ -182,6 +182,11 @@ class Run:
         self.p[place, :, 0] = self.rows("MOMENTUM", n)
         self.recorded[place, :, 0] = self.recorder_rows()
 
+    @property
+    def recorders(self) -> tuple[Recorder, ...]:
+        """The recorders of the run."""
+        return self._recorders
+
     def recorder_rows(self) -> Reals:
         """Return the current rows of all recorders, shape (k,)."""
         rows = [self._column[x.first : x.first + x.rows] for x in self._recorders]

@@ -131,7 +131,8 @@ def read_record_names(program: Program, given: Any) -> tuple[str, ...]:
                 f"{did_you_mean(str(name), RECORDERS)}",
                 remedy="Pass record='work'. For values at states, use reduce=.",
             )
-    return tuple(name for name in dict.fromkeys(names) if RECORDERS[name](program.header))
+    some = dict.fromkeys(names)
+    return tuple(x for x in some if program.modes is not None or RECORDERS[x](program.header))
 
 
 def make_recorders(

@@ -1,0 +1,114 @@
+"""States at the events of contacts: what touches and slides there, impacts, and projections."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from symsimpson.program.evaluation import evaluate
+from symsimpson.run.decide import TOLERANCE, StateOfContacts
+from symsimpson.run.event_actions import EventActions
+from symsimpson.stepping.run_events import RunEvents
+from symsimpson.stepping.spec import RunSpec
+from symsimpson.support.array_types import State
+from symsimpson.support.contact_values import Mode
+from symsimpson.text.interface import ZERO
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+
+#: Impacts that follow each other within this part of a step end in rest.
+NEGLIGIBLE = 1e-7
+EPSILON = 2.0**-52
+
+
+class ContactStates:
+    """Evaluates contacts and friction at states of a run, and lets impacts act there.
+
+    ``failure`` has the reason if an action is impossible, and ``last`` the last state that
+    :meth:`look` has seen.
+    """
+
+    def __init__(self, program: Program, spec: RunSpec, actions: RunEvents) -> None:
+        self._program, self._spec, self._events = program, spec, actions
+        self._modes, self._h = program.modes, float(spec.h)
+        self._actions = EventActions(program, spec, actions)
+        self.last: State = (spec.q0, spec.q0)
+
+    @property
+    def failure(self) -> str:
+        """Why an action is impossible; empty if all were possible."""
+        return self._actions.failure
+
+    def look(
+        self, t: float, state: State, left: frozenset[tuple[bool, int]] = frozenset()
+    ) -> StateOfContacts:
+        """Evaluate contacts and friction at a state (q, p)."""
+        q, p = self.last = state
+        program, values, inputs = self._program, self._spec.parameters, self._spec.inputs
+        there = np.array([t]), q[None], p[None]
+        v = evaluate(program, "energy", "VELOCITY", program.n, there, values)[0]
+        step = int(np.clip(np.floor((t - float(self._spec.t0)) / self._h), 0, inputs.shape[1] - 1))
+        at = self._modes.index_one(t, q, v, values, inputs[0, step, 0])
+        counts = self._modes.index_one.counts
+        return StateOfContacts(at, counts, self._modes.contact_of, q, v, self._h, left)
+
+    def act(
+        self, t: float, state: State, acting: list[int]
+    ) -> list[tuple[int, State, State, float]]:
+        """Let impacts and changes act on a state; return each with the states around it."""
+        actions = self._actions
+        row = actions.row(t, state)
+        values = row[: len(self._events.events)]
+        moved = self._h * actions.rates(row)
+        sizes = np.max([abs(values), abs(moved), actions.sizes(row, state[0])], axis=0)
+        return list(actions.apply(t, state, acting, ZERO * sizes))
+
+    def accumulated(self, at: StateOfContacts, mode: Mode) -> dict[int, float]:
+        """Return the contacts that come to rest, and the duration until all impacts are over.
+
+        A gap that leaves with the rate r and returns with the acceleration a has infinitely many
+        impacts in the duration 2 r / (-a (1 - e)).
+        """
+        motion = at.motion(mode)
+        if motion is None:
+            return {}
+        resting, h = dict[int, float](), self._h
+        rows, sign = at.counts.contact_rows, np.sign(h)
+        for c, r in enumerate(rows):
+            rate = sign * at.at.rates[r]
+            a = at.at.W[r] @ motion.acceleration + at.at.curve[r]
+            moves = not mode.contacts[c] and at.touching[c]
+            if not (moves and a < 0 and rate > TOLERANCE * EPSILON * at.rate_sizes[r]):
+                continue
+            e = self._actions.restitution(c, float(rate)) or 0.0
+            if e == 1.0:
+                continue
+            delta = 2 * rate / (-a * (1 - e))
+            rounding = (EPSILON * at.gap_sizes[c] * abs(h) / -a) ** (1 / 3)
+            if delta < max(NEGLIGIBLE * abs(h), rounding):
+                resting[c] = float(sign * delta)
+        return resting
+
+    def project(
+        self,
+        t: float,
+        state: State,
+        at: StateOfContacts,
+        mode: Mode,
+        left: frozenset[tuple[bool, int]],
+    ) -> tuple[State, StateOfContacts]:
+        """Return the nearest state at which the rows of a mode hold, and its contacts."""
+        for _ in range(2):  # the second time removes round-off
+            if not at.rows_of(mode):
+                break
+            dq, dv = at.nearest(mode)
+            q, v = at.q + dq, at.v + dv
+            step = 0
+            counts = at.counts
+            inputs = self._spec.inputs[0, step, 0]
+            there = self._modes.index_one(t, q, v, self._spec.parameters, inputs)
+            state = q, there.M @ v + there.momenta
+            at = StateOfContacts(there, counts, at.contact_of, q, v, self._h, left)
+        return state, at

@@ -1,0 +1,265 @@
+"""The choice of the next mode: which contacts rest, and which friction elements stick or slide."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.support.array_types import Floats
+from symsimpson.support.contact_values import Counts, IndexOne, Mode
+
+Truths = NDArray[np.bool_]
+#: Relative round-off of conditions at a state.
+TOLERANCE = 1e-9
+#: Rows are dependent if the smallest eigenvalue of their scaled matrix is below this.
+DEPENDENT = 1e-10
+#: Largest number of modes that are tried at a state.
+MOST_TRIED = 4**6
+
+
+class Motion(NamedTuple):
+    """Accelerations and multipliers of a mode at a state."""
+
+    acceleration: Floats
+    normal: Floats  #: Normal force of each contact, 0 while it is open.
+    friction: Floats  #: Multiplier nu of each element: the force is -nu du/dv.
+    size: Floats  #: Bounds of the terms of the accelerations.
+    forces: tuple[Floats, Floats]  #: Bounds of the terms of normal forces and of friction.
+    margin: float  #: Determinant of the equations, relative to that without sliding friction.
+
+
+@dataclass
+class StateOfContacts:
+    """Contacts and friction elements at one state (q, v).
+
+    ``at`` has the equations there, and ``contact_of`` the contact of each element, or None. ``h``
+    is the step size. ``left`` has contacts and elements that have just left their bounds: (True,
+    contact) may not rest, and (False, element) may not stick.
+    """
+
+    at: IndexOne
+    counts: Counts
+    contact_of: Sequence[int | None]
+    q: Floats
+    v: Floats
+    h: float
+    left: frozenset[tuple[bool, int]] = field(default=frozenset())
+
+    def __post_init__(self) -> None:
+        at, h = self.at, abs(self.h)
+        self._inverse = np.linalg.inv(at.M)
+        spread = np.abs(self._inverse)
+        speeds = np.abs(self.v) + spread @ np.abs(at.push) * h
+        W = np.abs(at.W)
+        side = np.abs(at.W @ self.v - at.rates)
+        #: Bounds of the terms of rates and gaps.
+        self.rate_sizes = W @ speeds + side
+        rows = self.counts.contact_rows
+        self.gap_sizes = W[rows.start : rows.stop] @ (np.abs(self.q) + speeds * h)
+
+    @property
+    def contact_rates(self) -> Floats:
+        """Rates of the gaps."""
+        rows = self.counts.contact_rows
+        return self.at.rates[rows.start : rows.stop]
+
+    @property
+    def sliding(self) -> Floats:
+        """Velocities of sliding of the elements."""
+        rows = self.counts.element_rows
+        return self.at.rates[rows.start : rows.stop]
+
+    @property
+    def touching(self) -> Truths:
+        """Whether each gap is zero up to round-off."""
+        near: Truths = np.abs(self.at.gaps) <= TOLERANCE * self.gap_sizes
+        return near
+
+    def still(self, rows: range) -> Truths:
+        """Return whether the rate of each row is zero up to round-off."""
+        some = slice(rows.start, rows.stop)
+        near: Truths = np.abs(self.at.rates[some]) <= TOLERANCE * self.rate_sizes[some]
+        return near
+
+    def bad_limit(self) -> int | None:
+        """Return an element whose limit is negative or not finite, or smaller in sticking."""
+        sliding, static = np.split(self.at.limits, 2)
+        fine = (sliding >= 0) & (static >= 0) & np.isfinite(sliding) & np.isfinite(static)
+        # at rest, both limits belong to the same speed
+        low = self.still(self.counts.element_rows) & (static < sliding * (1 - TOLERANCE))
+        bad = np.flatnonzero(~fine | low)
+        return int(bad[0]) if bad.size else None
+
+    def rows_of(self, mode: Mode) -> list[int]:
+        """Return the rows that hold in a mode."""
+        rows = list(self.counts.fixed_rows)
+        rows += [
+            r for r, rests in zip(self.counts.contact_rows, mode.contacts, strict=True) if rests
+        ]
+        stuck = zip(self.counts.element_rows, mode.elements, strict=True)
+        return rows + [r for r, state in stuck if state == 0]
+
+    def motion(self, mode: Mode) -> Motion | None:
+        """Return the accelerations and multipliers of a mode; None if its rows are dependent."""
+        at, counts, inverse = self.at, self.counts, self._inverse
+        rows, W = self.rows_of(mode), at.W
+        columns = {r: W[r].copy() for r in rows}
+        for r in counts.element_rows:
+            if r in columns:
+                columns[r] *= -1
+        push, size = at.push.copy(), np.abs(at.push)
+        for k, (r, state) in enumerate(zip(counts.element_rows, mode.elements, strict=True)):
+            if not state:
+                continue
+            pull, contact = state * at.limits[k] * W[r], self.contact_of[k]
+            if contact is None:
+                push, size = push - pull, size + np.abs(pull)
+            else:
+                columns[counts.contact_rows[contact]] -= pull
+        normal, friction = np.zeros(counts.gaps), np.zeros(counts.elements)
+        bounds = np.zeros(counts.gaps), np.zeros(counts.elements)
+        spread, margin = np.abs(inverse), 1.0
+        forces, terms = push, size
+        if rows:
+            held, P = W[rows], np.array([columns[r] for r in rows]).T
+            straight, G = held @ inverse @ held.T, held @ inverse @ P
+            scale = np.sqrt(np.diag(straight))
+            if not (scale > 0).all():
+                return None
+            scaled = straight / np.outer(scale, scale)
+            if not np.linalg.eigvalsh(scaled)[0] > DEPENDENT:
+                return None
+            sign = (-1) ** sum(r in counts.element_rows for r in rows)
+            whole = np.linalg.det(G / np.outer(scale, scale))
+            margin = float(sign * whole / np.linalg.det(scaled))
+            if margin == 0.0:
+                return None
+            solved = np.linalg.inv(G)
+            x = solved @ (-at.curve[rows] - held @ (inverse @ push))
+            bound = np.abs(solved) @ (np.abs(at.curve[rows]) + np.abs(held) @ (spread @ size))
+            forces, terms = push + P @ x, size + np.abs(P) @ bound
+            for r, value, most in zip(rows, x, bound, strict=True):
+                if r in counts.contact_rows:
+                    place = r - counts.contact_rows.start
+                    normal[place], bounds[0][place] = value, most
+                elif r in counts.element_rows:
+                    place = r - counts.element_rows.start
+                    friction[place], bounds[1][place] = value, most
+        for k, state in enumerate(mode.elements):
+            if state:
+                contact = self.contact_of[k]
+                load = 1.0 if contact is None else normal[contact]
+                friction[k] = state * at.limits[k] * load
+        return Motion(inverse @ forces, normal, friction, spread @ terms, bounds, margin)
+
+    def allows(self, mode: Mode, motion: Motion | None) -> bool:
+        """Return whether a mode satisfies all inequalities."""
+        if motion is None or not motion.margin > TOLERANCE:
+            return False
+        at, counts = self.at, self.counts
+        rates = at.W @ motion.acceleration + at.curve
+        sizes = np.abs(at.W) @ motion.size + np.abs(at.curve)
+        still = self.still(counts.contact_rows)
+        for c, (r, rests) in enumerate(zip(counts.contact_rows, mode.contacts, strict=True)):
+            if rests and motion.normal[c] < -TOLERANCE * motion.forces[0][c]:
+                return False
+            leaves = not rests and self.touching[c] and still[c]
+            if leaves and rates[r] < -TOLERANCE * sizes[r]:
+                return False
+        static = np.split(at.limits, 2)[1]
+        still = self.still(counts.element_rows)
+        for k, (r, state) in enumerate(zip(counts.element_rows, mode.elements, strict=True)):
+            contact = self.contact_of[k]
+            load = 1.0 if contact is None else motion.normal[contact]
+            most = static[k] * load * (1 + TOLERANCE) + TOLERANCE * motion.forces[1][k]
+            if state == 0 and abs(motion.friction[k]) > most:
+                return False
+            if state and still[k] and state * rates[r] < -TOLERANCE * sizes[r]:
+                return False
+        return True
+
+    def choices(self) -> Iterator[Mode]:
+        """Yield all modes that the positions and velocities of the state allow."""
+        counts = self.counts
+        contact_still, element_still = (
+            self.still(counts.contact_rows),
+            self.still(counts.element_rows),
+        )
+        touching, sliding = self.touching, self.sliding
+        contacts = [
+            (True, False) if touching[c] and contact_still[c] else (False,)
+            for c in range(counts.gaps)
+        ]
+        contacts = [
+            (False,) if (True, c) in self.left else given for c, given in enumerate(contacts)
+        ]
+        elements: list[tuple[int, ...]] = []
+        for k in range(counts.elements):
+            given = (0, 1, -1) if element_still[k] else (int(np.sign(sliding[k])),)
+            elements.append(given[1:] if (False, k) in self.left and len(given) > 1 else given)
+        for resting in product(*contacts):
+            open_ = [c is not None and not resting[c] for c in self.contact_of]
+            some: list[tuple[int | None, ...]] = [
+                (None,) if off else given for off, given in zip(open_, elements, strict=True)
+            ]
+            for moving in product(*some):
+                yield Mode(tuple(resting), tuple(moving))
+
+    def number_of_choices(self) -> int:
+        """Return an upper bound of the number of modes."""
+        undecided = self.touching & self.still(self.counts.contact_rows)
+        sticking = self.still(self.counts.element_rows)
+        return int(2 ** int(undecided.sum()) * 3 ** int(sticking.sum()))
+
+    def decide(self, first: Mode) -> tuple[Mode | None, bool]:
+        """Return the next mode, or None, and whether others need as few changes.
+
+        ``first`` is the mode that is expected: it is tried first, then the modes that differ from
+        it least.
+        """
+        fits = any(first == mode for mode in self._some_choices())
+        if fits and self.allows(first, self.motion(first)):
+            return first, False
+        if self.number_of_choices() > MOST_TRIED:
+            return None, False
+        found: Mode | None = None
+        for mode in sorted(self.choices(), key=first.changes):
+            if found is not None and first.changes(mode) > first.changes(found):
+                break
+            if self.allows(mode, self.motion(mode)):
+                if found is not None:
+                    return found, True
+                found = mode
+        return found, False
+
+    def _some_choices(self) -> Iterator[Mode]:
+        return self.choices() if self.number_of_choices() <= MOST_TRIED else iter(())
+
+    def paradox(self) -> bool:
+        """Return whether friction at a sliding contact leaves the normal force without a value."""
+        counts = self.counts
+        if all(c is None for c in self.contact_of) or self.number_of_choices() > MOST_TRIED:
+            return False
+        motions = (self.motion(mode) for mode in self.choices())
+        return any(x is not None and not x.margin > TOLERANCE for x in motions) and counts.gaps > 0
+
+    def nearest(self, mode: Mode) -> tuple[Floats, Floats]:
+        """Return the least corrections of q and v, in M, after which the rows of a mode hold."""
+        at, rows = self.at, self.rows_of(mode)
+        if not rows:
+            return 0 * self.q, 0 * self.v
+        held = at.W[rows]
+        back = self._inverse @ held.T @ np.linalg.inv(held @ self._inverse @ held.T)
+        resting = [r for r in rows if r in self.counts.contact_rows]
+        dq = 0 * self.q
+        if resting:
+            of_gaps = at.W[resting]
+            miss = at.gaps[[r - self.counts.contact_rows.start for r in resting]]
+            turned = np.linalg.inv(of_gaps @ self._inverse @ of_gaps.T) @ miss
+            dq = -self._inverse @ of_gaps.T @ turned
+        return dq, -back @ at.rates[rows]

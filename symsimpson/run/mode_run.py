@@ -1,0 +1,447 @@
+"""Runs of systems with contacts and dry friction: pieces of smooth motion, one for each mode."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from symsimpson.errors import ModelWarning, reject
+from symsimpson.program.status import Status
+from symsimpson.results.events import EventRecord
+from symsimpson.results.modes import ModeHistory, Piece
+from symsimpson.run.contact_states import ContactStates
+from symsimpson.run.decide import MOST_TRIED, StateOfContacts
+from symsimpson.run.event_run import MOST_ACTIONS, EventRun
+from symsimpson.run.mode_programs import GAP, LIFT, MARGIN, SLIP, USER, Cause, ModePrograms
+from symsimpson.run.work_columns import WorkColumns
+from symsimpson.stepping.event import Change, Impact
+from symsimpson.stepping.run import Run
+from symsimpson.stepping.spec import RunSpec, make_recorders
+from symsimpson.support.array_types import Reals, State
+from symsimpson.support.calling import warn
+from symsimpson.support.contact_values import Mode
+from symsimpson.support.names import counted
+from symsimpson.text.driver.impacts import TOGETHER
+from symsimpson.text.interface import ARRIVED
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+
+#: Changes of the mode at one time, beside one for each contact and element.
+MOST_AT_ONE_TIME = 10
+
+
+class PieceRun(EventRun):
+    """A piece of a run, in one mode: it pauses at the event that ends the mode."""
+
+    pauses = True
+
+    def begin_piece(self, state: State, first: int, step: int, done: float) -> None:
+        """Begin at a state in a step, at a duration ``done`` in it; ``first`` is stored first."""
+        self.first, self._progress[0], self.begin_at = first, step - first, (step, done)
+        self.rows("POSITION", len(state[0]))[:] = state[0]
+        self.rows("MOMENTUM", len(state[1]))[:] = state[1]
+        if not done:
+            self._continue_from(state)
+        self.observe_start()
+
+    def take(self, stop: int) -> None:
+        """Take steps; first complete the step in which the piece begins."""
+        step, done = self.begin_at
+        if done and self.step == step and self.alive:
+            self.begin_at = step, 0.0
+            self._split_step(completed=False, done=done)
+        if self.alive and self.step < stop:
+            super().take(stop)
+
+    def share_arrays(self, run: Run) -> None:
+        """Store states in the arrays of another run."""
+        self.q, self.p, self.iterations = run.q, run.p, run.iterations
+        self.recorded = np.zeros((len(run.q), *self.recorded.shape[1:]))
+        self._stores = self.q, self.p, self.recorded, self.iterations
+
+
+class ModeRun(Run):
+    """A run through the modes of a system with contacts and dry friction.
+
+    Its states are those of the system without contacts, whose momenta are the same in all modes.
+    """
+
+    def __init__(
+        self, program: Program, spec: RunSpec, storage: tuple[int, int], inputs: Reals
+    ) -> None:
+        self._columns = WorkColumns(program, works="work" in spec.record)
+        given = spec.parameters, spec.h, spec.t0, storage
+        recorders = self._columns.recorders()
+        super().__init__(program, *given, inputs=inputs, recorders=recorders)
+        self._program, self._spec, self._modes = program, spec, program.modes
+        events = () if spec.run_events is None else spec.run_events.events
+        self._programs = ModePrograms(program, events, spec.reductions)
+        self._contacts = ContactStates(program, spec, self._programs.actions)
+        self._user = events
+        self._mode = Mode((), ())
+        self._piece: PieceRun | None = None
+        self._acted_at, self._acted_in = [0, 0.0], [-1, 0]
+        self._reduced: Any = None
+        self._history: list[Piece] = []
+        self._choices = 0
+        self._warned = False
+
+    # the start
+
+    def observe_start(self) -> None:
+        """Find the mode of the initial state, and begin its piece."""
+        t, state = float(self.t0), self._state()
+        if self._spec.h < 0:
+            self._reject_backward()
+        at = self._contacts.look(t, state)
+        for c, name in enumerate(self._modes.contacts):
+            if at.at.gaps[c] < 0 and not at.touching[c]:
+                reject(
+                    f"the initial state violates the gap {name!r}, whose value is "
+                    f"{at.at.gaps[c]:g}.",
+                    where=self._program.system,
+                    remedy="Start where the gap is positive, or change the sign of the gap.",
+                )
+        still, sliding = at.still(at.counts.contact_rows), at.still(at.counts.element_rows)
+        contacts = tuple(bool(x) for x in at.touching & still)
+        elements = tuple(
+            0 if sliding[k] else int(np.sign(u)) for k, u in enumerate(at.sliding.tolist())
+        )
+        self._mode = self._valid(Mode(contacts, elements), at)
+        near = at.touching & ~still & (at.contact_rates < 0)
+        hits = [Cause(GAP, int(c)) for c in np.flatnonzero(near)]
+        self._go_on(t, state, 0, hits)
+        self.store(0)
+
+    def _reject_backward(self) -> None:
+        elastic = all(x == 1 for x in self._modes.restitutions)
+        if self._modes.elements or not elastic:
+            reject(
+                "h is negative, but the system has dry friction or impacts that lose energy.",
+                where=self._program.system,
+                why="Such a motion cannot be undone.",
+                remedy="Pass a positive h.",
+            )
+
+    def _valid(self, mode: Mode, at: StateOfContacts) -> Mode:
+        """Return a mode whose directions of sliding fit to the velocities of a state."""
+        still = at.still(at.counts.element_rows)
+        elements: list[int | None] = []
+        for k, (state, contact) in enumerate(zip(mode.elements, at.contact_of, strict=True)):
+            if contact is not None and not mode.contacts[contact]:
+                elements.append(None)
+            elif not still[k]:
+                elements.append(int(np.sign(at.sliding[k])))
+            else:
+                elements.append(0 if state is None else state)
+        return Mode(mode.contacts, tuple(elements))
+
+    # the steps
+
+    def _state(self) -> State:
+        return self.end()[0][0], self.end()[1][0]
+
+    def advance(self, stop: int) -> None:
+        """Take steps until ``stop`` or failure, piece by piece."""
+        while self.step < stop and self.alive:
+            piece = self._piece
+            assert piece is not None
+            if self._signals:
+                raise KeyboardInterrupt
+            piece.first, piece._progress[0] = self.first, self.step - self.first
+            piece._signals, piece._watcher = self._signals, self._watcher
+            before = self.step
+            try:
+                piece.advance(stop)
+            finally:
+                self._copy(piece, before)
+            if piece.has_arrived:
+                self._end_piece(piece)
+            elif not piece.alive:
+                self.reason = piece.reason
+                self._column[self._status] = int(piece.status)
+
+    def _copy(self, piece: PieceRun, before: int) -> None:
+        """Copy the state, and sums over steps, of a piece."""
+        self._progress[0] = piece.step - self.first
+        rows = 4 * self.header.n
+        self.rows("POSITION", rows)[:] = piece.rows("POSITION", rows)
+        self.rows("ITERATIONS", 1)[:] = piece.rows("ITERATIONS", 1)
+        program = self._history[-1].program
+        self._columns.copy(piece, program, self.recorded, self.every, (before, self.step))
+        self._column[self._columns.rows] = self._columns.now(piece, program)
+
+    def discard_stored(self) -> int:
+        """Discard all stored states but the last; return how many were discarded."""
+        count = super().discard_stored()
+        if self._piece is not None and count:
+            self._piece.recorded[0] = self._piece.recorded[count]
+        return count
+
+    # the end of a mode
+
+    def _end_piece(self, piece: PieceRun) -> None:
+        """Let the events at the end of a piece act, and go on in the next mode."""
+        assert piece.end_within is not None
+        t, step = float(piece.end_within[0]), piece.step
+        near = TOGETHER * max(abs(t), abs(float(self.h)))
+        causes, state = list[Cause](), (piece.end_within[1], piece.end_within[2])
+        for record in piece.records:
+            cause = self._history[-1].causes[record.event]
+            if abs(record.t - t) <= near:
+                if not causes:
+                    state = record.q, record.p
+                causes.append(cause)
+            if cause.kind == USER and not self._acts(cause.number):
+                self._append(record._replace(event=len(self._modes.names) + cause.number))
+        if self._check_terminal(t, state):
+            return
+        self._go_on(t, state, step, causes)
+
+    def _acts(self, event: int) -> bool:
+        return isinstance(self._user[event].action, (Impact, Change))
+
+    def _append(self, record: EventRecord) -> None:
+        self.records.append(record)
+
+    def _check_terminal(self, t: float, state: State) -> bool:
+        """Check whether a terminal event of the user has ended the run."""
+        for j, event in enumerate(self._user):
+            number = len(self._modes.names) + j
+            acted = [x for x in self.records if x.event == number] if event.terminal else []
+            if event.terminal and len(acted) >= int(event.terminal):
+                self.ended_by, last = event.key, acted[-1]
+                self.end_within = last.t, last.q_after, last.p_after
+                self.reason = f"{event.key!r} ended the run at t={last.t:g}."
+                self._column[self._status] = ARRIVED
+                return True
+        return False
+
+    def _go_on(self, t: float, state: State, step: int, causes: Sequence[Cause]) -> None:
+        """Let causes act on a state, choose the next mode, and begin its piece."""
+        if any(cause.kind == MARGIN for cause in causes):
+            return self._fail(Status.CONTACT_PARADOX, t)
+        if self._is_endless(t, step):
+            return
+        mode, left = self._mode, set[tuple[bool, int]]()
+        for kind, number, sign in causes:
+            if kind == LIFT:
+                mode = mode._replace(contacts=_with(mode.contacts, number, False))
+                left.add((True, number))
+            elif kind == SLIP:
+                mode = mode._replace(elements=_with(mode.elements, number, sign))
+                left.add((False, number))
+            elif kind not in (GAP, USER):
+                mode = mode._replace(elements=_with(mode.elements, number, 0))
+        acting = [
+            cause.number + (len(self._modes.contacts) if cause.kind == USER else 0)
+            for cause in causes
+            if cause.kind == GAP or (cause.kind == USER and self._acts(cause.number))
+        ]
+        if acting:
+            after = self._act(t, state, step, acting)
+            if after is None:
+                return
+            state = after
+        self._choose(t, state, step, mode, frozenset(left))
+
+    def _is_endless(self, t: float, step: int) -> bool:
+        """Check whether modes change without end; the run then fails."""
+        near = TOGETHER * max(abs(t), abs(float(self.h)))
+        same = abs(t - self._acted_at[1]) <= near
+        self._acted_at = [self._acted_at[0] + 1 if same else 0, self._acted_at[1] if same else t]
+        within = self._acted_in[0] == step
+        self._acted_in = [step, self._acted_in[1] + 1 if within else 0]
+        if self._acted_at[0] > 2 * len(self._modes.names) + MOST_AT_ONE_TIME:
+            self._fail(Status.CONTACT_UNDECIDED, t)
+        elif self._acted_in[1] > MOST_ACTIONS:
+            self._fail(Status.EVENTS_ACCUMULATE, t)
+        return not self.alive
+
+    def _act(self, t: float, state: State, step: int, acting: list[int]) -> State | None:
+        """Let impacts and changes act on a state, and record them."""
+        contacts, names = len(self._modes.contacts), len(self._modes.names)
+        self._warn_of_sliding(t, state, [k for k in acting if k < contacts])
+        done = self._contacts.act(t, state, acting)
+        impacts = {k for k, *_, impulse in done if impulse}
+        for k, before, after, impulse in done:
+            number, impact = (k if k < contacts else names + k - contacts), k < contacts
+            kind = "impact" if impact else ""
+            several = len(impacts) > 1 and bool(impulse)
+            direction = -1 if impact else 0
+            self._append(
+                EventRecord(number, t, step, *before, *after, direction, impulse, several, kind)
+            )
+            state = after
+        if self._contacts.failure:
+            self._fail(Status.BAD_INPUT, t, self._contacts.failure)
+            return None
+        return None if self._check_terminal(t, state) else state
+
+    def _warn_of_sliding(self, t: float, state: State, hit: Sequence[int]) -> None:
+        """Warn once if a contact with friction collides while it slides."""
+        frictional = [k for k, c in enumerate(self._modes.contact_of) if c is not None and c in hit]
+        if self._warned or not frictional:
+            return
+        at = self._contacts.look(t, state)
+        still = at.still(at.counts.element_rows)
+        sliding = [k for k in frictional if not still[k]]
+        if sliding:
+            self._warned = True
+            contact = self._modes.contacts[self._modes.contact_of[sliding[0]]]
+            warn(
+                f"{self._program.system}: the contact {contact!r} collides while it slides. "
+                "Impulses have no friction here, so sliding does not change at the impact.",
+                ModelWarning,
+            )
+
+    def _choose(
+        self, t: float, state: State, step: int, mode: Mode, left: frozenset[tuple[bool, int]]
+    ) -> None:
+        """Choose the mode after an event; contacts whose impacts accumulate rest."""
+        given, at = state, self._contacts.look(t, state, left)
+        settled: dict[int, float] = {}
+        for _ in range(2 + len(self._modes.contacts)):
+            if (bad := at.bad_limit()) is not None:
+                name = self._modes.elements[bad]
+                why = (
+                    f"The limit of {name!r} is negative or not finite, or its static limit is "
+                    f"smaller, at t={t:g}. "
+                )
+                return self._fail(Status.BAD_INPUT, t, why)
+            found, more = at.decide(self._valid(mode, at))
+            if found is None or at.paradox():
+                return self._fail_undecided(t, at)
+            self._choices += more
+            resting = self._contacts.accumulated(at, found)
+            if not resting:
+                break
+            settled |= {c: t + delta for c, delta in resting.items()}
+            contacts = found.contacts
+            for c in settled:
+                contacts = _with(contacts, c, True)
+            mode = self._valid(Mode(contacts, found.elements), at)
+            state, at = self._contacts.project(t, state, at, mode, left)
+        else:
+            return self._fail_undecided(t, at)
+        state, _ = self._contacts.project(t, state, at, found, left)
+        for number, kind in self._kinds(found):
+            when = settled.get(number, t)
+            sign = {"slip+": 1, "slip-": -1}.get(kind, 0)
+            change = *given, *state
+            self._append(EventRecord(number, when, step, *change, sign, 0.0, False, kind))
+        self._mode = found
+        self._begin(t, state, step)
+
+    def _kinds(self, new: Mode) -> list[tuple[int, str]]:
+        """Return the numbers of contacts and elements that change, and what they begin."""
+        if not self._history:
+            return []
+        kinds = [
+            (c, "rest" if rests else "lift")
+            for c, (was, rests) in enumerate(zip(self._mode.contacts, new.contacts, strict=True))
+            if was != rests
+        ]
+        first, names = len(new.contacts), {0: "stick", 1: "slip+", -1: "slip-"}
+        for k, (was, state) in enumerate(zip(self._mode.elements, new.elements, strict=True)):
+            if was != state and state is not None:
+                kinds.append((first + k, names[state]))
+        return kinds
+
+    def _begin(self, t: float, state: State, step: int) -> None:
+        """Begin a piece in the present mode."""
+        names, spec = len(self._modes.names), self._spec
+        acted = [
+            sum(x.event == names + j for x in self.records) if event.terminal else 0
+            for j, event in enumerate(self._user)
+        ]
+        use = self._programs(self._mode, acted)
+        header, values = use.program.header, use.values(spec.parameters)
+        of_mode = RunSpec(
+            *(*state, "p0", values, spec.h, spec.t0, spec.steps, self.every, self._inputs),
+            record=spec.record,
+            reductions=use.reductions,
+            run_events=use.events,
+        )
+        recorders = make_recorders(header, None, spec.record, use.reductions)
+        storage = self.every, 1
+        piece = PieceRun(use.program, of_mode, use.events, storage, self._inputs, recorders)
+        piece.begin(*state, velocity=False)
+        piece.share_arrays(self)
+        previous = self._piece
+        piece.continues = previous is not None
+        if previous is not None:
+            self._columns.end(previous, self._history[-1].program)
+            _carry_reductions(previous, piece)
+        piece.rows("ITERATIONS", 1)[:] = self.rows("ITERATIONS", 1)
+        done = t - float(self._grid_time_of(step))
+        if abs(done) <= TOGETHER * max(abs(t), abs(float(self.h))):
+            done = 0.0
+        self._history.append(Piece(t, state, step, self._mode, use.program, values, use.causes))
+        self._piece = piece
+        piece.begin_piece(state, self.first, step, done)
+        rows = 2 * self.header.n
+        self.rows("POSITION", rows)[:] = np.concatenate(state)
+
+    def _grid_time_of(self, step: int) -> Any:
+        return self.t0 + self.h * step
+
+    # the outcome
+
+    def _fail_undecided(self, t: float, at: StateOfContacts) -> None:
+        if at.number_of_choices() > MOST_TRIED:
+            return self._fail(Status.CONTACT_UNDECIDED, t)
+        if all(at.motion(mode) is None for mode in at.choices()):
+            return self._fail(Status.SINGULAR_CONSTRAINTS, t)
+        if any(contact is not None for contact in self._modes.contact_of):
+            return self._fail(Status.CONTACT_PARADOX, t)
+        return self._fail(Status.CONTACT_UNDECIDED, t)
+
+    def _fail(self, status: Status, t: float, why: str = "") -> None:
+        touching = [
+            name
+            for name, rests in zip(self._modes.contacts, self._mode.contacts, strict=True)
+            if rests
+        ]
+        names = ", ".join(map(repr, touching or self._modes.names))
+        what = (
+            f"At t={t!r}, {counted(len(touching) or len(self._modes.names), 'element')}: {names}. "
+        )
+        self.reason = f"{why or what}{status.message}"
+        self._column[self._status] = int(status)
+
+    def reduction_values(self, reductions: Sequence[Any]) -> tuple[tuple[str, float], ...]:
+        """Return the names and current values of reductions, including counts of events."""
+        known = {} if self._piece is None else dict(self._piece.reduction_values(reductions))
+        names = [self._programs.names[record.event] for record in self.records]
+        for candidate in reductions:
+            if candidate.kind == "count":
+                known[candidate.name] = float(names.count(candidate.expression))
+        return tuple((reduction.name, known[reduction.name]) for reduction in reductions)
+
+    def recorded_fields(self, recorded: Reals, result: Any) -> dict[str, Any]:
+        """Split recorded rows into fields of a trajectory; add records and modes."""
+        history = ModeHistory(self._modes.names, tuple(self._history), self._choices)
+        acted = {"records": tuple(self.records), "event_names": self._programs.names}
+        more = {"ended_by": self.ended_by, "history": history}
+        return {**super().recorded_fields(recorded, result), **acted, **more}
+
+
+def _with(values: Sequence[Any], place: int, value: Any) -> tuple[Any, ...]:
+    """Return values with one of them replaced."""
+    return (*values[:place], value, *values[place + 1 :])
+
+
+def _carry_reductions(previous: PieceRun, piece: PieceRun) -> None:
+    """Copy the rows of reductions from one piece to the next one."""
+    rows = [
+        run.W[recorder.first : recorder.first + recorder.room]
+        for run in (previous, piece)
+        for recorder in run.recorders
+        if recorder.kernel == "observe"
+    ]
+    if rows:
+        rows[1][:] = rows[0]

@@ -1,0 +1,84 @@
+"""Modes of contacts and friction, and the equations of accelerations at a state, as numbers."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from symsimpson.support.array_types import Floats
+
+#: Values of a contact in a mode, as users see them.
+OPEN, REST = "open", "rest"
+#: Follows the name of a contact in the name of its friction.
+OF_CONTACT = ".slip"
+
+
+class Mode(NamedTuple):
+    """Which contacts rest, and what each friction element does.
+
+    An element sticks (0), slides in the direction of its sign (1 or -1), or belongs to an open
+    contact (None).
+    """
+
+    contacts: tuple[bool, ...]
+    elements: tuple[int | None, ...]
+
+    @property
+    def key(self) -> Mode:
+        """The mode without directions. Modes with equal keys have the same module."""
+        return Mode(self.contacts, tuple(x and 1 for x in self.elements))
+
+    @property
+    def states(self) -> tuple[str | int | None, ...]:
+        """The state of each contact and element, as users see it."""
+        return (*(REST if rests else OPEN for rests in self.contacts), *self.elements)
+
+    def changes(self, other: Mode) -> int:
+        """Return the number of contacts and elements that differ; None does not count."""
+        pairs = [*zip(self.contacts, other.contacts, strict=True)]
+        moved = zip(self.elements, other.elements, strict=True)
+        return sum(a != b for a, b in pairs) + sum(
+            a != b for a, b in moved if a is not None and b is not None
+        )
+
+
+class IndexOne(NamedTuple):
+    """M v' = push + (forces of rows) and W v' = -curve at states, with leading axes of states.
+
+    Rows of W are constraints of positions, gaps, velocity constraints, then friction elements.
+    ``rates`` are W v - b of each row, ``gaps`` the values of the gaps.
+    """
+
+    M: Floats
+    W: Floats
+    push: Floats
+    curve: Floats
+    rates: Floats
+    gaps: Floats
+    limits: Floats  #: Limit or coefficient of each element at its speed, then its static one.
+    momenta: Floats  #: The part of the momenta that does not depend on velocities.
+
+
+class Counts(NamedTuple):
+    """Numbers of constraints of positions, gaps, velocity constraints and friction elements."""
+
+    constraints: int
+    gaps: int
+    rolling: int
+    elements: int
+
+    @property
+    def contact_rows(self) -> range:
+        """Rows of the gaps."""
+        return range(self.constraints, self.constraints + self.gaps)
+
+    @property
+    def element_rows(self) -> range:
+        """Rows of the friction elements."""
+        first = self.constraints + self.gaps + self.rolling
+        return range(first, first + self.elements)
+
+    @property
+    def fixed_rows(self) -> list[int]:
+        """Rows of the constraints, which hold in every mode."""
+        first = self.constraints + self.gaps
+        return [*range(self.constraints), *range(first, first + self.rolling)]
