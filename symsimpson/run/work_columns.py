@@ -27,7 +27,8 @@ class WorkColumns:
     def recorders(self) -> list[Recorder]:
         """Return a recorder with a row for each column."""
         first, count = self.rows.start, len(self._names)
-        return [Recorder("work", first, count, count, name="work")] if self.works else []
+        kernel = "energy"  # of the module, as a recorder needs one; it is not called
+        return [Recorder(kernel, first, count, count, name="work")] if self.works else []
 
     def now(self, piece: Run, program: Program) -> Reals:
         """Return the present work, with that of a piece."""
