@@ -29,6 +29,7 @@ from symsimpson.run.checkpoint import read_description
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.calling import explain_arguments
+from symsimpson.support.contact_values import reject_contacts
 from symsimpson.support.derivation import Derivation
 from symsimpson.support.files import atomic_path, read_path
 from symsimpson.support.names import as_tuple, spelled
@@ -132,6 +133,7 @@ def compile(
     method = read_scheme(scheme)
     numbers = None
     if precision is not None or arithmetic != "mpmath":
+        reject_contacts(system.modes, system.name, "many digits")
         from symsimpson.program.digits import read_precision  # loads mpmath
 
         numbers = read_precision(precision, arithmetic)
@@ -262,6 +264,7 @@ def generate(
     'pendulum__midpoint.py'
     """
     check_system(system)
+    reject_contacts(system.modes, system.name, "a generated file", GenerationError)
     method = read_scheme(scheme)
     path = read_path("directory", directory) / f"{system.name}__{method.name}.py"
     if derivatives is not None and isinstance(system, RetimedSystem):
@@ -395,6 +398,13 @@ def resume(
     True
     """
     request = read_description(read_path("the checkpoint", path))
+    if "modes" in request:
+        reject(
+            "a checkpoint of a run with contacts or dry friction cannot be resumed alone.",
+            where=os.fspath(path),
+            why="It has the module of the motion without contacts only.",
+            remedy="Repeat the call that started the run: integrate(..., checkpoint=...).",
+        )
     program = read_program(request["source"], os.fspath(path), TOOLS, request.get("names"))
     stepper = Stepper(program)
     values = dict(zip(stepper.parameters, request["parameters"], strict=True))

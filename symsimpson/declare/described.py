@@ -214,6 +214,45 @@ class Described(Declared):
         held = (*self.constraints.values(), *self.velocity_constraints.values())
         return (*written, *(sp.Eq(expression, 0) for expression in held))
 
+    def mode(self, states: Mapping[str, Any]) -> Declared:
+        """Return the system of one mode of contacts and dry friction.
+
+        Parameters
+        ----------
+        states : mapping from str to state
+            "open" or "rest" for a contact; 0 (sticks), 1 or -1 (slides in this direction) for
+            friction. Contacts that you omit are open, and friction that you omit slides with 1.
+
+        Returns
+        -------
+        MechanicalSystem
+            A system with constraints in place of what rests and sticks. The directions of sliding
+            are its last parameters.
+
+        Raises
+        ------
+        ModelError
+            If the system has no such contact or friction element, or no such state.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> (x,) = ss.coordinates("x")
+        >>> brake = ss.MechanicalSystem("brake", coordinates=(x,), kinetic=x.diff()**2/2,
+        ...                             potential=0*x, friction=[ss.Friction(x.diff(), limit=2)])
+        >>> list(brake.mode({"1": 0}).velocity_constraints)
+        ['1']
+        """
+        if self.modes is None:
+            reject(
+                "it has neither contacts nor dry friction, so it has no modes.",
+                where=f"system '{self.name}'",
+                remedy="Declare contacts={...} or friction={...}.",
+                error=ModelError,
+            )
+        mode: Declared = self.modes.system_of(self.modes.read(states))
+        return mode
+
     def linearise(
         self,
         q0: ArrayLike,

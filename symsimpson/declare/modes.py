@@ -106,6 +106,12 @@ class Modes:
             self.statics += rebuild(graph, numbers[-1:], {speed[1]: ZERO})
 
     @property
+    def works(self) -> bool:
+        """Whether friction, or contacts that move, do work."""
+        nodes, (time,) = self._symbols.graph.nodes, self._symbols.numbers([self._symbols.t])
+        return bool(self.elements) or any(time in nodes[n].symbols for _, n in self.gaps)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the contacts, then of the friction elements."""
         return (*self.contacts, *self.elements)
@@ -159,7 +165,6 @@ class Modes:
 
     def system_of(self, key: Mode) -> ModeSystem:
         """Return the system of a mode; directions of sliding are its last parameters."""
-        key = key.key
         if key not in self._made:
             self._made[key] = self._make(key)
         return self._made[key]
@@ -195,7 +200,7 @@ class Modes:
         sticking = [(name, k) for name, x, k in pairs if x == 0]
         resting = [k for k, rests in enumerate(key.contacts) if rests]
         gaps = {self.contacts[k]: system.contacts[self.contacts[k]].gap for k in resting}
-        signs = {sp.Symbol(f"sign_{name}", real=True): 1.0 for name, _ in sliding}
+        signs = {sp.Symbol(f"sign_{name}", real=True): float(x) for name, x, _ in pairs if x}
         given = {f.name: getattr(system, f.name) for f in fields(Declared) if f.init}
         given |= {
             "positions": None,

@@ -248,6 +248,8 @@ def retiming_obstacle(system: MechanicalSystem) -> str:
         return "it is already retimed"
     if plain.hamiltonian is not None:
         return "it is declared by its Hamiltonian: declare g (H + p_t) with t as a coordinate"
+    if system.modes is not None:
+        return "it has contacts or dry friction"
     if plain.velocity_constraints:
         return "with velocity constraints its flow is not symplectic, in t or in tau"
     if plain.constraints:

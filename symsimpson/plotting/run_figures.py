@@ -291,7 +291,7 @@ def find_free_names(crossings: Any) -> tuple[str, ...]:
 def plot_energy(run: Any, *, shadow: bool = False, ax: Any = None) -> Any:
     """Draw the energy error over time; the work of forces is subtracted."""
     ax = get_axes(ax, (7, 3))
-    constant, unit = run.program.header.conservative, run.program.units.get("energy")
+    constant, unit = run.has_constant_energy, run.program.units.get("energy")
     absolute = not constant and unit is not None
     scale = 1.0 if constant or absolute else run.energy_scale
     change = run.energy_error if constant else run.energy_balance / scale

@@ -13,9 +13,11 @@ from symsimpson.program.numbers import NO_INPUTS
 from symsimpson.program.program import Program, read_program
 from symsimpson.program.recorders import RECORDERS
 from symsimpson.program.status import Status
-from symsimpson.results.events import EventRecord
+from symsimpson.results.datasets import EVENTS, RECORDED, trajectory_digest
+from symsimpson.results.event_record import EventRecord
+from symsimpson.results.modes import ModeHistory
 from symsimpson.results.tables import TABLES, check_kind
-from symsimpson.results.trajectory import EVENTS, RECORDED, Trajectory, trajectory_digest
+from symsimpson.results.trajectory import Trajectory
 from symsimpson.stepping.driving import make_input_history
 from symsimpson.support.extras import import_library
 from symsimpson.support.files import read_path
@@ -219,5 +221,6 @@ def _build_trajectory(dataset: Any, program: Program) -> Trajectory:
         records=tuple(EventRecord.read(entry) for entry in acted["records"]),
         event_names=tuple(acted["names"]),
         ended_by=acted["ended_by"],
+        history=ModeHistory.read(acted["modes"]) if "modes" in acted else None,
         error_estimate=float(about["error_estimate"]) if "error_estimate" in about else None,
     )

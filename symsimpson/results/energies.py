@@ -41,6 +41,12 @@ class Energies(FinishedRun):
         scale = max(abs(self._initial_energy), kinetic)
         return scale if scale > 0 else scale * 0 + 1
 
+    @property
+    def has_constant_energy(self) -> bool:
+        """Whether the energy is constant, apart from impacts."""
+        works = self.history is not None and self.history.works
+        return bool(self.program.header.conservative) and not works
+
     @cached_property
     def energy_error(self) -> NDArray[Any]:
         """The relative energy error (H - H0) / :attr:`energy_scale`, shape (N + 1,).
@@ -52,10 +58,12 @@ class Energies(FinishedRun):
         InputError
             If forces do work, or the energy depends on the time.
         """
-        header = self.program.header
-        if not header.conservative:
+        header, works = self.program.header, self.history is not None and self.history.works
+        if not self.has_constant_energy:
             cause = (
-                "forces do work"
+                "friction or moving contacts do work"
+                if works
+                else "forces do work"
                 if header.forces
                 else "moving constraints do work"
                 if header.carried
@@ -144,6 +152,11 @@ class Energies(FinishedRun):
         The key "total" has the sum over all forces. The inputs at a state are those of the step
         that begins there. The inputs at the final state are those of the last step.
         """
+        if self.history is not None:
+            from symsimpson.results.modes import powers
+
+            forces = len(self.program.names.forces.shown)
+            return powers(self, _evaluate_powers(self) if forces else 0 * self.q)
         if self.program.header.conservative:
             return {TOTAL: 0 * self.t}
         return name_columns(self.program, _evaluate_powers(self))
@@ -251,6 +264,10 @@ def integrate_powers(run: FinishedRun) -> tuple[dict[str, Reals], Reals]:
     the scheme is explicit.
     """
     program, header = run.program, run.program.header
+    if run.history is not None:
+        from symsimpson.results.modes import recorded_work
+
+        return recorded_work(run)
     if header.conservative:
         return {TOTAL: 0 * run.t}, 0 * run.t
     if run.records and WORK not in run.recorded:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,7 +183,7 @@ def merge_zeros(
 
 def run_fields(run: Any) -> dict[str, Any]:
     """Return the fields of a run that states found in it share."""
-    names = ("status", "message", "program", "parameter_values", "driven")
+    names = ("status", "message", "program", "parameter_values", "driven", "history")
     return {name: getattr(run, name) for name in names}
 
 
@@ -195,7 +195,13 @@ def find_zeros(run: FinishedRun, sought: ZeroQuery) -> tuple[Floats, ...]:
     turns back there.
     """
     wanted, direction = sought
-    dense, wrapped = DenseOutput(run), list(wanted.wrapped)
+    if wanted.held and run.history is not None:
+        reject(
+            f"{wanted.expression} contains a multiplier, which depends on the mode of contacts.",
+            where=run.program.system,
+            remedy="Pass it as an event of the run: events=[symsimpson.Event(...)].",
+        )
+    dense, wrapped = run.sol, list(wanted.wrapped)
     times, positions, momenta = _append_end(run, dense)
     pair = [wanted, replace(wanted, text=wanted.size)]
     watched = make_evaluator(run.program, pair, run.parameter_values)
@@ -374,37 +380,6 @@ def chandrupatla(
         part[i] = np.clip(guess, np.minimum(smallest, 0.5), 1 - np.minimum(smallest, 0.5))
         active = i[~done]
     return best
-
-
-class EventRecord(NamedTuple):
-    """One event that acted: its number, time and step, and the states before and after it."""
-
-    event: int
-    t: float
-    step: int
-    q: Floats
-    p: Floats
-    q_after: Floats
-    p_after: Floats
-    direction: int
-    impulse: float
-    simultaneous: bool
-    kind: str = ""  #: What a contact or friction began: "rest", "slip+", ...; "" for other events.
-
-    @property
-    def as_json(self) -> list[Any]:
-        """The record as a list of JSON values."""
-        return [x.tolist() if isinstance(x, np.ndarray) else x for x in self]
-
-    def since(self, step: int) -> EventRecord:
-        """Return the record with its step counted from another step of the run."""
-        return self._replace(step=self.step - step)
-
-    @classmethod
-    def read(cls, values: list[Any]) -> EventRecord:
-        """Return the record from the values that ``as_json`` returns."""
-        numbers: list[Any] = [np.array(x) if isinstance(x, list) else x for x in values]
-        return cls(*numbers)
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)

@@ -70,7 +70,7 @@ def trajectory(run: Any) -> str:
     iterations = iterations_a_step(run)
     if iterations:
         rows.append(("iterations a step", f"{iterations:.2f}"))
-    constant = run.program.header.conservative
+    constant = run.has_constant_energy
     known = constant and (run.every is not None or run.begun is not None)
     energy = np.asarray(run.energy_error if known else run.energy, dtype=float)
     if known:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import reject
 from symsimpson.program.program import Program
 from symsimpson.results.interpolate import DenseOutput
+from symsimpson.results.tables import Variable
 from symsimpson.stepping.driving import inputs_at_times
 from symsimpson.stepping.parts import PartialSteps
 from symsimpson.support.array_types import Floats, Reals, State
@@ -22,16 +24,48 @@ if TYPE_CHECKING:
 
 #: Prefixes of normal forces and of friction in ``run[...]``.
 NORMAL, FRICTION = "normal_", "friction_"
+#: The name of recorded work, and that of the sum over all forces.
+WORK, TOTAL = "work", "total"
 #: Columns of work after the forces: that of moving constraints, and the integral of dL/dt.
 CONSTRAINTS, BY_TIME = "constraints", "dL/dt"
 
 
-def work_names(program: Program) -> tuple[str, ...]:
-    """Return the names of the columns of work of a system, or of a mode."""
-    header, modes = program.header, program.modes
-    forces = (*program.names.forces.shown, *(() if modes is None else modes.elements))
-    carried = (CONSTRAINTS,) if header.carried or modes is not None else ()
-    return (*forces, *carried, *(() if header.autonomous and modes is None else (BY_TIME,)))
+def work_names(program: Program, elements: Sequence[str] | None = None) -> tuple[str, ...]:
+    """Return the names of the columns of work of a mode, or of a run with friction elements."""
+    header, whole = program.header, elements is not None
+    forces = (*program.names.forces.shown, *(elements or ()))
+    carried = (CONSTRAINTS,) if header.carried or whole else ()
+    return (*forces, *carried, *((BY_TIME,) if whole or not header.autonomous else ()))
+
+
+def recorded_work(run: FinishedRun) -> tuple[dict[str, Reals], Reals]:
+    """Return the recorded work of each force and element, and the integral of dL/dt."""
+    history: ModeHistory = run.history
+    if WORK not in run.recorded:
+        reject(
+            "the work is unknown, because contacts or friction acted on this run.",
+            why="Steps that an event divides are not repeated.",
+            remedy="Record it: record='work'.",
+        )
+    *names, _ = work_names(run.program, history.elements)
+    rows = run.recorded[WORK]
+    named = {name: rows[:, k] for k, name in enumerate(names)}
+    if not named[CONSTRAINTS].any():
+        del named[CONSTRAINTS]
+    return named | {TOTAL: rows[:, : len(names)].sum(axis=1)}, rows[:, len(names)]
+
+
+def powers(run: FinishedRun, of_forces: Reals) -> dict[str, Reals]:
+    """Return the power of each force and friction element at the states of a run.
+
+    ``of_forces`` has the powers of the forces of the system, a column for each.
+    """
+    names = run.program.names.forces.shown
+    named = {name: of_forces[:, k] for k, name in enumerate(names)}
+    friction, speeds = forces_by_name(run), _speeds(run)
+    for name, speed in zip(run.history.elements, speeds.T, strict=True):
+        named[name] = -friction[f"{FRICTION}{name}"] * speed
+    return named | {TOTAL: sum(named.values(), 0 * run.t)}
 
 
 @dataclass(frozen=True)
@@ -42,7 +76,7 @@ class Piece:
     state: State
     step: int  #: The step in which it begins.
     mode: Mode
-    program: Program = field(repr=False)
+    program: Program | None = field(repr=False)  #: None in a run from a file.
     values: Reals = field(repr=False)  #: Parameters, with the directions of sliding.
     causes: Any = field(repr=False)  #: What the events of the piece stand for.
 
@@ -75,6 +109,13 @@ class ModeHistory:
     names: tuple[str, ...]
     pieces: tuple[Piece, ...]
     choices: int
+    contacts: int  #: Number of contacts, which are the first names.
+    works: bool  #: Whether friction or moving contacts do work.
+
+    @property
+    def elements(self) -> tuple[str, ...]:
+        """Names of the friction elements."""
+        return self.names[self.contacts :]
 
     @property
     def t(self) -> Floats:
@@ -122,6 +163,27 @@ class ModeHistory:
             )
         return np.maximum(places, 0)
 
+    def since(self, step: int) -> ModeHistory:
+        """Return the modes with their steps counted from another step of the run."""
+        pieces = (replace(piece, step=piece.step - step) for piece in self.pieces)
+        return replace(self, pieces=tuple(pieces))
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the modes as JSON values, without their programs."""
+        pieces = [[x.t, *(y.tolist() for y in x.state), x.step, *x.mode] for x in self.pieces]
+        about = {"names": self.names, "contacts": self.contacts, "works": self.works}
+        return about | {"choices": self.choices, "pieces": pieces}
+
+    @classmethod
+    def read(cls, given: Mapping[str, Any]) -> ModeHistory:
+        """Return the modes from the values that ``as_json`` returns."""
+        pieces = []
+        for t, q, p, step, contacts, elements in given["pieces"]:
+            mode, state = Mode(tuple(contacts), tuple(elements)), (np.array(q), np.array(p))
+            pieces.append(Piece(t, state, step, mode, None, np.zeros(0), ()))
+        about = given["choices"], given["contacts"], given["works"]
+        return cls(tuple(given["names"]), tuple(pieces), *about)
+
     def __len__(self) -> int:
         return len(self.pieces)
 
@@ -129,16 +191,42 @@ class ModeHistory:
         return f"ModeHistory({', '.join(self.names)}: {len(self)} pieces)"
 
 
+def check_whole(run: Any) -> None:
+    """Raise InputError for a run whose modes are not known, as from a file or an ensemble."""
+    if run.history is None or not is_whole(run.history):
+        reject(
+            "the equations of contacts and friction are not known here.",
+            where=run.program.system,
+            why="The run is from a file, or it is a member of an ensemble.",
+            remedy="Repeat the run: stepper.integrate(...).",
+        )
+
+
+def is_whole(history: ModeHistory) -> bool:
+    """Return whether the programs of all modes are known."""
+    return all(piece.program is not None for piece in history.pieces)
+
+
+def _at_states(run: Any) -> Any:
+    """Evaluate accelerations, gaps and velocities of sliding at the states of a run."""
+    check_whole(run)
+    inputs = inputs_at_times(run.program, run.driven, run.t)[0, :, 0]
+    inputs = np.broadcast_to(inputs, (len(run.t), inputs.shape[-1]))
+    return run.program.modes.index_one(run.t, run.q, run.v, run.parameter_values, inputs)
+
+
+def _speeds(run: Any) -> Floats:
+    """Return A v of each friction element at the states of a run."""
+    at, rows = _at_states(run), run.program.modes.index_one.counts.element_rows
+    speeds: Floats = np.einsum("kij,kj->ki", at.W[:, rows.start : rows.stop], run.v)
+    return speeds
+
+
 def _columns(run: Any) -> tuple[Floats, Floats, Floats]:
     """Return normal forces, friction and multipliers of constraints at the states of a run."""
-    program, history = run.program, run.history
-    modes = program.modes
+    at, history, t = _at_states(run), run.history, run.t
+    modes = run.program.modes
     counts = modes.index_one.counts
-    t, q, v = run.t, run.q, run.v
-    inputs = inputs_at_times(program, run.driven, t)[0, :, 0]
-    at = modes.index_one(
-        t, q, v, run.parameter_values, np.broadcast_to(inputs, (len(t), inputs.shape[-1]))
-    )
     places = history.places(t)
     normal, friction = np.zeros((len(t), counts.gaps)), np.zeros((len(t), counts.elements))
     held = np.zeros((len(t), len(counts.fixed_rows)))
@@ -201,19 +289,36 @@ def quantity_names(program: Program) -> list[str]:
     return [f"{NORMAL}{x}" for x in modes.contacts] + [f"{FRICTION}{x}" for x in modes.elements]
 
 
-def forces_by_name(run: FinishedRun) -> dict[str, Floats]:
+def forces_by_name(run: Any) -> dict[str, Floats]:
     """Return normal forces and friction at the states of a run, by name."""
     normal, friction, _ = _columns(run)
     return dict(zip(quantity_names(run.program), [*normal.T, *friction.T], strict=True))
 
 
-def multipliers_of(run: FinishedRun) -> Floats:
-    """Return the multipliers of the constraints of a run with contacts, shape (N + 1, m)."""
-    return _columns(run)[2]
+def force_variables(run: Any) -> list[Variable]:
+    """Return normal forces and friction as variables, if they can be computed."""
+    if run.history is None or not is_whole(run.history):
+        return []
+    forces = forces_by_name(run).items()
+    return [
+        Variable(f"contact_force_{k}", values, ("time",), name, (name,))
+        for k, (name, values) in enumerate(forces)
+    ]
+
+
+def constraint_values(run: Any) -> tuple[Floats, Floats]:
+    """Return the multipliers of the constraints at states, and the forces of all of them."""
+    multipliers, at = _columns(run)[2], _at_states(run)
+    rows = run.program.modes.index_one.counts.fixed_rows
+    return multipliers, -np.einsum("kij,ki->kj", at.W[:, rows], multipliers)
 
 
 class DenseOutputOfModes(DenseOutput):
     """The dense output of a run with contacts or friction: each piece has its own mode."""
+
+    def __init__(self, run: FinishedRun) -> None:
+        check_whole(run)
+        super().__init__(run)
 
     def after(
         self, start: NDArray[np.int64], later: Reals
@@ -241,6 +346,7 @@ class DenseOutputOfModes(DenseOutput):
                 step, at, state = record.step, record.t, (record.q_after, record.p_after)
         if sign * piece.t > sign * at:
             step, at, state = piece.step, piece.t, piece.state
+        assert piece.program is not None
         parts = PartialSteps(piece.program, piece.values, h, run.input_values)
         status: Any = 0
         while sign * (t - at) > 0 and status == 0:

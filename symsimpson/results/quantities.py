@@ -123,6 +123,10 @@ class Quantities:
         InputError
             If the system has inputs whose values at the states are unknown.
         """
+        if getattr(self, "history", None) is not None:
+            from symsimpson.results.modes import constraint_values
+
+            return constraint_values(self)[0]
         return self._evaluate_quantity("multipliers")
 
     @cached_property
@@ -140,9 +144,16 @@ class Quantities:
 
     @cached_property
     def constraint_forces(self) -> NDArray[Any]:
-        """The generalised forces -Phi^T lambda of all constraints, with the shape of q."""
+        """The generalised forces -Phi^T lambda of all constraints, with the shape of q.
+
+        They do not include forces of contacts.
+        """
         if not self.program.header.constraints:
             return 0 * np.asarray(self.q)
+        if getattr(self, "history", None) is not None:
+            from symsimpson.results.modes import constraint_values
+
+            return constraint_values(self)[1]
         block, count = "CONSTRAINT_FORCE", self.program.n
         return -self._evaluate_rows("multipliers", block, count, driven=True)
 

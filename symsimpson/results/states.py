@@ -250,8 +250,11 @@ class States(Quantities, Tabular, Plottable):
     parameter_values: NDArray[Any] = field(repr=False)
     #: The inputs as functions of time, if they are known.
     driven: InputHistory | None = field(repr=False)
+    #: The modes of contacts and friction; None without either.
+    history: Any = field(repr=False)
 
     def __init__(self, **fields: Any) -> None:
+        self.__dict__["history"] = None
         self.__dict__.update(fields)  # four times faster than the generated constructor
 
     def __getattr__(self, name: str) -> Any:
@@ -323,8 +326,8 @@ class States(Quantities, Tabular, Plottable):
 
     def with_states(self, t: NDArray[Any], q: NDArray[Any], p: NDArray[Any]) -> States:
         """Return States of other t, q and p, with the same system, parameters and inputs."""
-        program, values = self.program, self.parameter_values
-        return States(t=t, q=q, p=p, program=program, parameter_values=values, driven=self.driven)
+        about = {"parameter_values": self.parameter_values, "history": self.history}
+        return States(t=t, q=q, p=p, program=self.program, driven=self.driven, **about)
 
     def __getstate__(self) -> dict[str, Any]:
         return {f.name: getattr(self, f.name) for f in fields(self)}  # without cached quantities
@@ -393,8 +396,23 @@ class States(Quantities, Tabular, Plottable):
 
         return plot_path(self, connected=self._connected, ax=ax)
 
+    def _special_quantity(self, key: str) -> Any:
+        if self.history is None or key not in self._special_names():
+            return None
+        from symsimpson.results.modes import forces_by_name
+
+        return forces_by_name(self)[key]
+
+    def _special_names(self) -> list[str]:
+        from symsimpson.results.modes import quantity_names
+
+        return [] if self.history is None else quantity_names(self.program)
+
     def _variables(self) -> list[Variable]:
-        return [*self._quantities(("time",)), *self._extra_variables()]
+        from symsimpson.results.modes import force_variables
+
+        plain = self._quantities(("time",))
+        return [*plain, *force_variables(self), *self._extra_variables()]
 
     def _extra_variables(self) -> list[Variable]:
         """Return the variables that only a subclass has."""
@@ -475,8 +493,6 @@ class FinishedRun(RunOutcome, States):
     varied_by: tuple[str, ...] | None = field(default=None, repr=False)
     recorded_values: tuple[tuple[str, NDArray[Any]], ...] = field(default=(), repr=False)
     ended_by: str | None = None
-    #: The modes of contacts and friction; None without either.
-    history: Any = field(default=None, repr=False)
 
     @property
     def recorded(self) -> dict[str, NDArray[Any]]:

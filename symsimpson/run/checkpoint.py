@@ -57,6 +57,7 @@ def describe_run(program: Program, run: Run, spec: RunSpec) -> dict[str, Any]:
         "p0": run.rows("MOMENTUM", program.n).tolist(),
         **({"recorded": run.recorded.shape[1]} if run.recorded.shape[1] else {}),
         **({"tangents": spec.tangents.tolist()} if spec.tangents is not None else {}),
+        **({} if program.modes is None else {"modes": list(program.modes.names)}),
         **({"record": list(spec.record)} if spec.record else {}),
         **({"events": [repr(x) for x in spec.run_events.events]} if spec.run_events else {}),
         **({"reduce": [x.entries for x in spec.reductions]} if spec.reductions else {}),

@@ -14,6 +14,7 @@ from symsimpson.program.numbers import Numbers
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.events import Events, ZeroQuery, find_zeros, merge_zeros, run_fields
+from symsimpson.results.modes import quantity_names
 from symsimpson.results.sampled import Sampled, Saved
 from symsimpson.results.states import States
 from symsimpson.results.trajectory import Trajectory
@@ -72,6 +73,7 @@ def run_with_selection(
         result = Sampled(**dict(zip("tqp", columns, strict=True)), **about)
     else:
         values = dict(zip(names, columns[1:], strict=True))
+        about.pop("history")
         result = Saved(t=columns[0], values=values, **about)
     if not last.success and on_failure == "raise":
         raise_failure(run, last, result)
@@ -156,6 +158,8 @@ def _check_names(program: Program, spec: RunSpec, names: list[str]) -> None:
         t=t, q=q, p=0 * q, program=program, parameter_values=spec.parameters, driven=begin
     )
     for name in names:
+        if program.modes is not None and name in quantity_names(program):
+            continue
         try:
             states[name]
         except UnknownNameError as error:
@@ -285,6 +289,7 @@ class OutputCollector(Sink):
             tau_values=tau if run.header.retimed else None,
             records=tuple(acted),
             ended_by=None if end is None else end.ended_by,
+            history=None if run.history is None else run.history.since(first),
         )
 
 

@@ -11,7 +11,7 @@ from symsimpson.run.decide import TOLERANCE, StateOfContacts
 from symsimpson.run.event_actions import EventActions
 from symsimpson.stepping.run_events import RunEvents
 from symsimpson.stepping.spec import RunSpec
-from symsimpson.support.array_types import State
+from symsimpson.support.array_types import Floats, Reals, State
 from symsimpson.support.contact_values import Mode
 from symsimpson.text.interface import ZERO
 
@@ -26,15 +26,14 @@ EPSILON = 2.0**-52
 class ContactStates:
     """Evaluates contacts and friction at states of a run, and lets impacts act there.
 
-    ``failure`` has the reason if an action is impossible, and ``last`` the last state that
-    :meth:`look` has seen.
+    ``failure`` has the reason if an action is impossible.
     """
 
-    def __init__(self, program: Program, spec: RunSpec, actions: RunEvents) -> None:
+    def __init__(self, program: Program, spec: RunSpec, actions: RunEvents, inputs: Reals) -> None:
         self._program, self._spec, self._events = program, spec, actions
         self._modes, self._h = program.modes, float(spec.h)
         self._actions = EventActions(program, spec, actions)
-        self.last: State = (spec.q0, spec.q0)
+        self._inputs = inputs
 
     @property
     def failure(self) -> str:
@@ -45,14 +44,21 @@ class ContactStates:
         self, t: float, state: State, left: frozenset[tuple[bool, int]] = frozenset()
     ) -> StateOfContacts:
         """Evaluate contacts and friction at a state (q, p)."""
-        q, p = self.last = state
-        program, values, inputs = self._program, self._spec.parameters, self._spec.inputs
+        (q, p), program, values = state, self._program, self._spec.parameters
         there = np.array([t]), q[None], p[None]
         v = evaluate(program, "energy", "VELOCITY", program.n, there, values)[0]
-        step = int(np.clip(np.floor((t - float(self._spec.t0)) / self._h), 0, inputs.shape[1] - 1))
-        at = self._modes.index_one(t, q, v, values, inputs[0, step, 0])
-        counts = self._modes.index_one.counts
-        return StateOfContacts(at, counts, self._modes.contact_of, q, v, self._h, left)
+        return self._at(t, q, v, left)
+
+    def _at(
+        self, t: float, q: Floats, v: Floats, left: frozenset[tuple[bool, int]]
+    ) -> StateOfContacts:
+        """Evaluate contacts and friction at a state (q, v)."""
+        values, inputs, modes = self._spec.parameters, self._inputs, self._modes
+        step = np.floor((t - float(self._spec.t0)) / self._h)
+        place = int(np.clip(step, 0, inputs.shape[1] - 1))
+        at = modes.index_one(t, q, v, values, inputs[0, place, 0])
+        counts = modes.index_one.counts
+        return StateOfContacts(at, counts, modes.contact_of, q, v, self._h, left)
 
     def act(
         self, t: float, state: State, acting: list[int]
@@ -104,11 +110,6 @@ class ContactStates:
             if not at.rows_of(mode):
                 break
             dq, dv = at.nearest(mode)
-            q, v = at.q + dq, at.v + dv
-            step = 0
-            counts = at.counts
-            inputs = self._spec.inputs[0, step, 0]
-            there = self._modes.index_one(t, q, v, self._spec.parameters, inputs)
-            state = q, there.M @ v + there.momenta
-            at = StateOfContacts(there, counts, at.contact_of, q, v, self._h, left)
+            at = self._at(t, at.q + dq, at.v + dv, left)
+            state = at.q, at.at.M @ at.v + at.at.momenta
         return state, at

@@ -15,7 +15,8 @@ from symsimpson.program.driver import driver_text
 from symsimpson.program.evaluation import prepare_observation
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
-from symsimpson.results.events import BESIDE, EventRecord, signs_near
+from symsimpson.results.event_record import EventRecord
+from symsimpson.results.events import BESIDE, signs_near
 from symsimpson.run.event_actions import EventActions
 from symsimpson.stepping.parts import PartialSteps
 from symsimpson.stepping.run_events import RunEvents

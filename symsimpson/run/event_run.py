@@ -12,7 +12,7 @@ from symsimpson.errors import reject
 from symsimpson.program.observed import OF_EVENTS, Reduction
 from symsimpson.program.recorders import Recorder
 from symsimpson.program.status import Status
-from symsimpson.results.events import EventRecord
+from symsimpson.results.event_record import EventRecord
 from symsimpson.run.event_actions import EventActions
 from symsimpson.run.event_locator import (
     STEP_FAILED,

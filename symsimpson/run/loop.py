@@ -78,7 +78,8 @@ class ControlLoop:
             endless = replace(spec, steps=MOST_STEPS)
             self._run = start_run(program, endless, 0, 1, self._inputs)
             #: Whether a step is one call of compiled code, which Ctrl-C cannot interrupt.
-            self._compiled_steps = numbers.compiled and spec.run_events is None
+            plain = spec.run_events is None and program.modes is None
+            self._compiled_steps = numbers.compiled and plain
             #: Whether to check that steps resolve a passage with a small mass matrix.
             self._checks_passages = self._compiled_steps and program.declared is not None
 

@@ -9,17 +9,26 @@ import numpy as np
 
 from symsimpson.errors import ModelWarning, reject
 from symsimpson.program.status import Status
-from symsimpson.results.events import EventRecord
+from symsimpson.results.event_record import EventRecord
 from symsimpson.results.modes import ModeHistory, Piece
 from symsimpson.run.contact_states import ContactStates
 from symsimpson.run.decide import MOST_TRIED, StateOfContacts
 from symsimpson.run.event_run import MOST_ACTIONS, EventRun
-from symsimpson.run.mode_programs import GAP, LIFT, MARGIN, SLIP, USER, Cause, ModePrograms
+from symsimpson.run.mode_programs import (
+    GAP,
+    LIFT,
+    MARGIN,
+    SLIP,
+    USER,
+    Cause,
+    ModeProgram,
+    ModePrograms,
+)
 from symsimpson.run.work_columns import WorkColumns
 from symsimpson.stepping.event import Change, Impact
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.spec import RunSpec, make_recorders
-from symsimpson.support.array_types import Reals, State
+from symsimpson.support.array_types import Floats, Reals, State
 from symsimpson.support.calling import warn
 from symsimpson.support.contact_values import Mode
 from symsimpson.support.names import counted
@@ -79,13 +88,13 @@ class ModeRun(Run):
         self._program, self._spec, self._modes = program, spec, program.modes
         events = () if spec.run_events is None else spec.run_events.events
         self._programs = ModePrograms(program, events, spec.reductions)
-        self._contacts = ContactStates(program, spec, self._programs.actions)
+        self._contacts = ContactStates(program, spec, self._programs.actions, inputs)
         self._user = events
         self._mode = Mode((), ())
         self._piece: PieceRun | None = None
         self._acted_at, self._acted_in = [0, 0.0], [-1, 0]
         self._reduced: Any = None
-        self._history: list[Piece] = []
+        self._history = list[Piece]()
         self._choices = 0
         self._warned = False
 
@@ -171,6 +180,7 @@ class ModeRun(Run):
         self.rows("POSITION", rows)[:] = piece.rows("POSITION", rows)
         self.rows("ITERATIONS", 1)[:] = piece.rows("ITERATIONS", 1)
         program = self._history[-1].program
+        assert program is not None
         self._columns.copy(piece, program, self.recorded, self.every, (before, self.step))
         self._column[self._columns.rows] = self._columns.now(piece, program)
 
@@ -197,7 +207,7 @@ class ModeRun(Run):
                 causes.append(cause)
             if cause.kind == USER and not self._acts(cause.number):
                 self._append(record._replace(event=len(self._modes.names) + cause.number))
-        if self._check_terminal(t, state):
+        if self._check_terminal():
             return
         self._go_on(t, state, step, causes)
 
@@ -207,7 +217,7 @@ class ModeRun(Run):
     def _append(self, record: EventRecord) -> None:
         self.records.append(record)
 
-    def _check_terminal(self, t: float, state: State) -> bool:
+    def _check_terminal(self) -> bool:
         """Check whether a terminal event of the user has ended the run."""
         for j, event in enumerate(self._user):
             number = len(self._modes.names) + j
@@ -279,7 +289,7 @@ class ModeRun(Run):
         if self._contacts.failure:
             self._fail(Status.BAD_INPUT, t, self._contacts.failure)
             return None
-        return None if self._check_terminal(t, state) else state
+        return None if self._check_terminal() else state
 
     def _warn_of_sliding(self, t: float, state: State, hit: Sequence[int]) -> None:
         """Warn once if a contact with friction collides while it slides."""
@@ -353,13 +363,36 @@ class ModeRun(Run):
 
     def _begin(self, t: float, state: State, step: int) -> None:
         """Begin a piece in the present mode."""
-        names, spec = len(self._modes.names), self._spec
-        acted = [
+        use = self._programs(self._mode, self._counts())
+        piece, previous = self._make_piece(state, use), self._piece
+        piece.continues = previous is not None
+        if previous is not None:
+            program = self._history[-1].program
+            assert program is not None
+            self._columns.end(previous, program)
+            _carry_reductions(previous, piece)
+        piece.rows("ITERATIONS", 1)[:] = self.rows("ITERATIONS", 1)
+        done = t - float(self._grid_time_of(step))
+        if abs(done) <= TOGETHER * max(abs(t), abs(float(self.h))):
+            done = 0.0
+        about = self._mode, use.program, use.values(self._spec.parameters), use.causes
+        self._history.append(Piece(t, state, step, *about))
+        self._piece = piece
+        piece.begin_piece(state, self.first, step, done)
+        self.rows("POSITION", 2 * self.header.n)[:] = np.concatenate(state)
+
+    def _counts(self) -> list[int]:
+        """Return how often each terminal event of the user has acted."""
+        names = len(self._modes.names)
+        return [
             sum(x.event == names + j for x in self.records) if event.terminal else 0
             for j, event in enumerate(self._user)
         ]
-        use = self._programs(self._mode, acted)
-        header, values = use.program.header, use.values(spec.parameters)
+
+    def _make_piece(self, state: State, use: ModeProgram) -> PieceRun:
+        """Return a piece in a mode, at a state."""
+        spec, header = self._spec, use.program.header
+        values = use.values(spec.parameters)
         of_mode = RunSpec(
             *(*state, "p0", values, spec.h, spec.t0, spec.steps, self.every, self._inputs),
             record=spec.record,
@@ -371,23 +404,44 @@ class ModeRun(Run):
         piece = PieceRun(use.program, of_mode, use.events, storage, self._inputs, recorders)
         piece.begin(*state, velocity=False)
         piece.share_arrays(self)
-        previous = self._piece
-        piece.continues = previous is not None
-        if previous is not None:
-            self._columns.end(previous, self._history[-1].program)
-            _carry_reductions(previous, piece)
-        piece.rows("ITERATIONS", 1)[:] = self.rows("ITERATIONS", 1)
-        done = t - float(self._grid_time_of(step))
-        if abs(done) <= TOGETHER * max(abs(t), abs(float(self.h))):
-            done = 0.0
-        self._history.append(Piece(t, state, step, self._mode, use.program, values, use.causes))
-        self._piece = piece
-        piece.begin_piece(state, self.first, step, done)
-        rows = 2 * self.header.n
-        self.rows("POSITION", rows)[:] = np.concatenate(state)
+        return piece
 
     def _grid_time_of(self, step: int) -> Any:
         return self.t0 + self.h * step
+
+    # files
+
+    def position(self) -> list[Any]:
+        """Return counters, records and modes that, with the workspace, restore the run."""
+        pieces = [[x.t, *map(list, x.state), x.step, *map(list, x.mode)] for x in self._history]
+        piece = self._piece
+        assert piece is not None
+        records = [record.as_json for record in self.records]
+        inside = [piece.position(), piece.W[:, 0].tolist(), list(piece.begin_at)]
+        counters = [self._acted_at, self._acted_in, self._columns.before.tolist(), self._choices]
+        return [*super().position(), self.reason, records, pieces, inside, counters]
+
+    def restore(self, position: Sequence[Any], workspace: Floats) -> None:
+        """Restore the counters, records, modes and workspace of another run."""
+        *rest, self.reason, records, pieces, inside, counters = position
+        super().restore(rest, workspace)
+        self.records[:] = [EventRecord.read(entry) for entry in records]
+        self._history = list[Piece]()
+        for t, q, p, step, contacts, elements in pieces:
+            self._mode, state = Mode(tuple(contacts), tuple(elements)), (np.array(q), np.array(p))
+            use = self._programs(self._mode, self._counts())
+            values = use.values(self._spec.parameters)
+            about = self._mode, use.program, values, use.causes
+            self._history.append(Piece(t, state, step, *about))
+        self._piece = piece = self._make_piece(state, use)
+        where, column, begin_at = inside
+        piece.restore(where, np.array(column))
+        piece.begin_at = int(begin_at[0]), float(begin_at[1])
+        self._acted_at, self._acted_in, before, self._choices = counters
+        self._columns.before = np.array(before)
+        self.ended_by = self.end_within = None
+        if piece.has_arrived:
+            self._check_terminal()
 
     # the outcome
 
@@ -422,11 +476,17 @@ class ModeRun(Run):
                 known[candidate.name] = float(names.count(candidate.expression))
         return tuple((reduction.name, known[reduction.name]) for reduction in reductions)
 
+    @property
+    def history(self) -> ModeHistory:
+        """The modes so far."""
+        modes = self._modes
+        about = self._choices, len(modes.contacts), modes.works
+        return ModeHistory(modes.names, tuple(self._history), *about)
+
     def recorded_fields(self, recorded: Reals, result: Any) -> dict[str, Any]:
         """Split recorded rows into fields of a trajectory; add records and modes."""
-        history = ModeHistory(self._modes.names, tuple(self._history), self._choices)
         acted = {"records": tuple(self.records), "event_names": self._programs.names}
-        more = {"ended_by": self.ended_by, "history": history}
+        more = {"ended_by": self.ended_by, "history": self.history}
         return {**super().recorded_fields(recorded, result), **acted, **more}
 
 

@@ -24,6 +24,7 @@ from symsimpson.stepping.inputs import (
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec, read_run
 from symsimpson.support.array_types import Reals
+from symsimpson.support.contact_values import reject_contacts
 from symsimpson.support.progress import read_progress
 
 if TYPE_CHECKING:
@@ -284,6 +285,7 @@ def take_step_with_tangents(
     program: Program, request: Request, names: tuple[str, ...]
 ) -> Trajectory:
     """Take the single step of a request, with its derivatives by the state and by ``names``."""
+    reject_contacts(program.modes, program.system, "derivatives")
     if program.header.retimed:
         spec = read_run(program, request)
         return run_at_fixed_times(program, spec, names, False, "raise", fixed_steps=True)
@@ -295,6 +297,7 @@ def program_for_request(program: Program, request: Request) -> Program:
     """Return the variant of a program that computes the derivatives a request asks for."""
     if not request.varied:
         return program
+    reject_contacts(program.modes, program.system, "derivatives")
     return program_with_derivatives(program, _names_to_vary(program, request))
 
 

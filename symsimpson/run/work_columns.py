@@ -20,8 +20,8 @@ class WorkColumns:
 
     def __init__(self, program: Program, *, works: bool) -> None:
         self.works = works
-        self._names = work_names(program) if works else ()
-        self._before = np.zeros(len(self._names))  # the work of all pieces before this one
+        self._names = work_names(program, program.modes.elements) if works else ()
+        self.before = np.zeros(len(self._names))  # the work of all pieces before this one
         self.rows = slice(program.header.rows, program.header.rows + len(self._names))
 
     def recorders(self) -> list[Recorder]:
@@ -32,7 +32,7 @@ class WorkColumns:
 
     def now(self, piece: Run, program: Program) -> Reals:
         """Return the present work, with that of a piece."""
-        now = self._before.copy()
+        now = self.before.copy()
         if self.works and program.header.powers:
             now[self._places(program)] += piece.rows("WORK", program.header.powers)
         return now
@@ -45,13 +45,13 @@ class WorkColumns:
             return
         before, last = (step - piece.first for step in steps)
         some = slice(before // every + 1, last // every + 1)
-        recorded[some, :, 0] = self._before
+        recorded[some, :, 0] = self.before
         if program.header.powers:
             recorded[some, self._places(program), 0] += piece.recorded[some, :, 0]
 
     def end(self, piece: Run, program: Program) -> None:
         """Add the work of a piece, because the next one begins with none."""
-        self._before = self.now(piece, program)
+        self.before = self.now(piece, program)
 
     def _places(self, program: Program) -> list[int]:
         names = work_names(program)

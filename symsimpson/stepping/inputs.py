@@ -21,6 +21,7 @@ from symsimpson.program.numbers import Numbers
 from symsimpson.program.program import Program
 from symsimpson.stepping.request import Request
 from symsimpson.support.array_types import Reals
+from symsimpson.support.contact_values import reject_contacts
 from symsimpson.support.names import counted, did_you_mean, shortened, spelled
 
 #: Largest difference between t_end and a whole number of steps, as a fraction of a step. The
@@ -307,7 +308,8 @@ def program_with_derivatives(
 
 
 def reject_retimed(program: Program, what: str) -> None:
-    """Raise InputError if the system has a time transformation."""
+    """Raise InputError if the system has a time transformation, contacts or dry friction."""
+    reject_contacts(program.modes, program.system, what)
     if program.header.retimed:
         reject(
             f"{what} do not support a time transformation yet.",

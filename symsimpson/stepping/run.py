@@ -183,6 +183,11 @@ class Run:
         self.recorded[place, :, 0] = self.recorder_rows()
 
     @property
+    def history(self) -> Any:
+        """The modes of contacts and friction; None without either."""
+        return None
+
+    @property
     def recorders(self) -> tuple[Recorder, ...]:
         """The recorders of the run."""
         return self._recorders

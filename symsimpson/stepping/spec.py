@@ -98,10 +98,16 @@ def read_run(program: Program, request: Request) -> RunSpec:
             tangents=tangents,
             t_end=end,
             record=read_record_names(program, request.record),
-            reductions=_reductions(program, request.reduce, run_events.names if run_events else ()),
+            reductions=_reductions(program, request.reduce, event_names(program, run_events)),
             run_events=run_events,
             note=describe_changed_step(request, h, steps, numbers),
         )
+
+
+def event_names(program: Program, run_events: RunEvents | None) -> tuple[str, ...]:
+    """Return the names of what acts on a run: contacts, friction elements and events."""
+    acting = () if run_events is None else run_events.names
+    return acting if program.modes is None else (*program.modes.names, *acting)
 
 
 def _reductions(

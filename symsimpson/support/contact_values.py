@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from symsimpson.errors import InputError, SymsimpsonError, reject
 from symsimpson.support.array_types import Floats
 
 #: Values of a contact in a mode, as users see them.
@@ -82,3 +83,16 @@ class Counts(NamedTuple):
         """Rows of the constraints, which hold in every mode."""
         first = self.constraints + self.gaps
         return [*range(self.constraints), *range(first, first + self.rolling)]
+
+
+def reject_contacts(
+    modes: Any, name: str, what: str, error: type[SymsimpsonError] = InputError
+) -> None:
+    """Raise an error if a system has modes of contacts or dry friction, which exclude ``what``."""
+    if modes is not None:
+        reject(
+            f"{what} cannot be combined with contacts or dry friction.",
+            where=f"system {name!r}",
+            remedy="Use the system of one mode: system.mode({'floor': 'rest'}).",
+            error=error,
+        )

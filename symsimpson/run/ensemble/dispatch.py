@@ -69,9 +69,10 @@ def run_ensemble(
 
     def run(task: EnsembleSpec) -> Ensemble:
         check_steps(program, task)
-        task = choose_lanes(program, task) if client is None else task
+        alone = client is not None or program.modes is not None
+        task = task if alone else choose_lanes(program, task)
         ensemble, stopped = _run_task(program, task, store, client)
-        if not stopped and task.run_events is None:  # events change the energy
+        if not stopped and not task.event_names:  # events change the energy
             check_results(program, task, ensemble)
         elif stopped and on_failure == "raise":
             raise Interrupted(ensemble.message, trajectory=ensemble)
@@ -110,9 +111,9 @@ def _run_task(
             why="Each member has its own times, but a store has the same times for all members.",
             remedy="Remove store, and store few states of each member.",
         )
-    if store is not None and task.run_events is not None:
+    if store is not None and task.event_names:
         reject(
-            "store= cannot be combined with events.",
+            "store= cannot be combined with events, contacts or dry friction.",
             why="A store does not save events, so it could not continue an interrupted ensemble.",
             remedy="Remove store. To save memory, use every=None and reduce=.",
         )

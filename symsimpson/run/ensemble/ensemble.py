@@ -16,13 +16,13 @@ from symsimpson.program.evaluation import evaluate
 from symsimpson.program.input_values import read_count
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
+from symsimpson.results.datasets import RECORDED
 from symsimpson.results.energies import WORK, name_columns
-from symsimpson.results.events import EventRecord
+from symsimpson.results.event_record import EventRecord
 from symsimpson.results.quantities import Quantities
 from symsimpson.results.sampled import Sampled, member_states
 from symsimpson.results.states import StateDerivatives, program_attributes
 from symsimpson.results.tables import Savable, Variable, build_table
-from symsimpson.results.trajectory import RECORDED
 from symsimpson.stepping.driving import InputHistory, inputs_at_times
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explain_methods

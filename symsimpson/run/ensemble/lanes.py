@@ -90,6 +90,9 @@ def run_blocks(
 ) -> tuple[Ensemble, bool]:
     """Run members in vector blocks on threads; return also whether Ctrl-C stopped it."""
     results = MemberResults(task, program.header)
+    if program.modes is not None:  # members change their modes at different times
+        stopped = run_singly(program, task, results)
+        return make_ensemble(program, task, **results.columns()), stopped
     queue = _run_all_blocks(program, task, results, count)
     if task.t_end is not None:
         take_last_parts(program, task, results)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from symsimpson.program.observed import read_reductions
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder, split, with_clock
 from symsimpson.program.status import Status
-from symsimpson.results.events import EventRecord
+from symsimpson.results.event_record import EventRecord
 from symsimpson.run.ensemble.ensemble import Ensemble
 from symsimpson.stepping.constrained_start import project_start
 from symsimpson.stepping.driving import make_input_history, read_input_values
@@ -29,7 +29,7 @@ from symsimpson.stepping.inputs import (
 )
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run_events import check_variations, read_run_events
-from symsimpson.stepping.spec import RunSpec, make_recorders, read_record_names
+from symsimpson.stepping.spec import RunSpec, event_names, make_recorders, read_record_names
 from symsimpson.support.array_types import Floats, Ints
 from symsimpson.support.names import as_mapping
 from symsimpson.text.header import Header
@@ -44,6 +44,8 @@ class EnsembleSpec(RunSpec):
     progress: bool | None
     lanes: int
     retimed: bool = False
+    #: Names of the records: contacts, friction elements and events.
+    event_names: tuple[str, ...] = field(default=(), kw_only=True)
 
     @property
     def members(self) -> int:
@@ -140,9 +142,9 @@ class MemberResults:
         }
         recorded = self.recorded if task.every else self.recorded[:, 0]
         columns["variations"], columns["recorded"] = split(self._recorders, recorded, q.shape[-1])
-        if task.run_events is not None:
+        if task.event_names:
             whole_steps = task.t0 + task.h * steps
-            columns |= {"records": self.records, "event_names": task.run_events.names}
+            columns |= {"records": self.records, "event_names": task.event_names}
             columns["ended_at"] = np.where(np.isnan(self.ended_at), whole_steps, self.ended_at)
             if not task.every and not task.retimed:
                 columns["t"] = columns["ended_at"]
@@ -206,7 +208,14 @@ def read_ensemble_spec(
                 remedy="Pass one row for each member in each argument, or one row for all.",
             )
     stride, run_events = read_every(request.every), read_run_events(program, request)
-    reductions = read_reductions(program, request.reduce, run_events.names if run_events else ())
+    names_of_events = event_names(program, run_events)
+    reductions = read_reductions(program, request.reduce, names_of_events)
+    if program.modes is not None and request.record is not None:
+        reject(
+            "an ensemble with contacts or dry friction does not record the work.",
+            where=program.system,
+            remedy="Run a member alone: stepper.integrate(..., record='work').",
+        )
     if run_events is not None and request.varied:
         check_variations(program, driving)
     workers = _read_threads(threads)
@@ -240,6 +249,7 @@ def read_ensemble_spec(
         record=read_record_names(program, request.record),
         reductions=reductions,
         run_events=run_events,
+        event_names=names_of_events,
         note=describe_changed_step(request, h, count, FLOAT64),
     )
 

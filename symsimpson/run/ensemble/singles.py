@@ -62,11 +62,11 @@ def run_singly(program: Program, task: EnsembleSpec, results: MemberResults) -> 
     """
     status, small = results.codes[:, 0], (np.abs(task.q0) < FAST_SINES).all(axis=1)
     good = status == Status.SUCCESS
-    if not program.header.real_everywhere:
+    if not program.header.real_everywhere and program.modes is None:
         good &= _have_real_energy(program, task, results)
     for ends in (results.q[:, -1], results.p[:, -1]):
         good &= ~(np.abs(ends) > LARGE_VALUE).any(axis=1)
-    if len(program.header.constraints) > 1 and task.every:
+    if len(program.header.constraints) > 1 and task.every and program.modes is None:
         good &= _have_independent_constraints(program, task, results)
     good |= (status == Status.BAD_INPUT) & small
     reductions = tuple(x for x in task.reductions if not x.of_variations) or None

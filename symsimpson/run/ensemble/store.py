@@ -24,7 +24,7 @@ import numpy as np
 from symsimpson.errors import InputError, StorageError, SymsimpsonError, reject
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
-from symsimpson.results.trajectory import RECORDED
+from symsimpson.results.datasets import RECORDED
 from symsimpson.run.ensemble.ensemble import Ensemble, names_in_dataset
 from symsimpson.run.ensemble.lanes import measure_member_time, run_blocks
 from symsimpson.run.ensemble.members import EnsembleSpec, MemberResults, make_ensemble

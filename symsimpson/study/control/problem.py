@@ -17,6 +17,7 @@ from symsimpson.program.input_values import whole_number
 from symsimpson.study.control.problem_parts import read_grid
 from symsimpson.study.control.symbolic_problem import SymbolicProblem, read_galerkin_scheme
 from symsimpson.support.calling import explain_methods, warn
+from symsimpson.support.contact_values import reject_contacts
 from symsimpson.support.extras import import_library
 from symsimpson.support.markup import fields_given
 from symsimpson.support.names import shortened, spelled
@@ -116,6 +117,7 @@ class OptimalControl:
                 f"system is a {type(system).__name__}, which optimal control does not accept.",
                 remedy="Pass a MechanicalSystem with inputs and without a time transformation.",
             )
+        reject_contacts(system.modes, system.name, "optimal control")
         if system.plain.moving:
             reject(
                 f"{system.name} has constraints of positions that contain the time.",

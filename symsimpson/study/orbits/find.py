@@ -25,6 +25,7 @@ from symsimpson.study.orbits.orbit import Orbit
 from symsimpson.study.orbits.search import Search
 from symsimpson.study.orbits.shooting import OrbitUnknowns, Shooting
 from symsimpson.support.array_types import Floats
+from symsimpson.support.contact_values import reject_contacts
 from symsimpson.support.names import as_tuple, did_you_mean, spelled
 
 #: Segments of searches that begin with states along the whole path.
@@ -127,6 +128,7 @@ def read_search(
 def _check_system(stepper: Stepper) -> None:
     """Reject steppers whose orbits cannot be searched for."""
     program = stepper.program
+    reject_contacts(program.modes, program.system, "a search for orbits")
     if program.declared is None:
         reject(
             "a search for orbits needs T and V, which a generated file lacks.",

@@ -27,6 +27,7 @@ from symsimpson.program.driver import KernelSets, driver_text
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.stepping.run import FALLBACK_STRETCH, HOPELESS
+from symsimpson.support.contact_values import reject_contacts
 from symsimpson.support.files import read_path, write_text
 from symsimpson.targets.c.kinds import INT, KERNEL, POINTER, REAL, SET, Functions, Kinds, Source
 from symsimpson.targets.c.statements import (
@@ -90,6 +91,7 @@ def write_c(program: Program, prefix: str) -> tuple[str, str]:
     the system has a time transformation, or a step needs more stack than ``MOST_STACK``.
     """
     header = program.header
+    reject_contacts(program.modes, program.system, "C code")
     if not program.numbers.compiled:
         reject(
             "a stepper with many digits cannot be exported.",
