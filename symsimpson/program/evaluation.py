@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -90,8 +90,8 @@ class StateEvaluator:
         self._driver, self._zeros = numbers.driver("evaluate"), numbers.zeros
         self._count, self._workspace = len(observed), W
         self._values, self._prepared = np.atleast_2d(numbers.read(values)), False
-        #: Inputs at the states: one state of axis 1 stands for all.
-        self.inputs: Reals = NO_INPUTS
+        #: Returns the inputs at times, shape (1, N, 1, m); None without inputs.
+        self.inputs_at: Callable[[Reals], Reals] | None = None
 
     def __call__(self, t: Reals, q: Reals, p: Reals) -> Reals:
         """Return the values at states, shape (len(q), number of expressions)."""
@@ -102,7 +102,7 @@ class StateEvaluator:
         again = self._prepared and len(self._values) == 1
         layout, first = self._place
         addresses = 0 if again else prepare, before, kernel
-        given = self.inputs, self._values
+        given = NO_INPUTS if self.inputs_at is None else self.inputs_at(t), self._values
         self._driver(addresses, 1.0, self._workspace, layout, states, first, out, given)
         self._prepared = True
         return out

@@ -15,6 +15,7 @@ from symsimpson.program.recorders import Recorder
 from symsimpson.text.header import Header
 from symsimpson.text.interface import FADED, MET, WATCHED, ZERO
 from symsimpson.text.quantity import MULTIPLIERS, OBSERVABLE, VECTORS
+from symsimpson.text.workspace_layout import DRIVER_LAYOUT
 
 #: Reductions over the steps of a run, in the order of their numbers: four of values at states,
 #: three of variations, and the number of times that an event acted.
@@ -36,6 +37,7 @@ class ObservedExpression:
     #: Whether it is a remainder such as ``Mod(q1, 2*pi)``, which never changes its sign.
     rest: bool = False
     held: bool = False  #: Whether it contains multipliers, which the multipliers kernel computes.
+    driven: bool = False  #: Whether it depends on the inputs, as multipliers may.
 
     @property
     def constant(self) -> bool:
@@ -328,6 +330,8 @@ def _names(header: Header) -> list[str]:
     rows += [(x.symbol, x.block) for x in OBSERVABLE]
     multipliers = range(len(header.constraints))
     rows += [(f"{MULTIPLIERS.symbol}{i}", f"MULTIPLIER + {i}") for i in multipliers]
+    stride = int(header.driver_layout[DRIVER_LAYOUT["INPUT_STRIDE"]]) if header.inputs else 0
+    rows += [(f"u_{i}", f"INPUT + {i * stride}") for i in range(len(header.inputs))]
     return [f"{name} = W[{row}, lane]" for name, row in rows]
 
 

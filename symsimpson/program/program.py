@@ -74,8 +74,9 @@ class Names:
         plain = self._declared.plain
         rows = (*plain.forces.values(), plain.constraint_values)
         values = [plain.L, *plain.invariants.values(), *chain(*rows)]
+        elements = (*self._declared.contacts.values(), *self._declared.friction.values())
+        drawn: set[Any] = set().union(*(x.free_symbols for x in elements))
         used = {n for _, node in values for n in plain.graph.nodes[node].symbols}
-        drawn: set[Any] = set()
         for point in (self._declared.positions or {}).values():
             corners = point if isinstance(point[0], tuple) else (point,)
             drawn.update(*(x.free_symbols for x in chain(*corners)))

@@ -9,6 +9,7 @@ import numpy as np
 from symsimpson.program.evaluation import evaluate
 from symsimpson.run.decide import TOLERANCE, StateOfContacts
 from symsimpson.run.event_actions import EventActions
+from symsimpson.stepping.driving import interpolate_inputs
 from symsimpson.stepping.run_events import RunEvents
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Floats, Reals, State
@@ -41,22 +42,24 @@ class ContactStates:
         return self._actions.failure
 
     def look(
-        self, t: float, state: State, left: frozenset[tuple[bool, int]] = frozenset()
+        self, t: float, state: State, step: int, left: frozenset[tuple[bool, int]] = frozenset()
     ) -> StateOfContacts:
-        """Evaluate contacts and friction at a state (q, p)."""
+        """Evaluate contacts and friction at a state (q, p), with the inputs of a step."""
         (q, p), program, values = state, self._program, self._spec.parameters
         there = np.array([t]), q[None], p[None]
         v = evaluate(program, "energy", "VELOCITY", program.n, there, values)[0]
-        return self._at(t, q, v, left)
+        return self._at(t, q, v, step, left)
 
     def _at(
-        self, t: float, q: Floats, v: Floats, left: frozenset[tuple[bool, int]]
+        self, t: float, q: Floats, v: Floats, step: int, left: frozenset[tuple[bool, int]]
     ) -> StateOfContacts:
         """Evaluate contacts and friction at a state (q, v)."""
-        values, inputs, modes = self._spec.parameters, self._inputs, self._modes
-        step = np.floor((t - float(self._spec.t0)) / self._h)
-        place = int(np.clip(step, 0, inputs.shape[1] - 1))
-        at = modes.index_one(t, q, v, values, inputs[0, place, 0])
+        values, inputs, modes = self._spec.parameters, self._inputs[0, 0, 0], self._modes
+        if self._inputs.size:
+            share = np.array([[(t - float(self._spec.t0)) / self._h - step]])
+            given = self._program, self._inputs, np.array([step])
+            inputs = interpolate_inputs(*given, share)[0, 0, 0]
+        at = modes.index_one(t, q, v, values, inputs)
         counts = modes.index_one.counts
         return StateOfContacts(at, counts, modes.contact_of, q, v, self._h, left)
 
@@ -103,6 +106,7 @@ class ContactStates:
         state: State,
         at: StateOfContacts,
         mode: Mode,
+        step: int,
         left: frozenset[tuple[bool, int]],
     ) -> tuple[State, StateOfContacts]:
         """Return the nearest state at which the rows of a mode hold, and its contacts."""
@@ -110,6 +114,6 @@ class ContactStates:
             if not at.rows_of(mode):
                 break
             dq, dv = at.nearest(mode)
-            at = self._at(t, at.q + dq, at.v + dv, left)
+            at = self._at(t, at.q + dq, at.v + dv, step, left)
             state = at.q, at.at.M @ at.v + at.at.momenta
         return state, at

@@ -240,6 +240,19 @@ class StateOfContacts:
     def _some_choices(self) -> Iterator[Mode]:
         return self.choices() if self.number_of_choices() <= MOST_TRIED else iter(())
 
+    def implied(self, mode: Mode) -> frozenset[int]:
+        """Return the open contacts whose gaps stay zero, because other contacts rest."""
+        rows, found = self.rows_of(mode), set[int]()
+        still = self.still(self.counts.contact_rows)
+        for c, r in enumerate(self.counts.contact_rows):
+            if rows and not mode.contacts[c] and self.touching[c] and still[c]:
+                held = self.at.W[[*rows, r]]
+                whole = held @ self._inverse @ held.T
+                scale = np.sqrt(np.diag(whole))
+                if not np.linalg.eigvalsh(whole / np.outer(scale, scale))[0] > DEPENDENT:
+                    found.add(c)
+        return frozenset(found)
+
     def paradox(self) -> bool:
         """Return whether friction at a sliding contact leaves the normal force without a value."""
         counts = self.counts

@@ -20,11 +20,12 @@ from symsimpson.run.event_locator import (
     EventSigns,
     read_plain_restitution,
 )
+from symsimpson.stepping.driving import interpolate_inputs
 from symsimpson.stepping.event import Impact
 from symsimpson.stepping.parts import SMALLEST_NUDGES, PartialSteps
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.run_events import RunEvents
-from symsimpson.support.array_types import Floats, Reals
+from symsimpson.support.array_types import Floats, Reals, State
 from symsimpson.text.driver.impacts import NOTHING, TOGETHER
 from symsimpson.text.interface import ARRIVED, MET, RECORDERS, WATCHED
 from symsimpson.text.workspace_layout import DRIVER_LAYOUT
@@ -85,13 +86,14 @@ class EventRun(Run):
             self._saltation = Saltation(program, run_events, spec.parameters, float(spec.h), inputs)
         watch = self._actions.rows
         self._locator = EventLocator(program, run_events, self._parts, watch, first, self.records)
-        self._held = any(expression.held for expression in run_events.watched)
-        if self._held and inputs.size and inputs.shape[2] > 1:
-            reject(
-                "events of multipliers need inputs that are constant over each step.",
-                where=program.system,
-                remedy="Pass one value for each step, or events of other expressions.",
-            )
+        driven = [x.held or x.driven for x in run_events.watched[: len(run_events.events)]]
+        #: Events whose expressions depend on inputs, and may jump where inputs do.
+        self._driven = np.array(driven, dtype=np.bool_) & bool(inputs.size)
+        self._input_step = 0
+        if self._driven.any():
+            self._actions.rows.inputs_at = partial(self._inputs_at, program)
+        varies = bool(inputs.size) and inputs.shape[2] > 1
+        self._varies = bool(self._driven.any()) and varies  # the compiled loop cannot watch it
         restitution = read_plain_restitution(program, run_events, spec, self._actions)
         if restitution is not None and not (inputs.size or works or self.pauses):
             self._take_steps = partial(self._locator.take_steps, restitution)
@@ -121,7 +123,7 @@ class EventRun(Run):
         for k, event in enumerate(self._events.events):
             if not (isinstance(event.action, Impact) and self._actions.may_act(row, k)):
                 continue
-            if values[k] < -LARGEST_PENETRATION * sides.size[k]:
+            if not self.pauses and values[k] < -LARGEST_PENETRATION * sides.size[k]:
                 reject(
                     f"the initial state violates the gap {event.key!r}, "
                     f"whose value is {values[k]:g}.",
@@ -129,7 +131,7 @@ class EventRun(Run):
                     remedy="Start where the gap is positive, or change the sign of the gap.",
                 )
             sides.side[k] = 1
-        if self._actions.touching_impacts(values, sides.small).any():
+        if not self.pauses and self._actions.touching_impacts(values, sides.small).any():
             self._act_at_current_state(t, step, state, [])
         if not done:
             self._store_values()
@@ -148,7 +150,9 @@ class EventRun(Run):
     def take(self, stop: int) -> None:
         """Take steps with the current kernels; split steps with events."""
         while True:
-            super().take(stop)
+            super().take(min(stop, self.step + 1) if self._varies else stop)
+            if self._varies and self.alive:
+                self._check_values()
             kink = self._column[self._status] == Status.NOT_FINITE and self._events.split_alone()
             kink = kink and self._fallback + 1 == len(self._fallbacks)
             if not (kink or self._column[self._status] == MET) or self.reason:
@@ -156,6 +160,14 @@ class EventRun(Run):
             self._split_step(completed=not kink)
         if self.step == self._steps and self.alive:
             self._finish()
+
+    def _check_values(self) -> None:
+        """Stop after a step in which an expression of inputs has changed its sign."""
+        self._set_inputs(self.step - 1)
+        values = self._actions.values(float(self._grid_time()), self._state())
+        new = self.sides.signs_of(values, self.sides.small)
+        if (self._driven & self.sides.acting_events(new)).any():
+            self._column[self._status] = MET
 
     @property
     def can_recover(self) -> bool:
@@ -187,11 +199,24 @@ class EventRun(Run):
         self.sides.mark_zeros(self._value)
 
     def _set_inputs(self, step: int) -> None:
-        """Set the inputs of a step, on which multipliers depend."""
-        if self._held and self._inputs.size:
-            place = min(step, self._inputs.shape[1] - 1)
-            self._actions.rows.inputs = self._inputs[:1, place : place + 1]
-            self._locator.set_inputs(self._inputs[0, place])
+        """Set the step whose inputs count, because multipliers may depend on them."""
+        self._input_step = step
+        if self._driven.any() and not self._varies:
+            self._locator.set_inputs(self._inputs[0, min(step, self._inputs.shape[1] - 1)])
+
+    def _inputs_at(self, program: Program, t: Reals) -> Reals:
+        """Return the inputs of the present step at times, shape (1, len(t), 1, m)."""
+        step, h = self._input_step, float(self.h)
+        at = (np.asarray(t, dtype=float) - float(self.t0 + self.h * step)) / h
+        return interpolate_inputs(program, self._inputs, np.full(len(t), step), at[:, None])
+
+    def _jumped(self, t: float, state: State) -> list[int]:
+        """Return the events whose expressions have changed their signs with the inputs."""
+        if not self._driven.any():
+            return []
+        values, side = self._actions.values(t, state), self.sides.side
+        new = self.sides.signs_of(values, self.sides.small)
+        return np.flatnonzero(self._driven & self.sides.acting_events(new) & (side != 0)).tolist()
 
     def _split_step(self, *, completed: bool, done: float = 0.0) -> None:
         """Repeat a step with its events, from the duration ``done`` on.
@@ -340,6 +365,8 @@ class EventRun(Run):
             due := self.sides.events_at_start(t0, start, step, self.sides.small_at(t0, start))
         ):
             return 0.0, start, due
+        if jumped := self._jumped(t, start):
+            return 0.0, start, jumped
         first, last = self._actions.row(t, start), self._actions.row(t0 + h, end)
         zeros = self.sides.find_end_zeros(row, rest, first, last)
         sides, ends = (self.sides.side.copy(), self.sides.size.copy()), (first, last, end[0])

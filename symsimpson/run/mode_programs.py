@@ -87,19 +87,22 @@ class ModePrograms:
         action = Impact(e if getattr(e, "free_symbols", ()) else float(e))
         return Event(self._gaps[contact], name=name, action=action)
 
-    def __call__(self, mode: Mode, acted: Sequence[int]) -> ModeProgram:
+    def __call__(
+        self, mode: Mode, acted: Sequence[int], implied: frozenset[int] = frozenset()
+    ) -> ModeProgram:
         """Return the program and the events of a mode.
 
-        ``acted`` has how often each event of the user has acted.
+        ``acted`` has how often each event of the user has acted. ``implied`` are open contacts
+        whose gaps stay zero, because other contacts rest.
         """
         left = tuple(
             max(1, int(event.terminal) - count) if event.terminal else 0
             for event, count in zip(self._user, acted, strict=True)
         )
-        key = mode.key, left
+        key = mode.key, left, implied
         if key not in self._known:
             program = program_of(self._program, mode)
-            pairs = [*self._events(mode, program)]
+            pairs = [*self._events(mode, program, implied)]
             for j, (event, count) in enumerate(zip(self._user, left, strict=True)):
                 acts = isinstance(event.action, (Impact, Change))
                 pairs.append((replace(event, terminal=1 if acts else count), Cause(USER, j)))
@@ -110,20 +113,21 @@ class ModePrograms:
             self._known[key] = ModeProgram(mode, program, read, causes, kept)
         return replace(self._known[key], mode=mode)
 
-    def _events(self, mode: Mode, program: Program) -> Any:
+    def _events(self, mode: Mode, program: Program, implied: frozenset[int]) -> Any:
         """Yield the events that end a mode, and their causes."""
         modes, texts = self.modes, getattr(program.declared, "texts", {})
         places = program.names.constraints.places
 
         def ends(name: str, text: str, cause: Cause, *, held: bool) -> tuple[Event, Cause]:
-            watched = ObservedExpression(name, text, energetic="v_" in text, held=held)
+            energetic, driven = "v_" in text, held or "u_" in text
+            watched = ObservedExpression(name, text, energetic, held=held, driven=driven)
             label = f"{cause.kind} of {name}{cause.sign or ''}"
             return Event(watched, name=label, direction=-1, terminal=True), cause
 
         for c, (name, rests) in enumerate(zip(modes.contacts, mode.contacts, strict=True)):
             if rests:
                 yield ends(name, f"-l_{places[name]}", Cause(LIFT, c), held=True)
-            else:
+            elif c not in implied:
                 gap = replace(self._impact(c), name=f"{GAP} of {name}", terminal=True)
                 yield gap, Cause(GAP, c)
         for k, (name, state) in enumerate(zip(modes.elements, mode.elements, strict=True)):

@@ -13,7 +13,7 @@ from symsimpson.results.event_record import EventRecord
 from symsimpson.results.modes import ModeHistory, Piece
 from symsimpson.run.contact_states import ContactStates
 from symsimpson.run.decide import MOST_TRIED, StateOfContacts
-from symsimpson.run.event_run import MOST_ACTIONS, EventRun
+from symsimpson.run.event_run import MOST_ACTIONS, EventRun, Times
 from symsimpson.run.mode_programs import (
     GAP,
     LIFT,
@@ -65,6 +65,19 @@ class PieceRun(EventRun):
         if self.alive and self.step < stop:
             super().take(stop)
 
+    def _act(self, t: float, step: int, state: Any, events: Sequence[int], times: Times) -> Any:
+        """Pause at events that end the mode: they act on the whole system later."""
+        row = self._actions.row(t, state)
+        ends = [k for k in events if self._events.events[k].terminal]
+        ends = [k for k in ends if self._actions.may_act(row, k)]
+        if not ends:
+            return super()._act(t, step, state, events, times)
+        for k in ends:
+            direction = -int(np.sign(self.sides.side[k]))
+            q, p = state
+            self.records.append(EventRecord(k, t, step, q, p, q, p, direction, 0.0, False))
+        return None if self._check_terminal() else state
+
     def share_arrays(self, run: Run) -> None:
         """Store states in the arrays of another run."""
         self.q, self.p, self.iterations = run.q, run.p, run.iterations
@@ -105,7 +118,7 @@ class ModeRun(Run):
         t, state = float(self.t0), self._state()
         if self._spec.h < 0:
             self._reject_backward()
-        at = self._contacts.look(t, state)
+        at = self._contacts.look(t, state, 0)
         for c, name in enumerate(self._modes.contacts):
             if at.at.gaps[c] < 0 and not at.touching[c]:
                 reject(
@@ -274,7 +287,7 @@ class ModeRun(Run):
     def _act(self, t: float, state: State, step: int, acting: list[int]) -> State | None:
         """Let impacts and changes act on a state, and record them."""
         contacts, names = len(self._modes.contacts), len(self._modes.names)
-        self._warn_of_sliding(t, state, [k for k in acting if k < contacts])
+        self._warn_of_sliding(t, state, step, [k for k in acting if k < contacts])
         done = self._contacts.act(t, state, acting)
         impacts = {k for k, *_, impulse in done if impulse}
         for k, before, after, impulse in done:
@@ -291,12 +304,12 @@ class ModeRun(Run):
             return None
         return None if self._check_terminal() else state
 
-    def _warn_of_sliding(self, t: float, state: State, hit: Sequence[int]) -> None:
+    def _warn_of_sliding(self, t: float, state: State, step: int, hit: Sequence[int]) -> None:
         """Warn once if a contact with friction collides while it slides."""
         frictional = [k for k, c in enumerate(self._modes.contact_of) if c is not None and c in hit]
         if self._warned or not frictional:
             return
-        at = self._contacts.look(t, state)
+        at = self._contacts.look(t, state, step)
         still = at.still(at.counts.element_rows)
         sliding = [k for k in frictional if not still[k]]
         if sliding:
@@ -312,7 +325,7 @@ class ModeRun(Run):
         self, t: float, state: State, step: int, mode: Mode, left: frozenset[tuple[bool, int]]
     ) -> None:
         """Choose the mode after an event; contacts whose impacts accumulate rest."""
-        given, at = state, self._contacts.look(t, state, left)
+        given, at = state, self._contacts.look(t, state, step, left)
         settled: dict[int, float] = {}
         for _ in range(2 + len(self._modes.contacts)):
             if (bad := at.bad_limit()) is not None:
@@ -334,17 +347,17 @@ class ModeRun(Run):
             for c in settled:
                 contacts = _with(contacts, c, True)
             mode = self._valid(Mode(contacts, found.elements), at)
-            state, at = self._contacts.project(t, state, at, mode, left)
+            state, at = self._contacts.project(t, state, at, mode, step, left)
         else:
             return self._fail_undecided(t, at)
-        state, _ = self._contacts.project(t, state, at, found, left)
+        state, at = self._contacts.project(t, state, at, found, step, left)
         for number, kind in self._kinds(found):
             when = settled.get(number, t)
             sign = {"slip+": 1, "slip-": -1}.get(kind, 0)
             change = *given, *state
             self._append(EventRecord(number, when, step, *change, sign, 0.0, False, kind))
         self._mode = found
-        self._begin(t, state, step)
+        self._begin(t, state, step, at.implied(found))
 
     def _kinds(self, new: Mode) -> list[tuple[int, str]]:
         """Return the numbers of contacts and elements that change, and what they begin."""
@@ -361,9 +374,9 @@ class ModeRun(Run):
                 kinds.append((first + k, names[state]))
         return kinds
 
-    def _begin(self, t: float, state: State, step: int) -> None:
+    def _begin(self, t: float, state: State, step: int, implied: frozenset[int]) -> None:
         """Begin a piece in the present mode."""
-        use = self._programs(self._mode, self._counts())
+        use = self._programs(self._mode, self._counts(), implied)
         piece, previous = self._make_piece(state, use), self._piece
         piece.continues = previous is not None
         if previous is not None:
@@ -464,7 +477,7 @@ class ModeRun(Run):
         what = (
             f"At t={t!r}, {counted(len(touching) or len(self._modes.names), 'element')}: {names}. "
         )
-        self.reason = f"{why or what}{status.message}"
+        self.reason = why.strip() or f"{what}{status.message}"
         self._column[self._status] = int(status)
 
     def reduction_values(self, reductions: Sequence[Any]) -> tuple[tuple[str, float], ...]:

@@ -365,10 +365,18 @@ class Run:
         if self._tools is None or self._declared is None:
             return False
         n, number = self.header.n, self.step
-        inputs = self._inputs[0, min(number, self._inputs.shape[1] - 1), 0]
-        values = [*map(float, self._parameters), *map(float, inputs)]
-        q, t = map(float, self.rows("POSITION", n)), float(self._grid_time())
-        terms = self._tools.force_terms(self._declared, q, values, t)
+        inputs = self._inputs[0, min(number, self._inputs.shape[1] - 1)]
+        parameters, t = [*map(float, self._parameters)], float(self._grid_time())
+        q = [*map(float, self.rows("POSITION", n))]
+        # at both ends of the step: forces may begin at zero
+        terms = np.max(
+            [
+                self._tools.force_terms(self._declared, q, [*parameters, *map(float, u)], time)
+                for u in inputs
+                for time in (t, t + float(self.h))
+            ],
+            axis=0,
+        )
         masses = self.rows("MASS_DIAGONAL", n).astype(np.float64)
         with np.errstate(over="ignore"):
             size = float(sum(terms[masses > 0] ** 2 / masses[masses > 0]))
