@@ -150,9 +150,9 @@ class MechanicalSystem(Described):
         inputs = read_inputs(name, self.inputs, coordinates, parameters)
         object.__setattr__(self, "inputs", inputs)
         touching = name_elements(name, self.contacts, Contact)
-        object.__setattr__(self, "contacts", MappingProxyType(touching))
+        object.__setattr__(self, "contacts", touching)
         rubbing = name_elements(name, self.friction, Friction, tuple(touching))
-        object.__setattr__(self, "friction", MappingProxyType(rubbing))
+        object.__setattr__(self, "friction", rubbing)
         if self.prescribed:
             coordinates = self._prescribe(name, coordinates, parameters)
         constraints = name_constraints(name, self.constraints)
@@ -173,6 +173,8 @@ class MechanicalSystem(Described):
             "parameters": MappingProxyType(parameters),
             "positions": positions,
             "invariants": invariants,
+            "contacts": MappingProxyType(dict(self.contacts)),
+            "friction": MappingProxyType(dict(self.friction)),
             "plain": plain,
             "seconds": seconds,
         }.items():

@@ -42,12 +42,14 @@ def project_start(
     values: Reals,
     t: Any,
     missed: float = LARGEST_VIOLATION,
+    h: Any = 0.0,
 ) -> tuple[Reals, Reals]:
     """Project q0 onto the constraints by Newton's method; check v0 or p0 and return it unchanged.
 
     The arrays ``q``, ``other`` and ``values`` have one row for each ensemble member. ``kind`` is
     "v0" if ``other`` has velocities, "p0" for momenta, and "" to skip the check of ``other``.
-    ``missed`` is the largest accepted violation, relative to the gradients and to q.
+    ``missed`` is the largest accepted violation, relative to the gradients and to q. For positions
+    near the origin, the motion of one step ``h`` from rest counts as their size.
 
     Raises
     ------
@@ -76,7 +78,12 @@ def project_start(
     slopes = slopes_at(q)
     size = np.linalg.norm(slopes, axis=2)
     extents = np.abs(q.astype(np.float64))
-    reach = extents.max(axis=1)[:, None]
+    accelerations = at("HELD_RIGHT", n + m, rest)[:, list(header.tables["HELD_PLACE"][:n])]
+    pulled = np.abs(accelerations.astype(np.float64)).max(axis=1)
+    weight = at("CONSTRAINT_WEIGHT", m, rest).astype(np.float64) * size
+    held = _relative(np.abs(at("MULTIPLIER", m, rest).astype(np.float64)), weight).max(axis=1)
+    of_step = np.maximum(*(np.nan_to_num(x, posinf=0.0) for x in (pulled, held))) * float(h) ** 2
+    reach = np.maximum(extents.max(axis=1), of_step)[:, None]
     whole, sizes = size * reach, _sizes(q, reach)
     typical = _scaled(slopes, sizes)
     ahead = np.where(q < 0, -1.0, 1.0) * FLAT_CHANGE
@@ -118,8 +125,6 @@ def project_start(
     if not kind:
         return q, other
     speeds = other.astype(np.float64)
-    accelerations = at("HELD_RIGHT", n + m, rest)[:, list(header.tables["HELD_PLACE"][:n])]
-    pulled = np.abs(accelerations.astype(np.float64)).max(axis=1)
     # at a turning point v is only round-off: compare it with the speed that forces produce over q
     gained = np.sqrt(np.nan_to_num(pulled[:, None] * reach))
     fastest = np.abs(speeds).max(axis=1)[:, None]

@@ -87,7 +87,8 @@ def read_run(program: Program, request: Request) -> RunSpec:
         q = read_vector("q0", request.q0, names, numbers)
         second = read_vector(given, other, names, numbers)
         q, second = (
-            x[0] for x in project_start(program, q[None], second[None], given, values[None], t0)
+            x[0]
+            for x in project_start(program, q[None], second[None], given, values[None], t0, h=h)
         )
         inputs, carried = read_input_values(program, request.inputs, h, steps, t0), request.carried
         tangents = None if carried is None else read_tangents(program, carried)
