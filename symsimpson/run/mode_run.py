@@ -46,6 +46,7 @@ class PieceRun(EventRun):
     """A piece of a run, in one mode: it pauses at the event that ends the mode."""
 
     pauses = True
+    ending: frozenset[int] = frozenset()  #: Events that end the mode.
 
     def begin_piece(self, state: State, first: int, step: int, done: float) -> None:
         """Begin at a state in a step, at a duration ``done`` in it; ``first`` is stored first."""
@@ -74,7 +75,7 @@ class PieceRun(EventRun):
     def _act(self, t: float, step: int, state: Any, events: Sequence[int], times: Times) -> Any:
         """Pause at events that end the mode: they act on the whole system later."""
         row = self._actions.row(t, state)
-        ends = [k for k in events if self._events.events[k].terminal]
+        ends = [k for k in events if k in self.ending]
         ends = [k for k in ends if self._actions.may_act(row, k)]
         if not ends:
             return super()._act(t, step, state, events, times)
@@ -474,6 +475,11 @@ class ModeRun(Run):
         recorders = make_recorders(header, carried, spec.record, use.reductions)
         storage = self.every, 1
         piece = PieceRun(use.program, of_mode, use.events, storage, self._inputs, recorders)
+        piece.ending = frozenset(
+            k
+            for k, cause in enumerate(use.causes)
+            if cause.kind != USER or self._acts(cause.number)
+        )
         piece.begin(*state, velocity=False)
         piece.share_arrays(self)
         return piece
