@@ -63,10 +63,14 @@ class IndexOneFunction:
         self.counts = Counts(len(held.phi), len(gaps), len(held.rows), len(rows))
 
     def __call__(self, t: Any, q: Reals, v: Reals, values: Reals, inputs: Reals) -> IndexOne:
-        """Evaluate at states of shape (..., n), with parameters and inputs of shape (..., m)."""
-        columns: list[Any] = [np.asarray(t, dtype=np.float64)]
+        """Evaluate at states of shape (..., n), with parameters and inputs of shape (..., m).
+
+        Complex numbers give derivatives, by a small imaginary part.
+        """
+        kind = np.result_type(np.float64, *map(np.asarray, (t, q, v, values)))
+        columns: list[Any] = [np.asarray(t, dtype=kind)]
         for x in (q, v, values, inputs):
-            numbers = np.asarray(x, dtype=np.float64)
+            numbers = np.asarray(x, dtype=kind)
             columns += [numbers[..., k] for k in range(numbers.shape[-1])]
         shape = np.shape(q)[:-1]
         with np.errstate(all="ignore"):  # values that are not finite are found later
@@ -93,5 +97,5 @@ def _stack(numbers: Sequence[Any], shape: tuple[int, ...]) -> Floats:
     if not numbers:
         return np.zeros((*shape, 0))
     if not shape:
-        return np.array(numbers, dtype=np.float64)
-    return np.stack([np.broadcast_to(x, shape) for x in numbers], axis=-1).astype(np.float64)
+        return np.array(numbers) * 1.0
+    return np.stack([np.broadcast_to(x, shape) for x in numbers], axis=-1) * 1.0

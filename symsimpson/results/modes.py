@@ -281,18 +281,21 @@ def mode_forces(at: Any, counts: Any, mode: Mode, contact_of: Any) -> tuple[Floa
     return normal, friction, x[:, :fixed]
 
 
-def quantity_names(program: Program) -> list[str]:
+def quantity_names(program: Program, history: ModeHistory | None = None) -> list[str]:
     """Return the names of normal forces and friction."""
-    modes = program.modes
-    if modes is None:
+    named, modes = program.modes if history is None else history, program.modes
+    if named is None:
         return []
-    return [f"{NORMAL}{x}" for x in modes.contacts] + [f"{FRICTION}{x}" for x in modes.elements]
+    contacts = modes.contacts if history is None else history.names[: history.contacts]
+    return [f"{NORMAL}{x}" for x in contacts] + [f"{FRICTION}{x}" for x in named.elements]
 
 
 def forces_by_name(run: Any) -> dict[str, Floats]:
     """Return normal forces and friction at the states of a run, by name."""
     normal, friction, _ = _columns(run)
-    return dict(zip(quantity_names(run.program), [*normal.T, *friction.T], strict=True))
+    return dict(
+        zip(quantity_names(run.program, run.history), [*normal.T, *friction.T], strict=True)
+    )
 
 
 def force_variables(run: Any) -> list[Variable]:

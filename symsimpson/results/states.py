@@ -397,16 +397,18 @@ class States(Quantities, Tabular, Plottable):
         return plot_path(self, connected=self._connected, ax=ax)
 
     def _special_quantity(self, key: str) -> Any:
-        if self.history is None or key not in self._special_names():
+        if key not in self._special_names():
             return None
         from symsimpson.results.modes import forces_by_name
 
         return forces_by_name(self)[key]
 
     def _special_names(self) -> list[str]:
+        if self.history is None and self.program.modes is None:
+            return []
         from symsimpson.results.modes import quantity_names
 
-        return [] if self.history is None else quantity_names(self.program)
+        return quantity_names(self.program, self.history)
 
     def _variables(self) -> list[Variable]:
         from symsimpson.results.modes import force_variables

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from symsimpson.program.evaluation import evaluate
 from symsimpson.run.decide import TOLERANCE, StateOfContacts
 from symsimpson.run.event_actions import EventActions
+from symsimpson.run.saltation import EventDerivatives
 from symsimpson.stepping.driving import interpolate_inputs
 from symsimpson.stepping.run_events import RunEvents
 from symsimpson.stepping.spec import RunSpec
@@ -22,6 +25,8 @@ if TYPE_CHECKING:
 #: Impacts that follow each other within this part of a step end in rest.
 NEGLIGIBLE = 1e-7
 EPSILON = 2.0**-52
+#: Imaginary part for derivatives, far below round-off.
+IMAGINARY = 1e-40
 
 
 class ContactStates:
@@ -34,7 +39,7 @@ class ContactStates:
         self._program, self._spec, self._events = program, spec, actions
         self._modes, self._h = program.modes, float(spec.h)
         self._actions = EventActions(program, spec, actions)
-        self._inputs = inputs
+        self._inputs, self._derivatives = inputs, cast("EventDerivatives | None", None)
 
     @property
     def failure(self) -> str:
@@ -51,12 +56,19 @@ class ContactStates:
         return self._at(t, q, v, step, left)
 
     def _at(
-        self, t: float, q: Floats, v: Floats, step: int, left: frozenset[tuple[bool, int]]
+        self,
+        t: Any,
+        q: Floats,
+        v: Floats,
+        step: int,
+        left: frozenset[tuple[bool, int]],
+        values: Reals | None = None,
     ) -> StateOfContacts:
         """Evaluate contacts and friction at a state (q, v)."""
-        values, inputs, modes = self._spec.parameters, self._inputs[0, 0, 0], self._modes
+        values = self._spec.parameters if values is None else values
+        inputs, modes = self._inputs[0, 0, 0], self._modes
         if self._inputs.size:
-            share = np.array([[(t - float(self._spec.t0)) / self._h - step]])
+            share = np.array([[(np.real(t) - float(self._spec.t0)) / self._h - step]])
             given = self._program, self._inputs, np.array([step])
             inputs = interpolate_inputs(*given, share)[0, 0, 0]
         at = modes.index_one(t, q, v, values, inputs)
@@ -73,6 +85,53 @@ class ContactStates:
         moved = self._h * actions.rates(row)
         sizes = np.max([abs(values), abs(moved), actions.sizes(row, state[0])], axis=0)
         return list(actions.apply(t, state, acting, ZERO * sizes))
+
+    def vary_actions(
+        self,
+        t: float,
+        done: Sequence[tuple[int, State, State, float]],
+        columns: Floats,
+        moved: Floats,
+    ) -> Floats:
+        """Apply the derivatives of impacts and changes to variations of the state.
+
+        ``moved`` are the variations of the time.
+        """
+        if self._derivatives is None:
+            given = self._program, self._events, self._spec.parameters
+            self._derivatives = EventDerivatives(*given)
+        derivatives, varied = self._derivatives, self._program.header.varied_by or ()
+        for k, before, _, _ in done:
+            variations = derivatives.point_variations(moved, columns, varied)
+            act = partial(derivatives.act, k)
+            slopes = derivatives.slopes(act, derivatives.point(t, *before), variations)
+            columns = np.array(slopes, dtype=np.float64).T.reshape(columns.shape)
+        return columns
+
+    def vary_projection(
+        self, t: float, state: State, mode: Mode, step: int, columns: Floats, moved: Floats
+    ) -> Floats:
+        """Apply the derivative of a projection, at a state that satisfies the rows of the mode."""
+        program, n = self._program, self._program.n
+        names, varied = program.header.parameters, program.header.varied_by or ()
+        changed = columns.copy()
+        for j, (column, later) in enumerate(zip(columns.T, moved, strict=True)):
+            small = 1j * IMAGINARY
+            place = j - (columns.shape[1] - len(varied))
+            values = self._spec.parameters + 0j
+            if place >= 0 and varied[place] in names:
+                values[names.index(varied[place])] += small
+            q, p = state[0] + small * column[:n], state[1] + small * column[n:]
+            at = self._at(t + small * later, q, 0 * q, step, frozenset(), values)
+            v = np.linalg.solve(at.at.M, p - at.at.momenta)
+            for moves in (True, False):  # first the positions
+                at = self._at(t + small * later, q, v, step, frozenset(), values)
+                dq, dv = at.nearest(mode)
+                q, v = (q + dq, v) if moves else (q, v + dv)
+            at = self._at(t + small * later, q, v, step, frozenset(), values)
+            end = np.concatenate([q, at.at.M @ v + at.at.momenta])
+            changed[:, j] = end.imag / IMAGINARY
+        return changed
 
     def accumulated(self, at: StateOfContacts, mode: Mode) -> dict[int, float]:
         """Return the contacts that come to rest, and the duration until all impacts are over.

@@ -56,6 +56,7 @@ class EventRun(Run):
     """
 
     begin_at: tuple[int, float] = (0, 0.0)
+    time_changes: Floats | None = None  #: Variations of the time at which a piece begins.
     continues = pauses = False
 
     def __init__(
@@ -296,6 +297,8 @@ class EventRun(Run):
         self._actions.touched.clear()
         if self._saltation is not None:
             self._saltation.begin(self._variations)
+            if self.time_changes is not None:
+                self._saltation.time_changes, self.time_changes = self.time_changes, None
         latest = set[int]()
         for _ in range(MOST_ACTIONS):
             rest = h - done
@@ -415,6 +418,11 @@ class EventRun(Run):
         k, about = limit
         why = f"{self._events.names[k]!r} acts ever faster up to t={about!r}. "
         return self._fail(Status.EVENTS_ACCUMULATE, why)
+
+    @property
+    def saltation(self) -> Saltation | None:
+        """The propagation of variations through events, if the run has variations."""
+        return self._saltation
 
     @property
     def _work(self) -> Floats:

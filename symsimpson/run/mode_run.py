@@ -46,6 +46,7 @@ class PieceRun(EventRun):
     """A piece of a run, in one mode: it pauses at the event that ends the mode."""
 
     pauses = True
+    ending: frozenset[int] = frozenset()  #: Events that end the mode.
 
     def begin_piece(self, state: State, first: int, step: int, done: float) -> None:
         """Begin at a state in a step, at a duration ``done`` in it; ``first`` is stored first."""
@@ -54,6 +55,12 @@ class PieceRun(EventRun):
         self.rows("MOMENTUM", len(state[1]))[:] = state[1]
         if not done:
             self._continue_from(state)
+            if self._saltation is not None and self.time_changes is not None:
+                salt, t = self._saltation, float(self.t0 + self.h * step)
+                salt.begin(self._variations)
+                salt.time_changes, self.time_changes = self.time_changes, None
+                salt.fix_time(t, state, step)
+                salt.write_to(self._variations)
         self.observe_start()
 
     def take(self, stop: int) -> None:
@@ -68,7 +75,7 @@ class PieceRun(EventRun):
     def _act(self, t: float, step: int, state: Any, events: Sequence[int], times: Times) -> Any:
         """Pause at events that end the mode: they act on the whole system later."""
         row = self._actions.row(t, state)
-        ends = [k for k in events if self._events.events[k].terminal]
+        ends = [k for k in events if k in self.ending]
         ends = [k for k in ends if self._actions.may_act(row, k)]
         if not ends:
             return super()._act(t, step, state, events, times)
@@ -77,6 +84,12 @@ class PieceRun(EventRun):
             q, p = state
             self.records.append(EventRecord(k, t, step, q, p, q, p, direction, 0.0, False))
         return None if self._check_terminal() else state
+
+    def carry(self, columns: Floats, moved: Floats) -> None:
+        """Begin with variations of the state, and of the time of the event before."""
+        self.rows("TANGENTS", 1)[:] = columns.shape[1]
+        self.rows("TANGENT", columns.size)[:] = columns.T.ravel()
+        self.time_changes = moved
 
     def share_arrays(self, run: Run) -> None:
         """Store states in the arrays of another run."""
@@ -94,9 +107,14 @@ class ModeRun(Run):
     def __init__(
         self, program: Program, spec: RunSpec, storage: tuple[int, int], inputs: Reals
     ) -> None:
-        self._columns = WorkColumns(program, works="work" in spec.record)
+        header, self._varied = program.header, 0
+        if spec.tangents is not None:
+            self._varied = spec.tangents.shape[1] + len(header.varied_by or ())
+        carried = make_recorders(header, self._varied or None, (), ())
+        first = header.rows + sum(recorder.room for recorder in carried)
+        self._columns = WorkColumns(program, first, works="work" in spec.record)
         given = spec.parameters, spec.h, spec.t0, storage
-        recorders = self._columns.recorders()
+        recorders = [*carried, *self._columns.recorders()]
         super().__init__(program, *given, inputs=inputs, recorders=recorders)
         self._program, self._spec, self._modes = program, spec, program.modes
         events = () if spec.run_events is None else spec.run_events.events
@@ -110,6 +128,8 @@ class ModeRun(Run):
         self._history = list[Piece]()
         self._choices = 0
         self._warned = False
+        #: Variations of the state, one column each, and of the time of the last event.
+        self._variations, self._moved = np.zeros((2 * header.n, 0)), np.zeros(self._varied)
 
     # the start
 
@@ -118,6 +138,9 @@ class ModeRun(Run):
         t, state = float(self.t0), self._state()
         if self._spec.h < 0:
             self._reject_backward()
+        self._variations = (
+            self._tangent_rows(self).reshape(self._varied, 2 * self.header.n).T.copy()
+        )
         at = self._contacts.look(t, state, 0)
         for c, name in enumerate(self._modes.contacts):
             if at.at.gaps[c] < 0 and not at.touching[c]:
@@ -137,6 +160,11 @@ class ModeRun(Run):
         hits = [Cause(GAP, int(c)) for c in np.flatnonzero(near)]
         self._go_on(t, state, 0, hits)
         self.store(0)
+
+    def _tangent_rows(self, run: Run) -> Any:
+        """Return the rows of a run that have the variations, one after another."""
+        size = 2 * self.header.n * self._varied
+        return run.rows("TANGENT", size) if size else run.W[:0, 0]
 
     def _reject_backward(self) -> None:
         elastic = all(x == 1 for x in self._modes.restitutions)
@@ -194,6 +222,11 @@ class ModeRun(Run):
         self.rows("ITERATIONS", 1)[:] = piece.rows("ITERATIONS", 1)
         program = self._history[-1].program
         assert program is not None
+        width, every = len(self._tangent_rows(self)), self.every
+        if width and every:
+            some = slice((before - self.first) // every + 1, (self.step - self.first) // every + 1)
+            self.recorded[some, :width] = piece.recorded[some, :width]
+        self._tangent_rows(self)[:] = self._tangent_rows(piece)
         self._columns.copy(piece, program, self.recorded, self.every, (before, self.step))
         self._column[self._columns.rows] = self._columns.now(piece, program)
 
@@ -211,6 +244,10 @@ class ModeRun(Run):
         assert piece.end_within is not None
         t, step = float(piece.end_within[0]), piece.step
         near = TOGETHER * max(abs(t), abs(float(self.h)))
+        if self._varied:
+            salt = piece.saltation
+            assert salt is not None
+            self._variations, self._moved = salt.columns.copy(), salt.time_changes.copy()
         causes, state = list[Cause](), (piece.end_within[1], piece.end_within[2])
         for record in piece.records:
             cause = self._history[-1].causes[record.event]
@@ -289,6 +326,9 @@ class ModeRun(Run):
         contacts, names = len(self._modes.contacts), len(self._modes.names)
         self._warn_of_sliding(t, state, step, [k for k in acting if k < contacts])
         done = self._contacts.act(t, state, acting)
+        if self._varied:
+            moved = self._variations, self._moved
+            self._variations = self._contacts.vary_actions(t, done, *moved)
         impacts = {k for k, *_, impulse in done if impulse}
         for k, before, after, impulse in done:
             number, impact = (k if k < contacts else names + k - contacts), k < contacts
@@ -347,10 +387,10 @@ class ModeRun(Run):
             for c in settled:
                 contacts = _with(contacts, c, True)
             mode = self._valid(Mode(contacts, found.elements), at)
-            state, at = self._contacts.project(t, state, at, mode, step, left)
+            state, at = self._project(t, state, at, mode, step, left)
         else:
             return self._fail_undecided(t, at)
-        state, at = self._contacts.project(t, state, at, found, step, left)
+        state, at = self._project(t, state, at, found, step, left)
         for number, kind in self._kinds(found):
             when = settled.get(number, t)
             sign = {"slip+": 1, "slip-": -1}.get(kind, 0)
@@ -358,6 +398,22 @@ class ModeRun(Run):
             self._append(EventRecord(number, when, step, *change, sign, 0.0, False, kind))
         self._mode = found
         self._begin(t, state, step, at.implied(found))
+
+    def _project(
+        self,
+        t: float,
+        state: State,
+        at: StateOfContacts,
+        mode: Mode,
+        step: int,
+        left: frozenset[tuple[bool, int]],
+    ) -> tuple[State, StateOfContacts]:
+        """Project a state, and its variations, to the rows of a mode."""
+        state, at = self._contacts.project(t, state, at, mode, step, left)
+        if self._varied and at.rows_of(mode):
+            given = t, state, mode, step, self._variations, self._moved
+            self._variations = self._contacts.vary_projection(*given)
+        return state, at
 
     def _kinds(self, new: Mode) -> list[tuple[int, str]]:
         """Return the numbers of contacts and elements that change, and what they begin."""
@@ -391,6 +447,8 @@ class ModeRun(Run):
         about = self._mode, use.program, use.values(self._spec.parameters), use.causes
         self._history.append(Piece(t, state, step, *about))
         self._piece = piece
+        if self._varied:
+            piece.carry(self._variations, self._moved)
         piece.begin_piece(state, self.first, step, done)
         self.rows("POSITION", 2 * self.header.n)[:] = np.concatenate(state)
 
@@ -411,10 +469,17 @@ class ModeRun(Run):
             record=spec.record,
             reductions=use.reductions,
             run_events=use.events,
+            tangents=spec.tangents,
         )
-        recorders = make_recorders(header, None, spec.record, use.reductions)
+        carried = self._varied or None
+        recorders = make_recorders(header, carried, spec.record, use.reductions)
         storage = self.every, 1
         piece = PieceRun(use.program, of_mode, use.events, storage, self._inputs, recorders)
+        piece.ending = frozenset(
+            k
+            for k, cause in enumerate(use.causes)
+            if cause.kind != USER or self._acts(cause.number)
+        )
         piece.begin(*state, velocity=False)
         piece.share_arrays(self)
         return piece

@@ -285,7 +285,7 @@ def take_step_with_tangents(
     program: Program, request: Request, names: tuple[str, ...]
 ) -> Trajectory:
     """Take the single step of a request, with its derivatives by the state and by ``names``."""
-    reject_contacts(program.modes, program.system, "derivatives")
+    reject_contacts(program.modes, program.system, "derivatives of one step")
     if program.header.retimed:
         spec = read_run(program, request)
         return run_at_fixed_times(program, spec, names, False, "raise", fixed_steps=True)
@@ -297,7 +297,6 @@ def program_for_request(program: Program, request: Request) -> Program:
     """Return the variant of a program that computes the derivatives a request asks for."""
     if not request.varied:
         return program
-    reject_contacts(program.modes, program.system, "derivatives")
     return program_with_derivatives(program, _names_to_vary(program, request))
 
 

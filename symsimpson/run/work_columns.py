@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 class WorkColumns:
     """A column of work for each force, for each friction element and for moving constraints."""
 
-    def __init__(self, program: Program, *, works: bool) -> None:
+    def __init__(self, program: Program, first: int, *, works: bool) -> None:
         self.works = works
         self._names = work_names(program, program.modes.elements) if works else ()
         self.before = np.zeros(len(self._names))  # the work of all pieces before this one
-        self.rows = slice(program.header.rows, program.header.rows + len(self._names))
+        self.rows = slice(first, first + len(self._names))
 
     def recorders(self) -> list[Recorder]:
         """Return a recorder with a row for each column."""
@@ -45,9 +45,10 @@ class WorkColumns:
             return
         before, last = (step - piece.first for step in steps)
         some = slice(before // every + 1, last // every + 1)
-        recorded[some, :, 0] = self.before
-        if program.header.powers:
-            recorded[some, self._places(program), 0] += piece.recorded[some, :, 0]
+        own, count = recorded[some, -len(self._names) :, 0], program.header.powers
+        own[:] = self.before
+        if count:
+            own[:, self._places(program)] += piece.recorded[some, -count:, 0]
 
     def end(self, piece: Run, program: Program) -> None:
         """Add the work of a piece, because the next one begins with none."""
