@@ -54,8 +54,11 @@ class StateOfContacts:
         at, h = self.at, abs(self.h)
         self._inverse = np.linalg.inv(at.M)
         spread = np.abs(self._inverse)
-        speeds = np.abs(self.v) + spread @ np.abs(at.push) * h
-        W = np.abs(at.W)
+        W, push = np.abs(at.W), np.abs(at.push)
+        of_elements = zip(self.counts.element_rows, self.contact_of, at.limits, strict=False)
+        for r, contact, limit in of_elements:  # friction counts where no other force acts
+            push = push + abs(limit) * W[r] if contact is None else push
+        speeds = np.abs(self.v) + spread @ push * h
         side = np.abs(at.W @ self.v - at.rates)
         #: Bounds of the terms of rates and gaps.
         self.rate_sizes = W @ speeds + side

@@ -14,7 +14,7 @@ from symsimpson.support.array_types import Floats
 Contacts = Sequence[int | None]
 #: Values of a contact in a mode, as users see them.
 OPEN, REST = "open", "rest"
-#: Follows the name of a contact in the name of its friction.
+#: Follows the name of a contact, or of a joint of a robot, in the name of its friction.
 OF_CONTACT = ".slip"
 
 

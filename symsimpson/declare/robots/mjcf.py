@@ -35,7 +35,7 @@ IGNORED = {
     "tendons": "tendons",
     "actuators": "actuators other than torques",
     "limits": "soft limits of joints",
-    "friction": "dry friction of joints",
+    "friction": "dry friction of balls and free joints",
     "damping": "nonlinear damping, or damping of balls",
     "springs": "nonlinear springs, or springs of balls",
     "fluid": "forces of a fluid",
@@ -65,6 +65,9 @@ def read_mjcf(path_or_text: Any, ignore: Any) -> tuple[RobotTree, Floats]:
             remedy=f"Choose from {', '.join(IGNORED)}.",
             error=ModelError,
         )
+    disabled = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
+    if disabled or "friction" in ignored:
+        model.dof_frictionloss[:] = 0
     for what in _missing(mujoco, model):
         if what not in ignored:
             reject_robot(
@@ -88,7 +91,7 @@ def _missing(mujoco: Any, m: Any) -> Iterator[str]:
         "tendons": m.ntendon > 0,
         "actuators": not direct.all(),
         "limits": m.jnt_limited.any(),
-        "friction": m.dof_frictionloss.any(),
+        "friction": m.dof_frictionloss[of_balls].any(),
         "damping": m.dof_damping[of_balls].any() or _any(m, "dof_dampingpoly"),
         "springs": m.jnt_stiffness[turning].any() or _any(m, "jnt_stiffnesspoly"),
         "fluid": medium,

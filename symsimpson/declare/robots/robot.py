@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import numpy as np
 import sympy as sp
 
+from symsimpson.declare.contacts import Contact, Friction, name_elements
 from symsimpson.declare.coordinates import time
 from symsimpson.declare.orientation import read_array
 from symsimpson.declare.robots.bodies_of_tree import Bodies, find_bodies
@@ -22,10 +23,11 @@ from symsimpson.declare.robots.outlines import outline
 from symsimpson.declare.robots.recursion import Vector, attached, exact
 from symsimpson.declare.robots.tree import RobotTree, locked_at, reject_robot, system_name
 from symsimpson.declare.robots.urdf import read_urdf
-from symsimpson.declare.system import MechanicalSystem
+from symsimpson.declare.system import NONE, MechanicalSystem
 from symsimpson.errors import ModelError, ModelWarning, reject
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explain_arguments, explain_methods, warn
+from symsimpson.support.contact_values import OF_CONTACT
 from symsimpson.support.names import did_you_mean, spelled
 
 Matrix: TypeAlias = sp.ImmutableDenseMatrix
@@ -190,6 +192,46 @@ class Robot(MechanicalSystem):
         origin, turn = attached(self.form.frames[number], place)
         return Matrix(3, 1, list(origin)), Matrix(3, 3, list(turn.ravel()))
 
+    def with_contacts(
+        self, contacts: Any = NONE, friction: Any = NONE, parameters: Mapping[Any, float] = NONE
+    ) -> Robot:
+        """Return the robot with contacts and dry friction in addition.
+
+        Parameters
+        ----------
+        contacts, friction : mapping from str to Contact or Friction, or sequence, optional
+            See :class:`MechanicalSystem`. The friction of a joint "elbow" has the name
+            "elbow.slip". An entry with this name replaces it.
+        parameters : mapping from symbol to number, optional
+            Default values of symbols in the contacts.
+
+        Returns
+        -------
+        Robot
+
+        Raises
+        ------
+        ModelError
+            If an entry is invalid, or two have the same name.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> arm = ss.from_urdf('''<robot name="slide"><link name="a"/><link name="b"><inertial>
+        ...     <mass value="1"/></inertial></link><joint name="z" type="prismatic">
+        ...     <parent link="a"/><child link="b"/><axis xyz="0 0 1"/></joint></robot>''')
+        >>> robot = arm.with_contacts({"floor": ss.Contact(arm.frame("b")[0][2])})
+        >>> run = ss.compile(robot).integrate([0.1], v0=[0.0], h=0.01, t_end=1.0)
+        >>> run.modes.at(1.0)
+        {'floor': 'rest'}
+        """
+        return replace(
+            self,
+            contacts={**self.contacts, **name_elements(self.name, contacts, Contact)},
+            friction={**self.friction, **name_elements(self.name, friction, Friction)},
+            parameters={**self.parameters, **parameters},
+        )
+
 
 @explain_arguments(ModelError)
 def from_urdf(
@@ -199,12 +241,14 @@ def from_urdf(
     locked: Mapping[str, float] | None = None,
     gravity: Sequence[float] = (0, 0, -9.81),
     form: str = "joints",
+    friction: bool = True,
 ) -> Robot:
     """Declare a robot by a URDF file.
 
     The coordinates are seven of a floating base, if there is one, and one for each joint that
     moves, with the name of the joint. Each of these joints has the input ``tau_<joint>``, its
-    torque or force, and the parameter ``damping_<joint>``.
+    torque or force, and the parameter ``damping_<joint>``. A joint with dry friction also has the
+    parameter ``friction_<joint>``, and a :class:`Friction` with the name ``<joint>.slip``.
 
     Parameters
     ----------
@@ -222,6 +266,8 @@ def from_urdf(
         The acceleration of gravity in the world. The default is (0, 0, -9.81).
     form : {"joints", "bodies"}, default "joints"
         "bodies" gives each body a position and a quaternion, and makes joints constraints.
+    friction : bool, default True
+        Whether joints have the dry friction of the file. ``False`` leaves it out.
 
     Returns
     -------
@@ -237,11 +283,13 @@ def from_urdf(
     Warns
     -----
     ModelWarning
-        If the file has friction, which is ignored, or moments of inertia that no body has.
+        If the file has moments of inertia that no body has, or dry friction of a joint that is
+        floating or mimics another one. This friction is left out.
 
     Notes
     -----
-    A joint that mimics another one depends on its coordinate, and has neither input nor damping.
+    A joint that mimics another one depends on its coordinate, and has neither input, damping nor
+    friction.
     Effort, velocity and position limits do not act on the motion: see ``robot.limits``.
 
     Examples
@@ -255,7 +303,7 @@ def from_urdf(
     >>> arm.mass_matrix
     Matrix([[2.1]])
     """
-    return make_robot(read_urdf(path_or_text), base, joints, locked, gravity, form)
+    return make_robot(read_urdf(path_or_text), base, joints, locked, gravity, form, friction)
 
 
 @explain_arguments(ModelError)
@@ -264,12 +312,13 @@ def from_mjcf(
     gravity: Sequence[float] | None = None,
     ignore: Iterable[str] = (),
     form: str = "joints",
+    friction: bool = True,
 ) -> Robot:
     """Declare a robot by a model of MuJoCo, with MuJoCo's own compiler.
 
-    Coordinates, inputs and parameters are as for :func:`from_urdf`. Ball joints have a unit
-    quaternion. Springs, dampers and armatures of joints, and equality constraints between bodies or
-    joints, belong to the system. Constraints are rigid.
+    Coordinates, inputs, parameters and dry friction are as for :func:`from_urdf`. Ball joints have
+    a unit quaternion. Springs, dampers and armatures of joints, and equality constraints between
+    bodies or joints, belong to the system. Constraints and dry friction are rigid.
 
     Parameters
     ----------
@@ -282,6 +331,9 @@ def from_mjcf(
         "springs", "fluid" or "flexes".
     form : {"joints", "bodies"}, default "joints"
         See :func:`from_urdf`.
+    friction : bool, default True
+        Whether joints have dry friction, the ``frictionloss`` of the file. ``False`` leaves it
+        out, as ``ignore="friction"`` does.
 
     Returns
     -------
@@ -308,12 +360,14 @@ def from_mjcf(
     Traceback (most recent call last):
     symsimpson.errors.ModelError: the given text: no joint moves.
     """
-    tree, pull = read_mjcf(path_or_text, ignore)
-    return make_robot(tree, "fixed", None, None, pull if gravity is None else gravity, form)
+    ignored = (ignore,) if isinstance(ignore, str) else tuple(ignore)
+    tree, pull = read_mjcf(path_or_text, ignored if friction else (*ignored, "friction"))
+    pull = pull if gravity is None else gravity
+    return make_robot(tree, "fixed", None, None, pull, form, friction)
 
 
 def make_robot(
-    tree: RobotTree, base: Any, joints: Any, locked: Any, gravity: Any, form: Any
+    tree: RobotTree, base: Any, joints: Any, locked: Any, gravity: Any, form: Any, friction: bool
 ) -> Robot:
     """Declare a robot by a tree."""
     if base not in ("fixed", "floating"):
@@ -335,7 +389,7 @@ def make_robot(
     _check_carried(tree, bodies)
     pull = exact(np.asarray(read_array("gravity", gravity, (3,))))
     write = in_joints if form == "joints" else in_bodies
-    return _declare(tree, bodies, closed(tree, bodies, write(tree, bodies, pull)))
+    return _declare(tree, bodies, closed(tree, bodies, write(tree, bodies, pull)), friction)
 
 
 def _check_carried(tree: RobotTree, bodies: Bodies) -> None:
@@ -377,9 +431,9 @@ def _with_locked(tree: RobotTree, joints: Any, locked: Any) -> RobotTree:
     return locked_at(tree, positions)
 
 
-def _declare(tree: RobotTree, bodies: Bodies, form: Form) -> Robot:
-    """Declare the system of a form."""
-    motors, damping = dict[Any, sp.Expr](), dict[Any, sp.Expr]()
+def _declare(tree: RobotTree, bodies: Bodies, form: Form, rough: bool) -> Robot:
+    """Declare the system of a form, ``rough`` with dry friction."""
+    motors, damping, friction = dict[Any, sp.Expr](), dict[Any, sp.Expr](), dict[str, Friction]()
     parameters, limits, inputs = dict[Any, float](), dict[Any, tuple[float, float]](), []
     for joint in tree.joints:
         for name in joint.coordinates if joint.mimic is None else ():
@@ -389,6 +443,10 @@ def _declare(tree: RobotTree, bodies: Bodies, form: Form) -> Robot:
             inputs.append(tau)
             c = sp.Symbol(f"damping_{name}")
             parameters[c] = joint.damping
+            if rough and joint.friction:
+                limit = sp.Symbol(f"friction_{name}")
+                parameters[limit] = joint.friction
+                friction[f"{name}{OF_CONTACT}"] = Friction(rate, limit=limit)
             for q in form.coordinates:  # the power is tau times the rate
                 if (lever := rate.diff(q.diff(time))) != 0:
                     motors[q] = motors.get(q, sp.S.Zero) + tau * lever
@@ -397,7 +455,8 @@ def _declare(tree: RobotTree, bodies: Bodies, form: Form) -> Robot:
             if joint.name in form.functions:
                 bounds[form.functions[joint.name][0]] = joint.limits
             limits |= {x: bound for x, bound in bounds.items() if np.isfinite(bound).any()}
-    _warn_of_friction(tree)
+    if rough:
+        _warn_of_friction(tree, form)
     forces = {name: force for name, force in (("motors", motors), ("damping", damping)) if force}
     joints = {
         joint.name: form.functions.get(joint.name, form.functions.get(joint.child))
@@ -412,6 +471,7 @@ def _declare(tree: RobotTree, bodies: Bodies, form: Form) -> Robot:
         parameters=parameters,
         forces=forces,
         inputs=tuple(inputs),
+        friction=friction,
         constraints=form.constraints,
         positions=_positions(tree, bodies, form.frames),
         joints=MappingProxyType({k: x[0] if x and len(x) == 1 else x for k, x in joints.items()}),
@@ -439,12 +499,18 @@ def _positions(
     return positions
 
 
-def _warn_of_friction(tree: RobotTree) -> None:
-    rough = [x.name for x in tree.joints if x.friction and x.coordinates]
-    if rough:
+def _warn_of_friction(tree: RobotTree, form: Form) -> None:
+    """Warn of dry friction of joints without a velocity of their own."""
+    left = [
+        x.name
+        for x in tree.joints
+        if x.friction and x.coordinates and (x.mimic or x.coordinates[0] not in form.rates)
+    ]
+    if left:
         warn(
-            f"{tree.file}: the dry friction of {', '.join(rough[:5])}"
-            f"{f' and {len(rough) - 5} more' if len(rough) > 5 else ''} is ignored.\nDeclare a "
-            "force that is smooth, such as -F*tanh(v/0.01).",
+            f"{tree.file}: the dry friction of {', '.join(left[:5])}"
+            f"{f' and {len(left) - 5} more' if len(left) > 5 else ''} is left out, because "
+            "these joints are floating or mimic others.\nAdd friction with robot.with_contacts, "
+            "or pass friction=False.",
             ModelWarning,
         )
