@@ -225,10 +225,16 @@ def _check_limits(what: str, limit: Any, static: Any) -> None:
         )
 
 
+def read_elements(name: str, contacts: Any, friction: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the contacts and the friction elements of a system by name."""
+    touching = name_elements(name, contacts, Contact)
+    return touching, name_elements(name, friction, Friction, tuple(touching))
+
+
 def name_elements(
     name: str, given: Any, kind: type[Any], taken: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Return contacts or friction elements by name; those of a list may have numbers as names."""
+    """Return contacts or friction elements by name; entries of a list may have numbers as names."""
     what, word = ("contacts", "Contact") if kind is Contact else ("friction", "Friction")
     if given is None:
         return {}
