@@ -17,7 +17,7 @@ from symsimpson.stepping.driving import inputs_at_times
 from symsimpson.stepping.parts import PartialSteps
 from symsimpson.support.array_types import Floats, Reals, State
 from symsimpson.support.calling import explain_methods
-from symsimpson.support.contact_values import Mode
+from symsimpson.support.contact_values import IndexOne, Mode, ModeEquations
 
 if TYPE_CHECKING:
     from symsimpson.results.states import FinishedRun
@@ -224,61 +224,23 @@ def _speeds(run: Any) -> Floats:
 
 def _columns(run: Any) -> tuple[Floats, Floats, Floats]:
     """Return normal forces, friction and multipliers of constraints at the states of a run."""
-    at, history, t = _at_states(run), run.history, run.t
-    modes = run.program.modes
+    at, modes, places = _at_states(run), run.program.modes, run.history.places(run.t)
     counts = modes.index_one.counts
-    places = history.places(t)
-    normal, friction = np.zeros((len(t), counts.gaps)), np.zeros((len(t), counts.elements))
-    held = np.zeros((len(t), len(counts.fixed_rows)))
+    sizes = counts.gaps, counts.elements, len(counts.fixed_rows)
+    columns = [np.zeros((len(run.t), size)) for size in sizes]
     for place in np.unique(places):
         some = places == place
-        mode = history.pieces[place].mode
-        part = type(at)(*(x[some] for x in at))
-        normal[some], friction[some], held[some] = mode_forces(part, counts, mode, modes.contact_of)
-    return normal, friction, held
-
-
-def mode_forces(at: Any, counts: Any, mode: Mode, contact_of: Any) -> tuple[Floats, Floats, Floats]:
-    """Return normal forces, friction and multipliers of a mode at K states."""
-    rows = list(counts.fixed_rows)
-    fixed = len(rows)
-    rows += [r for r, x in zip(counts.contact_rows, mode.contacts, strict=True) if x]
-    resting = len(rows)
-    rows += [r for r, x in zip(counts.element_rows, mode.elements, strict=True) if x == 0]
-    K = len(at.push)
-    W = at.W[:, rows]
-    P, push = W.copy(), at.push.copy()
-    P[:, :fixed] *= -1
-    P[:, resting:] *= -1
-    sliding = [
-        (k, r, x)
-        for k, (r, x) in enumerate(zip(counts.element_rows, mode.elements, strict=True))
-        if x
-    ]
-    for k, r, sign in sliding:
-        pull = sign * at.limits[:, k, None] * at.W[:, r]
-        contact = contact_of[k]
-        if contact is None:
-            push -= pull
-        else:
-            P[:, rows.index(counts.contact_rows[contact])] -= pull
-    normal, friction = np.zeros((K, counts.gaps)), np.zeros((K, counts.elements))
-    m = len(rows)
-    x = np.zeros((K, m))
-    if m:
-        G = W @ np.linalg.solve(at.M, P.swapaxes(1, 2))
-        free = W @ np.linalg.solve(at.M, push[..., None])
-        x = np.linalg.solve(G, -at.curve[:, rows, None] - free)[..., 0]
-    for i, r in enumerate(rows):
-        if r in counts.contact_rows:
-            normal[:, r - counts.contact_rows.start] = x[:, i]
-        elif r in counts.element_rows:
-            friction[:, r - counts.element_rows.start] = x[:, i]
-    for k, _, sign in sliding:
-        contact = contact_of[k]
-        load = 1.0 if contact is None else normal[:, contact]
-        friction[:, k] = sign * at.limits[:, k] * load
-    return normal, friction, x[:, :fixed]
+        part = IndexOne(*(x[some] for x in at))
+        about = part, counts, run.history.pieces[place].mode, modes.contact_of
+        equations = ModeEquations.of(*about)
+        rows, W, P, push, _ = equations
+        right = -part.curve[:, rows, None] - W @ np.linalg.solve(part.M, push[..., None])
+        x: Any = np.linalg.solve(W @ np.linalg.solve(part.M, P.swapaxes(1, 2)), right)[..., 0]
+        parts = *equations.forces(x, *about), x[:, : sizes[2]]
+        for column, values in zip(columns, parts, strict=True):
+            column[some] = values
+    normal, friction, multipliers = columns
+    return normal, friction, multipliers
 
 
 def quantity_names(program: Program, history: ModeHistory | None = None) -> list[str]:

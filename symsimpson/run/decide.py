@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.support.array_types import Floats
-from symsimpson.support.contact_values import Counts, IndexOne, Mode
+from symsimpson.support.contact_values import Counts, IndexOne, Mode, ModeEquations, rows_of_mode
 
 Truths = NDArray[np.bool_]
 #: Relative round-off of conditions at a state.
@@ -89,6 +89,25 @@ class StateOfContacts:
         near: Truths = np.abs(self.at.rates[some]) <= TOLERANCE * self.rate_sizes[some]
         return near
 
+    def with_directions(self, mode: Mode) -> Mode:
+        """Return a mode in which elements slide as the velocities say, or keep their state."""
+        still = self.still(self.counts.element_rows)
+        elements: list[int | None] = []
+        for k, (state, contact) in enumerate(zip(mode.elements, self.contact_of, strict=True)):
+            if contact is not None and not mode.contacts[contact]:
+                elements.append(None)
+            elif not still[k]:
+                elements.append(int(np.sign(self.sliding[k])))
+            else:
+                elements.append(state or 0)
+        return Mode(mode.contacts, tuple(elements))
+
+    def sliding_contacts(self, hit: Sequence[int]) -> list[int]:
+        """Return those of the contacts ``hit`` that have friction and slide."""
+        still = self.still(self.counts.element_rows)
+        pairs = enumerate(self.contact_of)
+        return [c for k, c in pairs if c is not None and c in hit and not still[k]]
+
     def bad_limit(self) -> int | None:
         """Return an element whose limit is negative or not finite, or smaller in sticking."""
         sliding, static = np.split(self.at.limits, 2)
@@ -100,65 +119,35 @@ class StateOfContacts:
 
     def rows_of(self, mode: Mode) -> list[int]:
         """Return the rows that hold in a mode."""
-        rows = list(self.counts.fixed_rows)
-        rows += [
-            r for r, rests in zip(self.counts.contact_rows, mode.contacts, strict=True) if rests
-        ]
-        stuck = zip(self.counts.element_rows, mode.elements, strict=True)
-        return rows + [r for r, state in stuck if state == 0]
+        return rows_of_mode(self.counts, mode)
 
     def motion(self, mode: Mode) -> Motion | None:
         """Return the accelerations and multipliers of a mode; None if its rows are dependent."""
         at, counts, inverse = self.at, self.counts, self._inverse
-        rows, W = self.rows_of(mode), at.W
-        columns = {r: W[r].copy() for r in rows}
-        for r in counts.element_rows:
-            if r in columns:
-                columns[r] *= -1
-        push, size = at.push.copy(), np.abs(at.push)
-        for k, (r, state) in enumerate(zip(counts.element_rows, mode.elements, strict=True)):
-            if not state:
-                continue
-            pull, contact = state * at.limits[k] * W[r], self.contact_of[k]
-            if contact is None:
-                push, size = push - pull, size + np.abs(pull)
-            else:
-                columns[counts.contact_rows[contact]] -= pull
-        normal, friction = np.zeros(counts.gaps), np.zeros(counts.elements)
-        bounds = np.zeros(counts.gaps), np.zeros(counts.elements)
-        spread, margin = np.abs(inverse), 1.0
-        forces, terms = push, size
+        about = at, counts, mode, self.contact_of
+        equations = ModeEquations.of(*about)
+        rows, W, P, push, sizes = equations
+        spread, x, bound, margin = np.abs(inverse), np.zeros(0), np.zeros(0), 1.0
         if rows:
-            held, P = W[rows], np.array([columns[r] for r in rows]).T
-            straight, G = held @ inverse @ held.T, held @ inverse @ P
+            straight, G = W @ inverse @ W.T, W @ inverse @ P.T
             scale = np.sqrt(np.diag(straight))
             if not (scale > 0).all():
                 return None
             scaled = straight / np.outer(scale, scale)
             if not np.linalg.eigvalsh(scaled)[0] > DEPENDENT:
                 return None
-            sign = (-1) ** sum(r in counts.element_rows for r in rows)
+            sign = (-1) ** (len(rows) - sum(mode.contacts))
             whole = np.linalg.det(G / np.outer(scale, scale))
             margin = float(sign * whole / np.linalg.det(scaled))
             if margin == 0.0:
                 return None
-            solved = np.linalg.inv(G)
-            x = solved @ (-at.curve[rows] - held @ (inverse @ push))
-            bound = np.abs(solved) @ (np.abs(at.curve[rows]) + np.abs(held) @ (spread @ size))
-            forces, terms = push + P @ x, size + np.abs(P) @ bound
-            for r, value, most in zip(rows, x, bound, strict=True):
-                if r in counts.contact_rows:
-                    place = r - counts.contact_rows.start
-                    normal[place], bounds[0][place] = value, most
-                elif r in counts.element_rows:
-                    place = r - counts.element_rows.start
-                    friction[place], bounds[1][place] = value, most
-        for k, state in enumerate(mode.elements):
-            if state:
-                contact = self.contact_of[k]
-                load = 1.0 if contact is None else normal[contact]
-                friction[k] = state * at.limits[k] * load
-        return Motion(inverse @ forces, normal, friction, spread @ terms, bounds, margin)
+            solved, curve = np.linalg.inv(G), at.curve[rows]
+            x = -solved @ (curve + W @ (inverse @ push))
+            bound = np.abs(solved) @ (np.abs(curve) + np.abs(W) @ (spread @ sizes))
+            push, sizes = push + P.T @ x, sizes + np.abs(P).T @ bound
+        normal, friction = equations.forces(x, *about)
+        bounds = equations.forces(bound, *about)
+        return Motion(inverse @ push, normal, friction, spread @ sizes, bounds, margin)
 
     def allows(self, mode: Mode, motion: Motion | None) -> bool:
         """Return whether a mode satisfies all inequalities."""

@@ -13,7 +13,8 @@ from symsimpson.results.event_record import EventRecord
 from symsimpson.results.modes import ModeHistory, Piece
 from symsimpson.run.contact_states import ContactStates
 from symsimpson.run.decide import MOST_TRIED, StateOfContacts
-from symsimpson.run.event_run import MOST_ACTIONS, EventRun, Times
+from symsimpson.run.event_run import MOST_ACTIONS
+from symsimpson.run.mode_piece import PieceRun
 from symsimpson.run.mode_programs import (
     GAP,
     LIFT,
@@ -31,7 +32,6 @@ from symsimpson.stepping.spec import RunSpec, make_recorders
 from symsimpson.support.array_types import Floats, Reals, State
 from symsimpson.support.calling import warn
 from symsimpson.support.contact_values import Mode
-from symsimpson.support.names import counted
 from symsimpson.text.driver.impacts import TOGETHER
 from symsimpson.text.interface import ARRIVED
 
@@ -40,62 +40,6 @@ if TYPE_CHECKING:
 
 #: Changes of the mode at one time, beside one for each contact and element.
 MOST_AT_ONE_TIME = 10
-
-
-class PieceRun(EventRun):
-    """A piece of a run, in one mode: it pauses at the event that ends the mode."""
-
-    pauses = True
-    ending: frozenset[int] = frozenset()  #: Events that end the mode.
-
-    def begin_piece(self, state: State, first: int, step: int, done: float) -> None:
-        """Begin at a state in a step, at a duration ``done`` in it; ``first`` is stored first."""
-        self.first, self._progress[0], self.begin_at = first, step - first, (step, done)
-        self.rows("POSITION", len(state[0]))[:] = state[0]
-        self.rows("MOMENTUM", len(state[1]))[:] = state[1]
-        if not done:
-            self._continue_from(state)
-            if self._saltation is not None and self.time_changes is not None:
-                salt, t = self._saltation, float(self.t0 + self.h * step)
-                salt.begin(self._variations)
-                salt.time_changes, self.time_changes = self.time_changes, None
-                salt.fix_time(t, state, step)
-                salt.write_to(self._variations)
-        self.observe_start()
-
-    def take(self, stop: int) -> None:
-        """Take steps; first complete the step in which the piece begins."""
-        step, done = self.begin_at
-        if done and self.step == step and self.alive:
-            self.begin_at = step, 0.0
-            self._split_step(completed=False, done=done)
-        if self.alive and self.step < stop:
-            super().take(stop)
-
-    def _act(self, t: float, step: int, state: Any, events: Sequence[int], times: Times) -> Any:
-        """Pause at events that end the mode: they act on the whole system later."""
-        row = self._actions.row(t, state)
-        ends = [k for k in events if k in self.ending]
-        ends = [k for k in ends if self._actions.may_act(row, k)]
-        if not ends:
-            return super()._act(t, step, state, events, times)
-        for k in ends:
-            direction = -int(np.sign(self.sides.side[k]))
-            q, p = state
-            self.records.append(EventRecord(k, t, step, q, p, q, p, direction, 0.0, False))
-        return None if self._check_terminal() else state
-
-    def carry(self, columns: Floats, moved: Floats) -> None:
-        """Begin with variations of the state, and of the time of the event before."""
-        self.rows("TANGENTS", 1)[:] = columns.shape[1]
-        self.rows("TANGENT", columns.size)[:] = columns.T.ravel()
-        self.time_changes = moved
-
-    def share_arrays(self, run: Run) -> None:
-        """Store states in the arrays of another run."""
-        self.q, self.p, self.iterations = run.q, run.p, run.iterations
-        self.recorded = np.zeros((len(run.q), *self.recorded.shape[1:]))
-        self._stores = self.q, self.p, self.recorded, self.iterations
 
 
 class ModeRun(Run):
@@ -120,14 +64,12 @@ class ModeRun(Run):
         events = () if spec.run_events is None else spec.run_events.events
         self._programs = ModePrograms(program, events, spec.reductions)
         self._contacts = ContactStates(program, spec, self._programs.actions, inputs)
-        self._user = events
-        self._mode = Mode((), ())
+        self._user, self._mode = events, Mode((), ())
         self._piece: PieceRun | None = None
+        #: Number of changes at the last time, and that time; the last step, and changes in it.
         self._acted_at, self._acted_in = [0, 0.0], [-1, 0]
-        self._reduced: Any = None
         self._history = list[Piece]()
-        self._choices = 0
-        self._warned = False
+        self._choices, self._warned = 0, False
         #: Variations of the state, one column each, and of the time of the last event.
         self._variations, self._moved = np.zeros((2 * header.n, 0)), np.zeros(self._varied)
 
@@ -138,9 +80,8 @@ class ModeRun(Run):
         t, state = float(self.t0), self._state()
         if self._spec.h < 0:
             self._reject_backward()
-        self._variations = (
-            self._tangent_rows(self).reshape(self._varied, 2 * self.header.n).T.copy()
-        )
+        rows = self._tangent_rows(self)
+        self._variations = rows.reshape(self._varied, 2 * self.header.n).T.copy()
         at = self._contacts.look(t, state, 0)
         for c, name in enumerate(self._modes.contacts):
             if at.at.gaps[c] < 0 and not at.touching[c]:
@@ -150,12 +91,9 @@ class ModeRun(Run):
                     where=self._program.system,
                     remedy="Start where the gap is positive, or change the sign of the gap.",
                 )
-        still, sliding = at.still(at.counts.contact_rows), at.still(at.counts.element_rows)
+        still = at.still(at.counts.contact_rows)
         contacts = tuple(bool(x) for x in at.touching & still)
-        elements = tuple(
-            0 if sliding[k] else int(np.sign(u)) for k, u in enumerate(at.sliding.tolist())
-        )
-        self._mode = self._valid(Mode(contacts, elements), at)
+        self._mode = at.with_directions(Mode(contacts, (0,) * at.counts.elements))
         near = at.touching & ~still & (at.contact_rates < 0)
         hits = [Cause(GAP, int(c)) for c in np.flatnonzero(near)]
         self._go_on(t, state, 0, hits)
@@ -167,27 +105,13 @@ class ModeRun(Run):
         return run.rows("TANGENT", size) if size else run.W[:0, 0]
 
     def _reject_backward(self) -> None:
-        elastic = all(x == 1 for x in self._modes.restitutions)
-        if self._modes.elements or not elastic:
+        if self._modes.elements or any(x != 1 for x in self._modes.restitutions):
             reject(
                 "h is negative, but the system has dry friction or impacts that lose energy.",
                 where=self._program.system,
                 why="Such a motion cannot be undone.",
                 remedy="Pass a positive h.",
             )
-
-    def _valid(self, mode: Mode, at: StateOfContacts) -> Mode:
-        """Return a mode whose directions of sliding fit to the velocities of a state."""
-        still = at.still(at.counts.element_rows)
-        elements: list[int | None] = []
-        for k, (state, contact) in enumerate(zip(mode.elements, at.contact_of, strict=True)):
-            if contact is not None and not mode.contacts[contact]:
-                elements.append(None)
-            elif not still[k]:
-                elements.append(int(np.sign(at.sliding[k])))
-            else:
-                elements.append(0 if state is None else state)
-        return Mode(mode.contacts, tuple(elements))
 
     # the steps
 
@@ -220,8 +144,13 @@ class ModeRun(Run):
         rows = 4 * self.header.n
         self.rows("POSITION", rows)[:] = piece.rows("POSITION", rows)
         self.rows("ITERATIONS", 1)[:] = piece.rows("ITERATIONS", 1)
-        program = self._history[-1].program
+        program, causes = self._history[-1].program, self._history[-1].causes
         assert program is not None
+        for record in piece.records[piece.taken :]:
+            if causes[record.event].kind == USER and record.event not in piece.ending:
+                number = len(self._modes.names) + causes[record.event].number
+                self.records.append(record._replace(event=number))
+        piece.taken = len(piece.records)
         width, every = len(self._tangent_rows(self)), self.every
         if width and every:
             some = slice((before - self.first) // every + 1, (self.step - self.first) // every + 1)
@@ -255,17 +184,12 @@ class ModeRun(Run):
                 if not causes:
                     state = record.q, record.p
                 causes.append(cause)
-            if cause.kind == USER and not self._acts(cause.number):
-                self._append(record._replace(event=len(self._modes.names) + cause.number))
         if self._check_terminal():
             return
         self._go_on(t, state, step, causes)
 
     def _acts(self, event: int) -> bool:
         return isinstance(self._user[event].action, (Impact, Change))
-
-    def _append(self, record: EventRecord) -> None:
-        self.records.append(record)
 
     def _check_terminal(self) -> bool:
         """Check whether a terminal event of the user has ended the run."""
@@ -324,7 +248,16 @@ class ModeRun(Run):
     def _act(self, t: float, state: State, step: int, acting: list[int]) -> State | None:
         """Let impacts and changes act on a state, and record them."""
         contacts, names = len(self._modes.contacts), len(self._modes.names)
-        self._warn_of_sliding(t, state, step, [k for k in acting if k < contacts])
+        if not self._warned:
+            hit = self._contacts.look(t, state, step).sliding_contacts(acting)
+            self._warned = bool(hit)
+            if hit:
+                name = self._modes.contacts[hit[0]]
+                warn(
+                    f"{self._program.system}: the contact {name!r} collides while it slides. "
+                    "Impulses have no friction here, so sliding does not change at the impact.",
+                    ModelWarning,
+                )
         done = self._contacts.act(t, state, acting)
         if self._varied:
             moved = self._variations, self._moved
@@ -335,7 +268,7 @@ class ModeRun(Run):
             kind = "impact" if impact else ""
             several = len(impacts) > 1 and bool(impulse)
             direction = -1 if impact else 0
-            self._append(
+            self.records.append(
                 EventRecord(number, t, step, *before, *after, direction, impulse, several, kind)
             )
             state = after
@@ -343,23 +276,6 @@ class ModeRun(Run):
             self._fail(Status.BAD_INPUT, t, self._contacts.failure)
             return None
         return None if self._check_terminal() else state
-
-    def _warn_of_sliding(self, t: float, state: State, step: int, hit: Sequence[int]) -> None:
-        """Warn once if a contact with friction collides while it slides."""
-        frictional = [k for k, c in enumerate(self._modes.contact_of) if c is not None and c in hit]
-        if self._warned or not frictional:
-            return
-        at = self._contacts.look(t, state, step)
-        still = at.still(at.counts.element_rows)
-        sliding = [k for k in frictional if not still[k]]
-        if sliding:
-            self._warned = True
-            contact = self._modes.contacts[self._modes.contact_of[sliding[0]]]
-            warn(
-                f"{self._program.system}: the contact {contact!r} collides while it slides. "
-                "Impulses have no friction here, so sliding does not change at the impact.",
-                ModelWarning,
-            )
 
     def _choose(
         self, t: float, state: State, step: int, mode: Mode, left: frozenset[tuple[bool, int]]
@@ -375,7 +291,7 @@ class ModeRun(Run):
                     f"smaller, at t={t:g}. "
                 )
                 return self._fail(Status.BAD_INPUT, t, why)
-            found, more = at.decide(self._valid(mode, at))
+            found, more = at.decide(at.with_directions(mode))
             if found is None or at.paradox():
                 return self._fail_undecided(t, at)
             self._choices += more
@@ -386,7 +302,7 @@ class ModeRun(Run):
             contacts = found.contacts
             for c in settled:
                 contacts = _with(contacts, c, True)
-            mode = self._valid(Mode(contacts, found.elements), at)
+            mode = at.with_directions(Mode(contacts, found.elements))
             state, at = self._project(t, state, at, mode, step, left)
         else:
             return self._fail_undecided(t, at)
@@ -395,7 +311,7 @@ class ModeRun(Run):
             when = settled.get(number, t)
             sign = {"slip+": 1, "slip-": -1}.get(kind, 0)
             change = *given, *state
-            self._append(EventRecord(number, when, step, *change, sign, 0.0, False, kind))
+            self.records.append(EventRecord(number, when, step, *change, sign, 0.0, False, kind))
         self._mode = found
         self._begin(t, state, step, at.implied(found))
 
@@ -533,15 +449,9 @@ class ModeRun(Run):
         return self._fail(Status.CONTACT_UNDECIDED, t)
 
     def _fail(self, status: Status, t: float, why: str = "") -> None:
-        touching = [
-            name
-            for name, rests in zip(self._modes.contacts, self._mode.contacts, strict=True)
-            if rests
-        ]
-        names = ", ".join(map(repr, touching or self._modes.names))
-        what = (
-            f"At t={t!r}, {counted(len(touching) or len(self._modes.names), 'element')}: {names}. "
-        )
+        pairs = zip(self._modes.contacts, self._mode.contacts, strict=True)
+        touching = [name for name, rests in pairs if rests] or self._modes.names
+        what = f"At t={t:g}, with {', '.join(map(repr, touching))}: "
         self.reason = why.strip() or f"{what}{status.message}"
         self._column[self._status] = int(status)
 

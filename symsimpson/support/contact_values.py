@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from symsimpson.errors import InputError, SymsimpsonError, reject
 from symsimpson.support.array_types import Floats
 
+#: The contact of each friction element, or None.
+Contacts = Sequence[int | None]
 #: Values of a contact in a mode, as users see them.
 OPEN, REST = "open", "rest"
 #: Follows the name of a contact, or of a joint of a robot, in the name of its friction.
@@ -83,6 +88,65 @@ class Counts(NamedTuple):
         """Rows of the constraints, which hold in every mode."""
         first = self.constraints + self.gaps
         return [*range(self.constraints), *range(first, first + self.rolling)]
+
+
+class ModeEquations(NamedTuple):
+    """W M^-1 P x = -curve - W M^-1 push for the multipliers x of a mode, with leading axes.
+
+    P has a column for each row that holds: W with the opposite sign, and n - mu A for the gap of a
+    contact that slides, with A in the direction of sliding.
+    """
+
+    rows: list[int]
+    W: Floats
+    P: Floats
+    push: Floats
+    sizes: Floats  #: Bounds of the terms of ``push``.
+
+    @classmethod
+    def of(cls, at: IndexOne, counts: Counts, mode: Mode, contact_of: Contacts) -> ModeEquations:
+        """Return the equations of a mode."""
+        rows = rows_of_mode(counts, mode)
+        W, push, sizes = at.W[..., rows, :], at.push.copy(), np.abs(at.push)
+        P = -W
+        for i, r in enumerate(rows):
+            if r in counts.contact_rows:
+                P[..., i, :] *= -1
+        for k, (r, state) in enumerate(zip(counts.element_rows, mode.elements, strict=True)):
+            if not state:
+                continue
+            pull, contact = state * at.limits[..., k, None] * at.W[..., r, :], contact_of[k]
+            if contact is None:
+                push, sizes = push - pull, sizes + np.abs(pull)
+            else:
+                P[..., rows.index(counts.contact_rows[contact]), :] -= pull
+        return cls(rows, W, P, push, sizes)
+
+    def forces(
+        self, x: Floats, at: IndexOne, counts: Counts, mode: Mode, contact_of: Contacts
+    ) -> tuple[Floats, Floats]:
+        """Return normal forces of contacts and multipliers of friction from multipliers x."""
+        normal = np.zeros((*x.shape[:-1], counts.gaps))
+        friction = np.zeros((*x.shape[:-1], counts.elements))
+        for i, r in enumerate(self.rows):
+            if r in counts.contact_rows:
+                normal[..., r - counts.contact_rows.start] = x[..., i]
+            elif r in counts.element_rows:
+                friction[..., r - counts.element_rows.start] = x[..., i]
+        for k, state in enumerate(mode.elements):
+            if state:
+                contact = contact_of[k]
+                load = 1.0 if contact is None else normal[..., contact]
+                friction[..., k] = state * at.limits[..., k] * load
+        return normal, friction
+
+
+def rows_of_mode(counts: Counts, mode: Mode) -> list[int]:
+    """Return the rows that hold in a mode: constraints, gaps at rest, elements that stick."""
+    resting = zip(counts.contact_rows, mode.contacts, strict=True)
+    sticking = zip(counts.element_rows, mode.elements, strict=True)
+    rows = [*counts.fixed_rows, *(r for r, rests in resting if rests)]
+    return rows + [r for r, state in sticking if state == 0]
 
 
 def reject_contacts(

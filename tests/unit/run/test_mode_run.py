@@ -73,6 +73,8 @@ def test_dense_output_knows_the_modes(stepper, run):
     zeros = run.events("x").t
     acted = stepper.integrate([2.0], **START, events=[ss.Event(x, name="zero")])
     assert acted.events("zero").t == pytest.approx(zeros, abs=1e-6)
+    early = stepper.integrate([2.0], v0=[0.0], h=0.1, t_end=2.0, events=[ss.Event(x, name="zero")])
+    assert len(early.events("zero")) == 1  # also where the mode does not change
 
 
 def test_events_of_the_user_act(stepper):
