@@ -183,8 +183,9 @@ def merge_zeros(
 
 def run_fields(run: Any) -> dict[str, Any]:
     """Return the fields of a run that states found in it share."""
-    names = ("status", "message", "program", "parameter_values", "driven", "history")
-    return {name: getattr(run, name) for name in names}
+    names = ("status", "message", "program", "parameter_values", "driven")
+    about = {name: getattr(run, name) for name in names}
+    return about | {"history": getattr(run, "history", None)}
 
 
 @np.errstate(over="ignore", invalid="ignore")  # values that are not finite are not zeros
@@ -195,7 +196,7 @@ def find_zeros(run: FinishedRun, sought: ZeroQuery) -> tuple[Floats, ...]:
     turns back there.
     """
     wanted, direction = sought
-    if wanted.held and run.history is not None:
+    if wanted.held and getattr(run, "history", None) is not None:
         reject(
             f"{wanted.expression} contains a multiplier, which depends on the mode of contacts.",
             where=run.program.system,

@@ -73,7 +73,7 @@ def run_with_selection(
         result = Sampled(**dict(zip("tqp", columns, strict=True)), **about)
     else:
         values = dict(zip(names, columns[1:], strict=True))
-        about.pop("history")
+        del about["history"]
         result = Saved(t=columns[0], values=values, **about)
     if not last.success and on_failure == "raise":
         raise_failure(run, last, result)

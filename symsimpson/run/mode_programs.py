@@ -77,7 +77,8 @@ class ModePrograms:
                 remedy="Choose another name for the event.",
             )
         #: The gaps as impacts, then the events of the user, for the system without constraints.
-        self.actions = read_events(program, [*map(self._impact, range(len(self._gaps))), *events])
+        impacts = map(self._impact, range(len(self._gaps)))
+        self.actions = _read_known(program, [*impacts, *events])
         #: Names of the records.
         self.names = (*self.modes.names, *(event.key for event in self._user))
         self._known: dict[Any, ModeProgram] = {}

@@ -32,7 +32,6 @@ from symsimpson.stepping.spec import RunSpec, make_recorders
 from symsimpson.support.array_types import Floats, Reals, State
 from symsimpson.support.calling import warn
 from symsimpson.support.contact_values import Mode
-from symsimpson.support.names import counted
 from symsimpson.text.driver.impacts import TOGETHER
 from symsimpson.text.interface import ARRIVED
 
@@ -65,13 +64,12 @@ class ModeRun(Run):
         events = () if spec.run_events is None else spec.run_events.events
         self._programs = ModePrograms(program, events, spec.reductions)
         self._contacts = ContactStates(program, spec, self._programs.actions, inputs)
-        self._user = events
-        self._mode = Mode((), ())
+        self._user, self._mode = events, Mode((), ())
         self._piece: PieceRun | None = None
+        #: Number of changes at the last time, and that time; the last step, and changes in it.
         self._acted_at, self._acted_in = [0, 0.0], [-1, 0]
         self._history = list[Piece]()
-        self._choices = 0
-        self._warned = False
+        self._choices, self._warned = 0, False
         #: Variations of the state, one column each, and of the time of the last event.
         self._variations, self._moved = np.zeros((2 * header.n, 0)), np.zeros(self._varied)
 
@@ -82,9 +80,8 @@ class ModeRun(Run):
         t, state = float(self.t0), self._state()
         if self._spec.h < 0:
             self._reject_backward()
-        self._variations = (
-            self._tangent_rows(self).reshape(self._varied, 2 * self.header.n).T.copy()
-        )
+        rows = self._tangent_rows(self)
+        self._variations = rows.reshape(self._varied, 2 * self.header.n).T.copy()
         at = self._contacts.look(t, state, 0)
         for c, name in enumerate(self._modes.contacts):
             if at.at.gaps[c] < 0 and not at.touching[c]:
@@ -108,8 +105,7 @@ class ModeRun(Run):
         return run.rows("TANGENT", size) if size else run.W[:0, 0]
 
     def _reject_backward(self) -> None:
-        elastic = all(x == 1 for x in self._modes.restitutions)
-        if self._modes.elements or not elastic:
+        if self._modes.elements or any(x != 1 for x in self._modes.restitutions):
             reject(
                 "h is negative, but the system has dry friction or impacts that lose energy.",
                 where=self._program.system,
@@ -453,15 +449,9 @@ class ModeRun(Run):
         return self._fail(Status.CONTACT_UNDECIDED, t)
 
     def _fail(self, status: Status, t: float, why: str = "") -> None:
-        touching = [
-            name
-            for name, rests in zip(self._modes.contacts, self._mode.contacts, strict=True)
-            if rests
-        ]
-        names = ", ".join(map(repr, touching or self._modes.names))
-        what = (
-            f"At t={t!r}, {counted(len(touching) or len(self._modes.names), 'element')}: {names}. "
-        )
+        pairs = zip(self._modes.contacts, self._mode.contacts, strict=True)
+        touching = [name for name, rests in pairs if rests] or self._modes.names
+        what = f"At t={t:g}, with {', '.join(map(repr, touching))}: "
         self.reason = why.strip() or f"{what}{status.message}"
         self._column[self._status] = int(status)
 

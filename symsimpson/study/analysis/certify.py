@@ -50,7 +50,6 @@ from symsimpson.study.analysis.subject import DIGITS, MAX_STEPS, SHORT, STEPS, S
 from symsimpson.study.analysis.symmetries import block_size
 from symsimpson.study.analysis.variants import in_tau
 from symsimpson.support.array_types import Floats
-from symsimpson.support.contact_values import reject_contacts
 from symsimpson.support.progress import announce
 from symsimpson.text.header import digest
 
@@ -99,7 +98,6 @@ def certify(
             remedy="Certify a stepper that is compiled from the system: "
             "symsimpson.compile(system, ...).",
         )
-    reject_contacts(stepper.program.modes, stepper.system, "a certificate")
     stepper = fix_inputs(stepper, inputs)
     values = stepper.program.free_values(parameters)
     q, p = choose_state(stepper, {"q0": q0, "v0": v0, "p0": p0}, values)

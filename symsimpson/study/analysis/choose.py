@@ -40,7 +40,6 @@ from symsimpson.study.analysis.candidates import (
 from symsimpson.study.analysis.pilot import choose_step
 from symsimpson.study.analysis.variants import in_tau
 from symsimpson.support.calling import explain_arguments, warn, without_step_warnings
-from symsimpson.support.contact_values import reject_contacts
 from symsimpson.support.interpreter import compile_late
 from symsimpson.support.markup import box, facts
 from symsimpson.support.names import as_mapping, as_tuple, read_mapping
@@ -216,7 +215,6 @@ def _select(
 ) -> Choice:
     """Choose as :func:`select` does, with the labels of a progress bar."""
     check_system(system)
-    reject_contacts(system.modes, system.name, "the choice of a scheme and step size")
     schemes = None if arguments["schemes"] is None else as_tuple(arguments["schemes"])
     retimed, adaptive_schemes = _transform_time(system, schemes)
     fixed_schemes = schemes

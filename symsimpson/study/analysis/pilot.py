@@ -15,6 +15,7 @@ from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.ended import raise_if_interrupted
 from symsimpson.support.array_types import Floats, State
 from symsimpson.support.calling import without_step_warnings
+from symsimpson.support.contact_values import reject_contacts
 from symsimpson.support.names import shortened
 
 #: The first step size to try. If the time scale of the motion is longer or shorter by a factor of
@@ -37,6 +38,7 @@ def choose_state(
     ``state`` has the keys q0, and v0 or p0; a value None counts as missing. Raises InputError if
     the state is invalid, or if no random state can begin a run.
     """
+    reject_contacts(stepper.program.modes, stepper.system, "certificates and comparisons")
     if not isinstance(state, Mapping | None):
         reject(
             f"state is {shortened(state)}, not a mapping.",
@@ -90,6 +92,7 @@ def choose_step(
     backwards in time. ``options`` are passed to ``Stepper.integrate``. Raises InputError if no step
     size is small enough.
     """
+    reject_contacts(stepper.program.modes, stepper.system, "the choice of a step size")
     first = first or math.copysign(_first_step(stepper, q, p, parameters, abs(longest)), longest)
     begin = {**options, "q0": q, "p0": p, "parameters": parameters}
     for halvings in range(60):

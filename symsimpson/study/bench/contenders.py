@@ -29,7 +29,6 @@ from symsimpson.study.analysis.pilot import choose_state
 from symsimpson.study.analysis.stability.frequency import largest_frequency
 from symsimpson.study.bench.dop853 import PIECE, make_dop853
 from symsimpson.support.array_types import Floats
-from symsimpson.support.contact_values import reject_contacts
 from symsimpson.support.names import as_tuple
 
 #: Decimal digits of the reference solution.
@@ -120,7 +119,6 @@ def make_problem(
     Raises InputError if the initial state is missing or the system has constraints. Raises
     ArithmeticError if the solution has a singularity before ``t_end``.
     """
-    reject_contacts(system.modes, system.name, "a comparison with peers")
     retimed = system if isinstance(system, RetimedSystem) else None
     system = system if retimed is None else retimed.original
     stepper = compile_system(system, START_SCHEME)

@@ -276,7 +276,7 @@ def test_paths_that_jump_between_control_points_are_no_solutions(monkeypatch):
         found = up.solve(scheme, steps=steps)
         if found.status is ss.ControlStatus.NOT_RESOLVED:
             assert "jumps to another branch" in found.message
-        elif found.status is not ss.ControlStatus.ITERATION_LIMIT:  # many ways lead to such paths
+        elif found.success:  # many ways lead to such paths, and not all of them end
             assert found.cost == pytest.approx(least, rel=2e-3)
     way = {x: lambda t: LENGTH * np.sin(np.pi * t), y: lambda t: -LENGTH * np.cos(np.pi * t)}
     found = up.solve("gauss6", steps=12, guess=way)
