@@ -27,7 +27,7 @@ from symsimpson.declare.index_one import IndexOneFunction
 from symsimpson.declare.plain import ConstraintRows, Symbols
 from symsimpson.graph.findings import IdentityTest
 from symsimpson.graph.nodes import ONE, UNIT, ZERO, Graph, Value, scale
-from symsimpson.graph.read import to_sympy
+from symsimpson.graph.read import to_sympy, tree_size
 from symsimpson.graph.rebuild import rebuild
 from symsimpson.support.contact_values import OF_CONTACT, Mode
 from symsimpson.support.literals import float_literals
@@ -310,6 +310,8 @@ class Modes:
         symbols = {x: x for x in plain.symbols} | {plain.t: sp.Symbol("t")}
         known = {plain.graph.symbol(x.name)[1]: y for x, y in symbols.items()}
         known[plain.graph.constant("Tiny")[1]] = sp.S.Zero
+        if tree_size(plain.graph, texts.get("margin", ZERO)) > LONGEST:
+            texts = {key: x for key, x in texts.items() if key != "margin"}
         written = {
             name: str(float_literals(to_sympy(plain.graph, value, known)))
             for name, value in texts.items()

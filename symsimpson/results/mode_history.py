@@ -29,8 +29,20 @@ def work_names(program: Program, elements: Sequence[str] | None = None) -> tuple
     """Return the names of the columns of work of a mode, or of a run with friction elements."""
     header, whole = program.header, elements is not None
     forces = (*program.names.forces.shown, *(elements or ()))
-    carried = (CONSTRAINTS,) if header.carried or whole else ()
+    carried = (_carried_name(program),) if header.carried or whole else ()
     return (*forces, *carried, *((BY_TIME,) if whole or not header.autonomous else ()))
+
+
+def _carried_name(program: Program) -> str:
+    """Return the name of the work of moving constraints.
+
+    If only one friction element that sticks moves, it is the work of this element.
+    """
+    base, plain = getattr(program.declared, "base", None), getattr(program.declared, "plain", None)
+    if base is None or plain is None or plain.moving or base.plain.carried:
+        return CONSTRAINTS
+    moved = [name for name, row in plain.velocity_constraints.items() if row[-1][0]]
+    return moved[0] if len(moved) == 1 else CONSTRAINTS
 
 
 def recorded_work(run: Any) -> tuple[dict[str, Reals], Reals]:
