@@ -50,7 +50,7 @@ from .results.archive import open_trajectory as open_trajectory
 from .results.events import Actions as Actions
 from .results.events import Events as Events
 from .results.interpolate import DenseOutput as DenseOutput
-from .results.modes import ModeHistory as ModeHistory
+from .results.mode_history import ModeHistory as ModeHistory
 from .results.motion_derivatives import Chaos as Chaos
 from .results.motion_derivatives import Gradient as Gradient
 from .results.motion_derivatives import Linearisation as Linearisation

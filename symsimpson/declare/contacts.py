@@ -70,8 +70,8 @@ class Friction(_Element):
     >>> brake = ss.MechanicalSystem("brake", coordinates=(x,), kinetic=x.diff()**2/2,
     ...                             potential=0*x, friction={"pad": ss.Friction(x.diff(), limit=2)})
     >>> run = ss.compile(brake).integrate([0.0], v0=[1.0], h=0.1, t_end=1.0)
-    >>> run.events("pad").kind, float(run.events("pad").t[0].round(12)), run["x"][-1].round(12)
-    (['stick'], 0.5, 0.25)
+    >>> run.events("pad").kind, run.events("pad").t.round(9), run["x"][-1:].round(9)
+    (['stick'], array([0.5]), array([0.25]))
     """
 
     velocity: Any
@@ -225,10 +225,16 @@ def _check_limits(what: str, limit: Any, static: Any) -> None:
         )
 
 
+def read_elements(name: str, contacts: Any, friction: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the contacts and the friction elements of a system by name."""
+    touching = name_elements(name, contacts, Contact)
+    return touching, name_elements(name, friction, Friction, tuple(touching))
+
+
 def name_elements(
     name: str, given: Any, kind: type[Any], taken: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Return contacts or friction elements by name; those of a list may have numbers as names."""
+    """Return contacts or friction elements by name; entries of a list may have numbers as names."""
     what, word = ("contacts", "Contact") if kind is Contact else ("friction", "Friction")
     if given is None:
         return {}

@@ -127,6 +127,11 @@ def _equations(declared: Declared) -> str:
     lines = [("T", kinetic), ("V", potential)]
     held = (*declared.constraints.values(), *declared.velocity_constraints.values())
     lines += [("0", sp.sympify(expression).xreplace(safe)) for expression in held]
+    for key, contact in declared.contacts.items():
+        lines.append((rf"g_{{\text{{{in_text(key)}}}}}", contact.gap.xreplace(safe)))
+    modes = declared.modes
+    for key, u in zip(modes.elements, modes.velocities, strict=True) if modes else ():
+        lines.append((rf"u_{{\text{{{in_text(key)}}}}}", u.xreplace(safe)))
     if declared.plain.hamiltonian is not None:
         lines = [("H", sp.sympify(getattr(declared, "hamiltonian", 0)).xreplace(safe))]
         for equation in getattr(declared, "equations", ()) if declared.n <= SHOWN else ():

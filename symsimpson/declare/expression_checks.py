@@ -235,10 +235,16 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
             "the next one there.",
         )
     smooth = ", ".join(sorted(f.__name__ for f in SMOOTH))
+    if isinstance(node, sp.sign):
+        reject_here(
+            f"{contains}: the function sign jumps.",
+            "For dry friction, declare friction={'pad': symsimpson.Friction(velocity, limit=...)}, "
+            "which also sticks. For another force, write tanh(x/eps); a step must resolve eps.",
+        )
     if isinstance(node, ROUGH):
         reject_here(
             f"{contains}: the function {name} cannot be differentiated twice.",
-            "Use a smooth form: sqrt(x**2 + eps**2) for |x|, or tanh(x/eps) for its sign. A step "
+            "Use a smooth form, such as sqrt(x**2 + eps**2) for |x|. A step "
             f"must then resolve eps. Or use one of {smooth}.",
         )
     reject_here(

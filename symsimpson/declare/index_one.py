@@ -11,7 +11,7 @@ import sympy as sp
 from symsimpson.declare.constraints import accelerations
 from symsimpson.declare.plain import ConstraintRows, Plain
 from symsimpson.graph.nodes import Graph, Value
-from symsimpson.graph.read import to_sympy
+from symsimpson.graph.read import to_lines
 from symsimpson.graph.rebuild import rebuild
 from symsimpson.support.array_types import Floats, Reals
 from symsimpson.support.contact_values import Counts, IndexOne
@@ -51,8 +51,8 @@ class IndexOneFunction:
 
         def compiled(wanted: Sequence[Value], more: Sequence[sp.Symbol] = ()) -> Callable[..., Any]:
             arguments = [plain.t, *plain.q, *plain.v, *plain.parameters, *plain.u, *more]
-            expressions = float_literals([to_sympy(into, x, known) for x in wanted])
-            return sp.lambdify(arguments, expressions, "numpy", cse=True)
+            lines, results = float_literals(to_lines(into, wanted, known))
+            return sp.lambdify(arguments, results, "numpy", cse=lambda _: (lines, results))
 
         slopes = [x for row in terms.rows for x in row]
         blocks = mass[: n * n], slopes, terms.push, terms.curve, terms.rates, gaps, mass[n * n :]

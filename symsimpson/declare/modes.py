@@ -8,12 +8,12 @@ multiplier that keeps the gap at zero. With the multipliers of the steps, the or
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from fractions import Fraction
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any
 
 import sympy as sp
 
@@ -25,7 +25,6 @@ from symsimpson.declare.expression_checks import read_expression
 from symsimpson.declare.forces import OTHERS
 from symsimpson.declare.index_one import IndexOneFunction
 from symsimpson.declare.plain import ConstraintRows, Symbols
-from symsimpson.declare.system import MechanicalSystem
 from symsimpson.graph.findings import IdentityTest
 from symsimpson.graph.nodes import ONE, UNIT, ZERO, Graph, Value, scale
 from symsimpson.graph.read import to_sympy
@@ -41,23 +40,14 @@ PARADOX = Fraction(1, 10**9)
 LONGEST = 100_000
 
 
-class ModeSystem(MechanicalSystem):
-    """The system of one mode. ``texts`` are expressions for its events, in plain symbols."""
-
-    in_mode: ClassVar[bool] = True
-    base: Declared
-    key: Mode
-    texts: Mapping[str, str]
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return make_mode, (self.base, self.key)
-
-
 class Modes:
-    """The contacts and friction elements of a system, as values of a graph, and its modes."""
+    """The contacts and friction elements of a system, as values of a graph, and its modes.
 
-    def __init__(self, system: Declared) -> None:
-        self._system = system
+    ``make`` makes the system of a mode from its fields.
+    """
+
+    def __init__(self, system: Declared, make: Callable[..., Declared]) -> None:
+        self._system, self._make_system = system, make
         self._symbols = symbols = Symbols(system.coordinates, system.parameters, system.inputs)
         graph = symbols.graph
         self._speed = sp.Symbol("slip", real=True)
@@ -160,10 +150,10 @@ class Modes:
         )
 
     @cached_property
-    def _made(self) -> dict[Mode, ModeSystem]:
+    def _made(self) -> dict[Mode, Declared]:
         return {}
 
-    def system_of(self, key: Mode) -> ModeSystem:
+    def system_of(self, key: Mode) -> Declared:
         """Return the system of a mode; directions of sliding are its last parameters."""
         if key not in self._made:
             self._made[key] = self._make(key)
@@ -193,7 +183,7 @@ class Modes:
         )
         return Mode(contacts, elements)
 
-    def _make(self, key: Mode) -> ModeSystem:
+    def _make(self, key: Mode) -> Declared:
         system = self._system
         pairs = [*zip(self.elements, key.elements, range(len(self.elements)), strict=True)]
         sliding = [(name, k) for name, x, k in pairs if x]
@@ -214,7 +204,7 @@ class Modes:
                 **{name: self.velocities[k] for name, k in sticking},
             },
         }
-        mode = ModeSystem(**given)
+        mode = self._make_system(**given)
         forces, texts = self._write(mode, key, resting, sticking, sliding)
         plain = replace(mode.plain, forces=MappingProxyType({**mode.plain.forces, **forces}))
         for name, value in {"plain": plain, "base": system, "key": key, "texts": texts}.items():
@@ -223,7 +213,7 @@ class Modes:
 
     def _write(
         self,
-        mode: ModeSystem,
+        mode: Declared,
         key: Mode,
         resting: Sequence[int],
         sticking: Sequence[tuple[str, int]],
@@ -259,7 +249,7 @@ class Modes:
 
     def _normal_forces(
         self,
-        mode: ModeSystem,
+        mode: Declared,
         resting: Sequence[int],
         rows: Mapping[int, list[Value]],
         limits: Mapping[int, Value],
@@ -311,7 +301,7 @@ class Modes:
         normal = {of_contact[i]: solved[order.index(i)] for i in oblique}
         return normal, graph.add([margin, (-PARADOX, UNIT)])
 
-    def _written(self, mode: ModeSystem, texts: Mapping[str, Value]) -> dict[str, str]:
+    def _written(self, mode: Declared, texts: Mapping[str, Value]) -> dict[str, str]:
         """Write values in the plain symbols of kernels; long margins are left out."""
         plain = mode.plain
         changing = set(plain.numbers((*plain.q, *plain.v, plain.t)))
@@ -360,9 +350,3 @@ def _eliminate(
         left = graph.add([matrix[k][size], *others])
         x[c] = graph.multiply([left, graph.power(matrix[k][k], -1)])
     return x, [matrix[n + c][n + c] for c in range(m)]
-
-
-def make_mode(base: Declared, key: Mode) -> ModeSystem:
-    """Return the system of a mode of another system."""
-    modes: Modes = base.modes
-    return modes.system_of(key)

@@ -14,7 +14,6 @@ from sympy.core.function import AppliedUndef
 
 from symsimpson.declare.checks import read_coordinates, read_name, read_parameters
 from symsimpson.declare.constraints import name_constraints
-from symsimpson.declare.contacts import Contact, Friction, name_elements
 from symsimpson.declare.declaration import read_energies, read_units, split_lagrangian
 from symsimpson.declare.declared import Declared, Positions, compute_digest
 from symsimpson.declare.described import Described
@@ -149,9 +148,13 @@ class MechanicalSystem(Described):
         parameters = read_parameters(name, self.parameters, coordinates)
         inputs = read_inputs(name, self.inputs, coordinates, parameters)
         object.__setattr__(self, "inputs", inputs)
-        touching = name_elements(name, self.contacts, Contact)
+        touching: dict[str, Any] = {}
+        rubbing: dict[str, Any] = {}
+        if self.contacts or self.friction:
+            from symsimpson.declare.contacts import read_elements  # few systems have them
+
+            touching, rubbing = read_elements(name, self.contacts, self.friction)
         object.__setattr__(self, "contacts", touching)
-        rubbing = name_elements(name, self.friction, Friction, tuple(touching))
         object.__setattr__(self, "friction", rubbing)
         if self.prescribed:
             coordinates = self._prescribe(name, coordinates, parameters)
@@ -182,7 +185,7 @@ class MechanicalSystem(Described):
         if touching or rubbing:
             from symsimpson.declare.modes import Modes  # few systems have modes
 
-            object.__setattr__(self, "modes", Modes(self))
+            object.__setattr__(self, "modes", Modes(self, ModeSystem))
 
     def _prescribe(
         self,
@@ -470,3 +473,24 @@ class MechanicalSystem(Described):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return reduce_frozen(self) if self.motion is None else (self.motion.again, ())
+
+
+class ModeSystem(MechanicalSystem):
+    """The system of one mode of contacts and friction; its directions are the last parameters.
+
+    ``texts`` are expressions for the events that end the mode, in plain symbols.
+    """
+
+    in_mode: ClassVar[bool] = True
+    base: MechanicalSystem
+    key: Any
+    texts: Mapping[str, str]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return mode_of, (self.base, self.key)
+
+
+def mode_of(base: MechanicalSystem, key: Any) -> MechanicalSystem:
+    """Return the system of a mode of another system."""
+    mode: MechanicalSystem = base.modes.system_of(key)
+    return mode

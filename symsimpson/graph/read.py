@@ -235,6 +235,20 @@ def to_sympy(graph: Graph, value: Value, names: Mapping[int, sp.Expr]) -> sp.Exp
     return number(value[0]) * done[value[1]]
 
 
+def to_lines(
+    graph: Graph, values: Sequence[Value], names: Mapping[int, sp.Expr]
+) -> tuple[list[tuple[sp.Symbol, sp.Expr]], list[sp.Expr]]:
+    """Convert values to definitions, one for each shared node, and expressions of these."""
+    done, lines = {0: sp.S.One, **names}, list[tuple[sp.Symbol, sp.Expr]]()
+    for n in graph.descendants([n for _, n in values]):
+        if n not in done:
+            kind, parts, _ = graph.nodes[n]
+            line = line_to_sympy(kind, parts, done, _IN_TREES)
+            done[n] = sp.Symbol(f"node_{n}")
+            lines.append((done[n], line))
+    return lines, [number(c) * done[n] for c, n in values]
+
+
 def tree_size(graph: Graph, value: Value) -> int:
     """Count the nodes of a value as a tree, which repeats shared subexpressions."""
     size: dict[int, int] = {}

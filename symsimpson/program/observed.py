@@ -114,7 +114,7 @@ def read_expression(
         return expression
     parser = ExpressionParser(program, what)
     text = parser.parse(expression)
-    flags = parser.energetic, wrapped, parser.rest, parser.held
+    flags = parser.energetic, wrapped, parser.rest, parser.with_multipliers
     return ObservedExpression(str(expression), text, *flags)
 
 
@@ -181,7 +181,7 @@ def read_reductions(
         parser = ExpressionParser(program, f"reduce[{name!r}]")
         text = parser.parse(expression)
         portable = parser.to_portable(expression, text)
-        about: dict[str, Any] = {"held": parser.held, "name": str(name), "kind": kind}
+        about: dict[str, Any] = {"held": parser.with_multipliers, "name": str(name), "kind": kind}
         reductions.append(Reduction(portable, text, parser.energetic, **about))
     return tuple(reductions)
 

@@ -61,14 +61,15 @@ class ExpressionParser:
     """A parser that translates an expression through its syntax tree, from a list of known nodes.
 
     Names are names of the user, which need not be identifiers of Python, or names of the module.
-    ``energetic`` tells whether the expression contains the energy or velocities, and ``held``
-    whether it contains multipliers of constraints. ``rest`` tells whether it is a remainder such as
-    ``Mod(q1, 2*pi)``. Every method raises InputError for an invalid expression.
+    ``energetic`` tells whether the expression contains the energy or velocities, and
+    ``with_multipliers`` whether it contains multipliers of constraints. ``rest`` tells whether it
+    is a remainder such as ``Mod(q1, 2*pi)``. Every method raises InputError for an invalid
+    expression.
     """
 
     def __init__(self, program: Program, where: str) -> None:
         self._where, self._header = where, program.header
-        self.energetic = self.held = self.rest = False
+        self.energetic = self.with_multipliers = self.rest = False
         coordinates, parameters = program.names.coordinates, program.names.parameters
         self._known = {"t": "t", "pi": "3.141592653589793"}
         self._known |= {scalar.name: scalar.symbol for scalar in scalars_of(program.header)}
@@ -233,8 +234,8 @@ class ExpressionParser:
                     self._reject(f"{name!r} is a parameter, and the name of another quantity, too")
                 self._used.add(name)
                 self.energetic |= self._known[name].startswith(COMPUTED)
-                self.held |= self._known[name].startswith(MULTIPLIERS.symbol)
-                if self.held and {scalar.name for scalar in SCALARS} & self._used:
+                self.with_multipliers |= self._known[name].startswith(MULTIPLIERS.symbol)
+                if self.with_multipliers and {scalar.name for scalar in SCALARS} & self._used:
                     self._reject("it contains both the energy and a multiplier")
                 return self._known[name]
             case ast.Call(

@@ -15,7 +15,7 @@ from symsimpson.program.recorders import RECORDERS
 from symsimpson.program.status import Status
 from symsimpson.results.datasets import EVENTS, RECORDED, trajectory_digest
 from symsimpson.results.event_record import EventRecord
-from symsimpson.results.modes import ModeHistory
+from symsimpson.results.mode_history import ModeHistory
 from symsimpson.results.tables import TABLES, check_kind
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.stepping.driving import make_input_history

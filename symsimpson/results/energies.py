@@ -153,7 +153,7 @@ class Energies(FinishedRun):
         that begins there. The inputs at the final state are those of the last step.
         """
         if self.history is not None:
-            from symsimpson.results.modes import powers
+            from symsimpson.results.mode_history import powers
 
             forces = len(self.program.names.forces.shown)
             return powers(self, _evaluate_powers(self) if forces else 0 * self.q)
@@ -265,7 +265,7 @@ def integrate_powers(run: FinishedRun) -> tuple[dict[str, Reals], Reals]:
     """
     program, header = run.program, run.program.header
     if run.history is not None:
-        from symsimpson.results.modes import recorded_work
+        from symsimpson.results.mode_history import recorded_work
 
         return recorded_work(run)
     if header.conservative:

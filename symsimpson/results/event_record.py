@@ -29,6 +29,10 @@ class EventRecord(NamedTuple):
         """The record as a list of JSON values."""
         return [x.tolist() if isinstance(x, np.ndarray) else x for x in self]
 
+    def of_event(self, number: int) -> EventRecord:
+        """Return the record with another number of its event."""
+        return self._replace(event=number)
+
     def since(self, step: int) -> EventRecord:
         """Return the record with its step counted from another step of the run."""
         return self._replace(step=self.step - step)

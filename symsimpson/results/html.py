@@ -70,6 +70,8 @@ def trajectory(run: Any) -> str:
     iterations = iterations_a_step(run)
     if iterations:
         rows.append(("iterations a step", f"{iterations:.2f}"))
+    if run.history is not None:
+        rows.append(("modes", f"{len(run.history)}, of {', '.join(run.history.names)}"))
     constant = run.has_constant_energy
     known = constant and (run.every is not None or run.begun is not None)
     energy = np.asarray(run.energy_error if known else run.energy, dtype=float)

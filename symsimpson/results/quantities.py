@@ -124,7 +124,7 @@ class Quantities:
             If the system has inputs whose values at the states are unknown.
         """
         if getattr(self, "history", None) is not None:
-            from symsimpson.results.modes import constraint_values
+            from symsimpson.results.mode_history import constraint_values
 
             return constraint_values(self)[0]
         return self._evaluate_quantity("multipliers")
@@ -151,7 +151,7 @@ class Quantities:
         if not self.program.header.constraints:
             return 0 * np.asarray(self.q)
         if getattr(self, "history", None) is not None:
-            from symsimpson.results.modes import constraint_values
+            from symsimpson.results.mode_history import constraint_values
 
             return constraint_values(self)[1]
         block, count = "CONSTRAINT_FORCE", self.program.n

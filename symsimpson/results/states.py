@@ -14,6 +14,7 @@ from symsimpson.errors import InputError, reject
 from symsimpson.program.numbers import NO_INPUTS
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
+from symsimpson.results.mode_history import force_variables, forces_by_name, quantity_names
 from symsimpson.results.quantities import NO_KINETIC_ENERGY, Quantities
 from symsimpson.results.tables import Tabular, Variable, attribute_name
 from symsimpson.stepping.driving import InputHistory, inputs_at_times
@@ -137,6 +138,8 @@ class StateDerivatives:
         )
 
 
+#: What states of one run share.
+SHARED = ("program", "parameter_values", "driven", "history")
 #: Names of the attributes of a trajectory, which the module of trajectories adds.
 RUN_ATTRIBUTES = set[str]()
 
@@ -326,8 +329,8 @@ class States(Quantities, Tabular, Plottable):
 
     def with_states(self, t: NDArray[Any], q: NDArray[Any], p: NDArray[Any]) -> States:
         """Return States of other t, q and p, with the same system, parameters and inputs."""
-        about = {"parameter_values": self.parameter_values, "history": self.history}
-        return States(t=t, q=q, p=p, program=self.program, driven=self.driven, **about)
+        about = {name: getattr(self, name) for name in SHARED}
+        return States(t=t, q=q, p=p, **about)
 
     def __getstate__(self) -> dict[str, Any]:
         return {f.name: getattr(self, f.name) for f in fields(self)}  # without cached quantities
@@ -397,22 +400,12 @@ class States(Quantities, Tabular, Plottable):
         return plot_path(self, connected=self._connected, ax=ax)
 
     def _special_quantity(self, key: str) -> Any:
-        if key not in self._special_names():
-            return None
-        from symsimpson.results.modes import forces_by_name
-
-        return forces_by_name(self)[key]
+        return forces_by_name(self)[key] if key in self._special_names() else None
 
     def _special_names(self) -> list[str]:
-        if self.history is None and self.program.modes is None:
-            return []
-        from symsimpson.results.modes import quantity_names
-
         return quantity_names(self.program, self.history)
 
     def _variables(self) -> list[Variable]:
-        from symsimpson.results.modes import force_variables
-
         plain = self._quantities(("time",))
         return [*plain, *force_variables(self), *self._extra_variables()]
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from symsimpson.plotting.films import Animation
     from symsimpson.results.events import Events
     from symsimpson.results.interpolate import DenseOutput
-    from symsimpson.results.modes import ModeHistory
+    from symsimpson.results.mode_history import ModeHistory
 
 #: Upper bound of the round-off error of times, in steps.
 STEP_ROUNDING = 1e-6
@@ -151,7 +151,7 @@ class Trajectory(Savable, Energies, StateDerivatives):
         from symsimpson.results.interpolate import DenseOutput
 
         if self.history is not None or self.program.modes is not None:
-            from symsimpson.results.modes import DenseOutputOfModes
+            from symsimpson.results.mode_output import DenseOutputOfModes
 
             return DenseOutputOfModes(self)
         return DenseOutput(self)

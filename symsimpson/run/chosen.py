@@ -14,7 +14,7 @@ from symsimpson.program.numbers import Numbers
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.events import Events, ZeroQuery, find_zeros, merge_zeros, run_fields
-from symsimpson.results.modes import quantity_names
+from symsimpson.results.mode_history import quantity_names
 from symsimpson.results.sampled import Sampled, Saved
 from symsimpson.results.states import States
 from symsimpson.results.trajectory import Trajectory

@@ -134,7 +134,7 @@ class ContactStates:
         return changed
 
     def accumulated(self, at: StateOfContacts, mode: Mode) -> dict[int, float]:
-        """Return the contacts that come to rest, and the duration until all impacts are over.
+        """Return the contacts that will rest, and the duration until all impacts are over.
 
         A gap that leaves with the rate r and returns with the acceleration a has infinitely many
         impacts in the duration 2 r / (-a (1 - e)).

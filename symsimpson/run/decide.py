@@ -103,7 +103,7 @@ class StateOfContacts:
         return Mode(mode.contacts, tuple(elements))
 
     def sliding_contacts(self, hit: Sequence[int]) -> list[int]:
-        """Return those of the contacts ``hit`` that have friction and slide."""
+        """Return the contacts among ``hit`` that have friction and slide."""
         still = self.still(self.counts.element_rows)
         pairs = enumerate(self.contact_of)
         return [c for k, c in pairs if c is not None and c in hit and not still[k]]
@@ -219,22 +219,22 @@ class StateOfContacts:
             return first, False
         if self.number_of_choices() > MOST_TRIED:
             return None, False
-        found: Mode | None = None
+        chosen: Mode | None = None
         for mode in sorted(self.choices(), key=first.changes):
-            if found is not None and first.changes(mode) > first.changes(found):
+            if chosen is not None and first.changes(mode) > first.changes(chosen):
                 break
             if self.allows(mode, self.motion(mode)):
-                if found is not None:
-                    return found, True
-                found = mode
-        return found, False
+                if chosen is not None:
+                    return chosen, True
+                chosen = mode
+        return chosen, False
 
     def _some_choices(self) -> Iterator[Mode]:
         return self.choices() if self.number_of_choices() <= MOST_TRIED else iter(())
 
     def implied(self, mode: Mode) -> frozenset[int]:
         """Return the open contacts whose gaps stay zero, because other contacts rest."""
-        rows, found = self.rows_of(mode), set[int]()
+        rows, implied = self.rows_of(mode), set[int]()
         still = self.still(self.counts.contact_rows)
         for c, r in enumerate(self.counts.contact_rows):
             if rows and not mode.contacts[c] and self.touching[c] and still[c]:
@@ -242,8 +242,8 @@ class StateOfContacts:
                 whole = held @ self._inverse @ held.T
                 scale = np.sqrt(np.diag(whole))
                 if not np.linalg.eigvalsh(whole / np.outer(scale, scale))[0] > DEPENDENT:
-                    found.add(c)
-        return frozenset(found)
+                    implied.add(c)
+        return frozenset(implied)
 
     def paradox(self) -> bool:
         """Return whether friction at a sliding contact leaves the normal force without a value."""

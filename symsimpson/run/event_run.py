@@ -56,6 +56,7 @@ class EventRun(Run):
     """
 
     begin_at: tuple[int, float] = (0, 0.0)
+    ending: frozenset[int] = frozenset()  #: Events at which a piece ends before they act.
     time_changes: Floats | None = None  #: Variations of the time at which a piece begins.
     continues = pauses = False
 
@@ -385,6 +386,12 @@ class EventRun(Run):
     def _act(self, t: float, step: int, state: Any, events: Sequence[int], times: Times) -> Any:
         """Let events act on a state, and record them; return None if the run ends."""
         row, small, given = self._actions.row(t, state), self.sides.small, state
+        ends = [k for k in events if k in self.ending and self._actions.may_act(row, k)]
+        (q, p), ways = state, -np.sign(self.sides.side).astype(int)
+        for k in ends:  # they act on the whole system later
+            self.records.append(EventRecord(k, t, step, q, p, q, p, int(ways[k]), 0.0, False))
+        if ends:
+            return None if self._check_terminal() else state
         allowed = [k for k in events if self._actions.may_act(row, k)]
         for k in events:  # only an impact that acts returns to its side of the wall
             if not (k in allowed and self._actions.impacts[k]):

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 
-from symsimpson.results.event_record import EventRecord
-from symsimpson.run.event_run import EventRun, Times
+from symsimpson.run.event_run import EventRun
 from symsimpson.stepping.run import Run
 from symsimpson.support.array_types import Floats, State
+from symsimpson.support.progress import Watcher
 
 
 class PieceRun(EventRun):
     """A piece of a run, in one mode: it pauses at the event that ends the mode."""
 
     pauses = True
-    ending: frozenset[int] = frozenset()  #: Events that end the mode.
     taken: int = 0  #: Number of records that the whole run has taken.
 
     def begin_piece(self, state: State, first: int, step: int, done: float) -> None:
@@ -44,18 +40,10 @@ class PieceRun(EventRun):
         if self.alive and self.step < stop:
             super().take(stop)
 
-    def _act(self, t: float, step: int, state: Any, events: Sequence[int], times: Times) -> Any:
-        """Pause at events that end the mode: they act on the whole system later."""
-        row = self._actions.row(t, state)
-        ends = [k for k in events if k in self.ending]
-        ends = [k for k in ends if self._actions.may_act(row, k)]
-        if not ends:
-            return super()._act(t, step, state, events, times)
-        for k in ends:
-            direction = -int(np.sign(self.sides.side[k]))
-            q, p = state
-            self.records.append(EventRecord(k, t, step, q, p, q, p, direction, 0.0, False))
-        return None if self._check_terminal() else state
+    def follow(self, first: int, step: int, signals: list[int], watcher: Watcher | None) -> None:
+        """Continue at a step of the whole run, with its signals of Ctrl-C and its progress bar."""
+        self.first, self._progress[0] = first, step - first
+        self._signals, self._watcher = signals, watcher
 
     def carry(self, columns: Floats, moved: Floats) -> None:
         """Begin with variations of the state, and of the time of the event before."""

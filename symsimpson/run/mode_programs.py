@@ -30,7 +30,7 @@ class Cause(NamedTuple):
 
 @dataclass(frozen=True)
 class ModeProgram:
-    """The program of a mode, its events, and the cause that each event stands for."""
+    """The program of a mode, its events, and the cause that each event has."""
 
     mode: Mode
     program: Program
@@ -39,7 +39,7 @@ class ModeProgram:
     reductions: tuple[Reduction, ...]
 
     def values(self, parameters: Floats) -> Floats:
-        """Return the values of parameters: those of the system, then directions of sliding."""
+        """Return the values of the system's parameters, then directions of sliding."""
         return values_of(self.mode, parameters)
 
 
@@ -55,8 +55,8 @@ def program_of(program: Program, mode: Mode) -> Program:
         assert program.compile_for is not None
         alone = not any(key.contacts) and all(x is None for x in key.elements)
         known[key] = program if alone else program.compile_for(program.modes.system_of(key))
-    found: Program = known[key]
-    return found
+    of_mode: Program = known[key]
+    return of_mode
 
 
 class ModePrograms:
@@ -148,10 +148,10 @@ def _read_known(program: Program, events: Sequence[Event]) -> RunEvents:
     """Read the events of a mode, or return them if the program has read them before."""
     known, key = program.findings.events, ("mode", *events)
     try:
-        found = known.get(key)
+        events_read = known.get(key)
     except TypeError:  # the mappings of a Change are not hashable
         return read_events(program, events)
-    if found is None:
-        found = known[key] = read_events(program, events)
-    read: RunEvents = found
+    if events_read is None:
+        events_read = known[key] = read_events(program, events)
+    read: RunEvents = events_read
     return read

@@ -10,7 +10,7 @@ import numpy as np
 from symsimpson.errors import ModelWarning, reject
 from symsimpson.program.status import Status
 from symsimpson.results.event_record import EventRecord
-from symsimpson.results.modes import ModeHistory, Piece
+from symsimpson.results.mode_history import ModeHistory, Piece
 from symsimpson.run.contact_states import ContactStates
 from symsimpson.run.decide import MOST_TRIED, StateOfContacts
 from symsimpson.run.event_run import MOST_ACTIONS
@@ -45,7 +45,7 @@ MOST_AT_ONE_TIME = 10
 class ModeRun(Run):
     """A run through the modes of a system with contacts and dry friction.
 
-    Its states are those of the system without contacts, whose momenta are the same in all modes.
+    Its states belong to the system without contacts, whose momenta are the same in all modes.
     """
 
     def __init__(
@@ -125,8 +125,7 @@ class ModeRun(Run):
             assert piece is not None
             if self._signals:
                 raise KeyboardInterrupt
-            piece.first, piece._progress[0] = self.first, self.step - self.first
-            piece._signals, piece._watcher = self._signals, self._watcher
+            piece.follow(self.first, self.step, self._signals, self._watcher)
             before = self.step
             try:
                 piece.advance(stop)
@@ -149,7 +148,7 @@ class ModeRun(Run):
         for record in piece.records[piece.taken :]:
             if causes[record.event].kind == USER and record.event not in piece.ending:
                 number = len(self._modes.names) + causes[record.event].number
-                self.records.append(record._replace(event=number))
+                self.records.append(record.of_event(number))
         piece.taken = len(piece.records)
         width, every = len(self._tangent_rows(self)), self.every
         if width and every:
@@ -213,13 +212,13 @@ class ModeRun(Run):
         mode, left = self._mode, set[tuple[bool, int]]()
         for kind, number, sign in causes:
             if kind == LIFT:
-                mode = mode._replace(contacts=_with(mode.contacts, number, False))
+                mode = mode.with_contact(number, False)
                 left.add((True, number))
             elif kind == SLIP:
-                mode = mode._replace(elements=_with(mode.elements, number, sign))
+                mode = mode.with_element(number, sign)
                 left.add((False, number))
             elif kind not in (GAP, USER):
-                mode = mode._replace(elements=_with(mode.elements, number, 0))
+                mode = mode.with_element(number, 0)
         acting = [
             cause.number + (len(self._modes.contacts) if cause.kind == USER else 0)
             for cause in causes
@@ -291,29 +290,29 @@ class ModeRun(Run):
                     f"smaller, at t={t:g}. "
                 )
                 return self._fail(Status.BAD_INPUT, t, why)
-            found, more = at.decide(at.with_directions(mode))
-            if found is None or at.paradox():
+            chosen, more = at.decide(at.with_directions(mode))
+            if chosen is None or at.paradox():
                 return self._fail_undecided(t, at)
             self._choices += more
-            resting = self._contacts.accumulated(at, found)
+            resting = self._contacts.accumulated(at, chosen)
             if not resting:
                 break
             settled |= {c: t + delta for c, delta in resting.items()}
-            contacts = found.contacts
+            mode = chosen
             for c in settled:
-                contacts = _with(contacts, c, True)
-            mode = at.with_directions(Mode(contacts, found.elements))
+                mode = mode.with_contact(c, True)
+            mode = at.with_directions(mode)
             state, at = self._project(t, state, at, mode, step, left)
         else:
             return self._fail_undecided(t, at)
-        state, at = self._project(t, state, at, found, step, left)
-        for number, kind in self._kinds(found):
+        state, at = self._project(t, state, at, chosen, step, left)
+        for number, kind in self._kinds(chosen):
             when = settled.get(number, t)
             sign = {"slip+": 1, "slip-": -1}.get(kind, 0)
             change = *given, *state
             self.records.append(EventRecord(number, when, step, *change, sign, 0.0, False, kind))
-        self._mode = found
-        self._begin(t, state, step, at.implied(found))
+        self._mode = chosen
+        self._begin(t, state, step, at.implied(chosen))
 
     def _project(
         self,
@@ -476,11 +475,6 @@ class ModeRun(Run):
         acted = {"records": tuple(self.records), "event_names": self._programs.names}
         more = {"ended_by": self.ended_by, "history": self.history}
         return {**super().recorded_fields(recorded, result), **acted, **more}
-
-
-def _with(values: Sequence[Any], place: int, value: Any) -> tuple[Any, ...]:
-    """Return values with one of them replaced."""
-    return (*values[:place], value, *values[place + 1 :])
 
 
 def _carry_reductions(previous: PieceRun, piece: PieceRun) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from symsimpson.program.recorders import Recorder
-from symsimpson.results.modes import work_names
+from symsimpson.results.mode_history import work_names
 from symsimpson.stepping.run import Run
 from symsimpson.support.array_types import Reals
 
@@ -31,7 +31,7 @@ class WorkColumns:
         return [Recorder(kernel, first, count, count, name="work")] if self.works else []
 
     def now(self, piece: Run, program: Program) -> Reals:
-        """Return the present work, with that of a piece."""
+        """Return the present work, which includes the work of a piece."""
         now = self.before.copy()
         if self.works and program.header.powers:
             now[self._places(program)] += piece.rows("WORK", program.header.powers)
@@ -45,10 +45,10 @@ class WorkColumns:
             return
         before, last = (step - piece.first for step in steps)
         some = slice(before // every + 1, last // every + 1)
-        own, count = recorded[some, -len(self._names) :, 0], program.header.powers
-        own[:] = self.before
+        columns, count = recorded[some, -len(self._names) :, 0], program.header.powers
+        columns[:] = self.before
         if count:
-            own[:, self._places(program)] += piece.recorded[some, -count:, 0]
+            columns[:, self._places(program)] += piece.recorded[some, -count:, 0]
 
     def end(self, piece: Run, program: Program) -> None:
         """Add the work of a piece, because the next one begins with none."""

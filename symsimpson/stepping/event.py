@@ -26,7 +26,7 @@ class Impact:
 
     The momentum jumps along n = dg/dq. After the impact, the rate of the gap is -e times the rate
     before it. The tangential motion does not change. For e = 1 and a wall at rest, the impact
-    conserves energy.
+    conserves energy. Bodies that may come to rest need a :class:`Contact` of the system.
 
     Parameters
     ----------
@@ -127,7 +127,8 @@ class Change:
 class Switch:
     """Split the step at the event without a change of the state.
 
-    Use it where a force has a kink or a jump, so that the scheme keeps its order.
+    Use it where a force has a kink, so that the scheme keeps its order. Dry friction is a
+    :class:`Friction` of the system, which also sticks.
 
     Examples
     --------

@@ -38,6 +38,14 @@ class Mode(NamedTuple):
         """The state of each contact and element, as users see it."""
         return (*(REST if rests else OPEN for rests in self.contacts), *self.elements)
 
+    def with_contact(self, contact: int, rests: bool) -> Mode:
+        """Return the mode in which one contact rests, or is open."""
+        return self._replace(contacts=_with(self.contacts, contact, rests))
+
+    def with_element(self, element: int, state: int) -> Mode:
+        """Return the mode in which one friction element has another state."""
+        return self._replace(elements=_with(self.elements, element, state))
+
     def changes(self, other: Mode) -> int:
         """Return the number of contacts and elements that differ; None does not count."""
         pairs = [*zip(self.contacts, other.contacts, strict=True)]
@@ -45,6 +53,11 @@ class Mode(NamedTuple):
         return sum(a != b for a, b in pairs) + sum(
             a != b for a, b in moved if a is not None and b is not None
         )
+
+
+def _with(values: tuple[Any, ...], place: int, value: Any) -> tuple[Any, ...]:
+    """Return values with one of them replaced."""
+    return (*values[:place], value, *values[place + 1 :])
 
 
 class IndexOne(NamedTuple):

@@ -1,10 +1,15 @@
-"""Outlines of shapes, as closed polygons."""
+"""What is drawn of a robot: origins of joints, and outlines of shapes as closed polygons."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
-from symsimpson.declare.robots.tree import Shape
+from symsimpson.declare.robots.bodies_of_tree import Bodies
+from symsimpson.declare.robots.recursion import Vector, attached, exact
+from symsimpson.declare.robots.tree import RobotTree, Shape
 from symsimpson.support.array_types import Floats
 
 #: Corners of the polygons that are drawn for circles.
@@ -28,3 +33,20 @@ def outline(shape: Shape) -> Floats:
         else:
             corners = np.concatenate([circle, circle[:1], circle[:, [0, 2, 1]]])
     return corners @ shape.place.turn.T + shape.place.shift
+
+
+def positions_of(
+    tree: RobotTree, bodies: Bodies, places: Sequence[tuple[Vector, Vector]]
+) -> dict[str, Any]:
+    """Return the origins of joints, and the outlines of shapes."""
+    positions: dict[str, Any] = {}
+    for body, (origin, _) in zip(bodies.moving, places, strict=False):
+        name = "base" if body.joint is None else body.joint.name
+        positions[f"{name} origin"] = tuple(origin)
+    for link in tree.links.values():
+        number, place = bodies.links[link.name]
+        origin, turn = attached(places[number], place)
+        for k, shape in enumerate(link.shapes, 1):
+            name = f"{link.name} {shape.kind}{f' {k}' if k > 1 else ''}"
+            positions[name] = [tuple(origin + turn @ exact(x)) for x in outline(shape)]
+    return positions

@@ -19,8 +19,8 @@ from symsimpson.declare.robots.coordinate_forms import Form, in_bodies, in_joint
 from symsimpson.declare.robots.joint_states import find_state
 from symsimpson.declare.robots.loops import closed
 from symsimpson.declare.robots.mjcf import read_mjcf
-from symsimpson.declare.robots.outlines import outline
-from symsimpson.declare.robots.recursion import Vector, attached, exact
+from symsimpson.declare.robots.outlines import positions_of
+from symsimpson.declare.robots.recursion import attached, exact
 from symsimpson.declare.robots.tree import RobotTree, locked_at, reject_robot, system_name
 from symsimpson.declare.robots.urdf import read_urdf
 from symsimpson.declare.system import NONE, MechanicalSystem
@@ -362,8 +362,8 @@ def from_mjcf(
     """
     ignored = (ignore,) if isinstance(ignore, str) else tuple(ignore)
     tree, pull = read_mjcf(path_or_text, ignored if friction else (*ignored, "friction"))
-    pull = pull if gravity is None else gravity
-    return make_robot(tree, "fixed", None, None, pull, form, friction)
+    used: Any = pull if gravity is None else gravity
+    return make_robot(tree, "fixed", None, None, used, form, friction)
 
 
 def make_robot(
@@ -473,30 +473,13 @@ def _declare(tree: RobotTree, bodies: Bodies, form: Form, rough: bool) -> Robot:
         inputs=tuple(inputs),
         friction=friction,
         constraints=form.constraints,
-        positions=_positions(tree, bodies, form.frames),
+        positions=positions_of(tree, bodies, form.frames),
         joints=MappingProxyType({k: x[0] if x and len(x) == 1 else x for k, x in joints.items()}),
         limits=MappingProxyType(limits),
         tree=tree,
         bodies=bodies,
         form=form,
     )
-
-
-def _positions(
-    tree: RobotTree, bodies: Bodies, places: Sequence[tuple[Vector, Vector]]
-) -> dict[str, Any]:
-    """Return the origins of joints, and the outlines of shapes."""
-    positions: dict[str, Any] = {}
-    for body, (origin, _) in zip(bodies.moving, places, strict=False):
-        name = "base" if body.joint is None else body.joint.name
-        positions[f"{name} origin"] = tuple(origin)
-    for link in tree.links.values():
-        number, place = bodies.links[link.name]
-        origin, turn = attached(places[number], place)
-        for k, shape in enumerate(link.shapes, 1):
-            name = f"{link.name} {shape.kind}{f' {k}' if k > 1 else ''}"
-            positions[name] = [tuple(origin + turn @ exact(x)) for x in outline(shape)]
-    return positions
 
 
 def _warn_of_friction(tree: RobotTree, form: Form) -> None:

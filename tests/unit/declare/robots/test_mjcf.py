@@ -141,7 +141,7 @@ def test_welds_and_polynomials_hold_at_the_start():
         (TREE.replace("disable", "enable").format(""), "contacts between geoms"),
         (TREE.format("<actuator><position joint='j2' kp='3'/></actuator>"), "actuators other"),
         (TREE.format("").replace('name="j2"', 'name="j2" range="-1 1" limited="true"'), "limits"),
-        (TREE.format("").replace('name="j2"', 'name="j2" frictionloss="1"'), "dry friction"),
+        (TREE.format("").replace('name="j4"', 'name="j4" frictionloss="1"'), "friction of balls"),
         (TREE.format("").replace("<option", '<option density="1"'), "fluid"),
         (TREE.format("<tendon><fixed><joint joint='j2' coef='1'/></fixed></tendon>"), "tendons"),
         ("<robot/>", "not a model of MuJoCo.*\n.*from_urdf"),
@@ -159,3 +159,22 @@ def test_what_may_be_ignored():
     assert system.limits[q2] == pytest.approx((-np.pi / 180, np.pi / 180))
     with pytest.raises(ss.ModelError, match="ignore contains 'all'"):
         ss.from_mjcf(text, ignore="all")
+
+
+@pytest.mark.parametrize("given", ["joint", "default", "disabled", "ignored", "left out"])
+def test_friction(given):
+    """A joint or a default has it; the flag of MuJoCo and arguments leave it out."""
+    text, rough = TREE.format(""), 'frictionloss="0.3"'
+    if given == "default":
+        text = text.replace("<worldbody>", f"<default><joint {rough}/></default><worldbody>")
+        text = text.replace('type="ball"', 'type="ball" frictionloss="0"')
+    else:
+        text = text.replace('name="j2"', f'name="j2" {rough}')
+    if given == "disabled":
+        text = text.replace("<flag", '<flag frictionloss="disable"')
+    ignore = ["friction"] if given == "ignored" else []
+    system = ss.from_mjcf(text, ignore=iter(ignore), friction=given != "left out")
+    rough = {"joint": ["j2"], "default": ["j1", "j2", "j3"]}.get(given, [])
+    assert [*system.friction] == [f"{x}.slip" for x in rough]
+    values = {str(k): v for k, v in system.parameters.items() if str(k).startswith("friction")}
+    assert values == {f"friction_{x}": 0.3 for x in rough}

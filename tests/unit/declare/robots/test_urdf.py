@@ -77,6 +77,7 @@ DROP = '<origin xyz="0 0 -2"/><axis xyz="0 1 0"/>'
             r"line 3, .*'j' moves the link 'b', which has no mass",
         ),
         ([*CHAIN, joint("k", "b", "c", inside='<dynamics damping="-1"/>')], "the damping is -1"),
+        ([*CHAIN, joint("k", "b", "c", inside='<dynamics friction="-1"/>')], "the friction is -1"),
         (
             [*CHAIN, joint("k", "b", "c", "revolute", '<limit lower="1" upper="0"/>')],
             "lower is 1, above upper, 0",
@@ -134,14 +135,10 @@ def test_misspelled_names_warn(inside, told):
         ss.from_urdf(robot(link("a", ""), link("b"), joint("j", "a", "b", inside=inside)))
 
 
-def test_inertias_that_no_body_has_and_friction_warn():
+def test_inertias_that_no_body_has_warn():
     flat = BAR.replace('izz="0.02"', 'izz="0.5"')
     with pytest.warns(ss.ModelWarning, match="no body has the moments of inertia of b"):
         ss.from_urdf(robot(link("a", ""), link("b", flat), joint("j", "a", "b")))
-    rough = joint("j", "a", "b", inside='<dynamics friction="1" damping="0.5"/>')
-    with pytest.warns(ss.ModelWarning, match="dry friction of j is ignored"):
-        system = ss.from_urdf(robot(link("a", ""), link("b"), rough))
-    assert {str(k): v for k, v in system.parameters.items()} == {"damping_j": 0.5}
 
 
 def test_coordinates_inputs_and_limits():
