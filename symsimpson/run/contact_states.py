@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
@@ -53,7 +54,20 @@ class ContactStates:
         (q, p), program, values = state, self._program, self._spec.parameters
         there = np.array([t]), q[None], p[None]
         v = evaluate(program, "energy", "VELOCITY", program.n, there, values)[0]
-        return self._at(t, q, v, step, left)
+        at = self._at(t, q, v, step, left)
+        if program.tools is None:
+            return at
+        given = [*values.tolist(), *self._inputs_at(t, step).tolist()]
+        terms = program.tools.force_terms(program.declared, q.tolist(), given, t)
+        return replace(at, terms=np.fmax(terms, np.abs(at.at.push)))
+
+    def _inputs_at(self, t: float, step: int) -> Floats:
+        """Return the inputs at a time in a step."""
+        if not self._inputs.size:
+            return np.asarray(self._inputs[0, 0, 0])
+        share = np.array([[(t - float(self._spec.t0)) / self._h - step]])
+        given = self._program, self._inputs, np.array([step])
+        return np.asarray(interpolate_inputs(*given, share)[0, 0, 0])
 
     def _at(
         self,
@@ -66,11 +80,7 @@ class ContactStates:
     ) -> StateOfContacts:
         """Evaluate contacts and friction at a state (q, v)."""
         values = self._spec.parameters if values is None else values
-        inputs, modes = self._inputs[0, 0, 0], self._modes
-        if self._inputs.size:
-            share = np.array([[(np.real(t) - float(self._spec.t0)) / self._h - step]])
-            given = self._program, self._inputs, np.array([step])
-            inputs = interpolate_inputs(*given, share)[0, 0, 0]
+        modes, inputs = self._modes, self._inputs_at(float(np.real(t)), step)
         at = modes.index_one(t, q, v, values, inputs)
         counts = modes.index_one.counts
         return StateOfContacts(at, counts, modes.contact_of, q, v, self._h, left)
@@ -173,6 +183,6 @@ class ContactStates:
             if not at.rows_of(mode):
                 break
             dq, dv = at.nearest(mode)
-            at = self._at(t, at.q + dq, at.v + dv, step, left)
+            at = replace(self._at(t, at.q + dq, at.v + dv, step, left), terms=at.terms)
             state = at.q, at.at.M @ at.v + at.at.momenta
         return state, at

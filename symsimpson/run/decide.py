@@ -49,12 +49,15 @@ class StateOfContacts:
     v: Floats
     h: float
     left: frozenset[tuple[bool, int]] = field(default=frozenset())
+    #: Bounds of the terms of the forces, which may cancel.
+    terms: Floats | None = None
 
     def __post_init__(self) -> None:
         at, h = self.at, abs(self.h)
         self._inverse = np.linalg.inv(at.M)
         spread = np.abs(self._inverse)
-        W, push = np.abs(at.W), np.abs(at.push)
+        W = np.abs(at.W)
+        self._push = push = np.abs(at.push) if self.terms is None else self.terms
         of_elements = zip(self.counts.element_rows, self.contact_of, at.limits, strict=False)
         for r, contact, limit in of_elements:  # friction counts where no other force acts
             push = push + abs(limit) * W[r] if contact is None else push
@@ -127,6 +130,7 @@ class StateOfContacts:
         about = at, counts, mode, self.contact_of
         equations = ModeEquations.of(*about)
         rows, W, P, push, sizes = equations
+        sizes = sizes + self._push - np.abs(at.push)
         spread, x, bound, margin = np.abs(inverse), np.zeros(0), np.zeros(0), 1.0
         if rows:
             straight, G = W @ inverse @ W.T, W @ inverse @ P.T
