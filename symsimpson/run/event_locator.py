@@ -280,6 +280,8 @@ class EventLocator:
         inputs, event = self._parts.inputs(span, *place), STEP_FAILED
         room = np.zeros(4, np.int64), np.zeros((1, 1, 1)), np.zeros((1, 1), np.int64), inputs
         if inputs.shape[2] == 1:  # inputs are constant over the step
+            if inputs.size:
+                self._set_inputs(inputs[0, 0])
             compiled = self._parts.setup, self._evaluation, room
             event = self._driver("locate")(compiled, start, t, *known)
         if event == STEP_FAILED:  # Python can use fallback kernels for partial steps
@@ -289,7 +291,7 @@ class EventLocator:
                 event = _locate_in_python()(means, start, t, *known)
         return event, state
 
-    def set_inputs(self, inputs: Floats) -> None:
+    def _set_inputs(self, inputs: Floats) -> None:
         """Set the inputs for the evaluation of expressions, shape (1, number of inputs)."""
         _, W, layout, _ = self._evaluation
         first, stride = layout[DRIVER_LAYOUT["INPUT"]], layout[DRIVER_LAYOUT["INPUT_STRIDE"]]

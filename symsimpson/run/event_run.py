@@ -91,7 +91,7 @@ class EventRun(Run):
         driven = [x.held or x.driven for x in run_events.watched[: len(run_events.events)]]
         #: Events whose expressions depend on inputs, and may jump where inputs do.
         self._driven = np.array(driven, dtype=np.bool_) & bool(inputs.size)
-        self._input_step = 0
+        self._input_step = 0  # the step whose inputs count
         if self._driven.any():
             self._actions.rows.inputs_at = partial(self._inputs_at, program)
         varies = bool(inputs.size) and inputs.shape[2] > 1
@@ -109,7 +109,7 @@ class EventRun(Run):
         """Let impacts that touch at the initial state act; reject a state inside a wall."""
         step, done = self.begin_at
         state, t = self._state(), float(self.t0 + self.h * step) + done
-        self._set_inputs(step)
+        self._input_step = step
         row = self._actions.row(t, state)
         sides, values = self.sides, row[: len(self._value)]
         moved, sizes = self.h * self._actions.rates(row), self._actions.sizes(row, state[0])
@@ -165,7 +165,7 @@ class EventRun(Run):
 
     def _check_values(self) -> None:
         """Stop after a step in which an expression of inputs has changed its sign."""
-        self._set_inputs(self.step - 1)
+        self._input_step = self.step - 1
         values = self._actions.values(float(self._grid_time()), self._state())
         new = self.sides.signs_of(values, self.sides.small)
         if (self._driven & self.sides.acting_events(new)).any():
@@ -200,12 +200,6 @@ class EventRun(Run):
         self._earlier[:] = self._value - self.h * self._actions.rates(row)
         self.sides.mark_zeros(self._value)
 
-    def _set_inputs(self, step: int) -> None:
-        """Set the step whose inputs count, because multipliers may depend on them."""
-        self._input_step = step
-        if self._driven.any() and not self._varies:
-            self._locator.set_inputs(self._inputs[0, min(step, self._inputs.shape[1] - 1)])
-
     def _inputs_at(self, program: Program, t: Reals) -> Reals:
         """Return the inputs of the present step at times, shape (1, len(t), 1, m)."""
         step, h = self._input_step, float(self.h)
@@ -226,7 +220,7 @@ class EventRun(Run):
         If the step was ``completed``, undo it first.
         """
         self._progress[0] -= completed
-        self._set_inputs(self.step)
+        self._input_step = self.step
         workspace, rows = self.W.copy(), 4 * self.header.n
         if completed:  # otherwise the step failed at a kink
             self.rows("POSITION", rows)[:] = self.rows("PREVIOUS", rows)

@@ -236,3 +236,50 @@ def test_impacts_that_slide_warn_once():
     with pytest.warns(ss.ModelWarning, match="collides while it slides") as caught:
         ss.compile(thrown, "simpson").integrate([0, 0.1], v0=[1, 0], h=0.02, t_end=0.4)
     assert len(caught) == 1
+
+
+def test_a_lift_off_may_fall_on_the_time_grid():
+    """The normal force 1 - t/2 - 0.1 vanishes at 1.8 = 20 h."""
+    lifted = ss.MechanicalSystem(
+        "lifted",
+        coordinates=(z,),
+        kinetic=z.diff() ** 2 / 2,
+        potential=z,
+        forces={z: ss.time / 2 + 0.1},
+        contacts={"floor": ss.Contact(z)},
+    )
+    run = ss.compile(lifted, "simpson").integrate([0.0], v0=[0.0], h=0.09, steps=22)
+    assert run.events("floor").kind == ["lift"]
+    assert run.events("floor").t == pytest.approx([1.8])
+
+
+def hopper(**more):
+    """A mass on a spring above a foot: the forces on the foot cancel where it lifts off."""
+    y = ss.coordinates("y")[0]
+    return ss.compile(
+        ss.MechanicalSystem(
+            "hopper",
+            coordinates=(x, y),
+            kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+            potential=10 * x + 10 * y + 200 * (x - y - 0.5) ** 2,
+            contacts={"floor": ss.Contact(y)},
+            **more,
+        ),
+        "simpson",
+    )
+
+
+def test_forces_that_cancel_have_a_size():
+    run = hopper().integrate([0.2, 0.0], v0=[0.0, 0.0], h=0.005, t_end=0.7)
+    assert run.events("floor").kind[:2] == ["lift", "impact"]
+
+
+def test_a_loop_with_inputs_finds_the_same_events():
+    pushed = hopper(inputs=(u,), forces={x: u})
+    given = {"v0": [0.0, 0.0], "h": 0.01}
+    run = pushed.integrate([0.2, 0.0], **given, steps=90, inputs={"u": 3.0})
+    loop = pushed.start([0.2, 0.0], **given)
+    for _ in range(90):
+        loop.step(3.0)
+    assert loop.events("floor").kind == run.events("floor").kind
+    assert loop.events("floor").t == pytest.approx(run.events("floor").t, abs=1e-9)
