@@ -239,7 +239,14 @@ class Modes:
         normal: dict[int, Value] = {}
         at_contacts = [k for _, k in sliding if self.contact_of[k] is not None]
         if at_contacts:
-            normal, texts["margin"] = self._normal_forces(mode, resting, rows, limits, alone)
+            try:
+                normal, texts["margin"] = self._normal_forces(mode, resting, rows, limits, alone)
+            except ZeroDivisionError:
+                self._reject(
+                    "the mass matrix is singular without the constraints, so the normal force of a "
+                    "contact with friction cannot be written.",
+                    "Use coordinates without quaternions, or contacts without friction.",
+                )
         forces = {}
         for name, k in sliding:
             contact = self.contact_of[k]

@@ -15,7 +15,7 @@ from symsimpson.results.tables import Variable
 from symsimpson.stepping.driving import inputs_at_times
 from symsimpson.support.array_types import Floats, Reals, State
 from symsimpson.support.calling import explain_methods
-from symsimpson.support.contact_values import IndexOne, Mode, ModeEquations
+from symsimpson.support.contact_values import IndexOne, Mode, ModeEquations, weighted_mass
 
 #: Prefixes of normal forces and of friction in ``run[...]``.
 NORMAL, FRICTION = "normal_", "friction_"
@@ -241,8 +241,11 @@ def _columns(run: Any) -> tuple[Floats, Floats, Floats]:
         about = part, counts, run.history.pieces[place].mode, modes.contact_of
         equations = ModeEquations.of(*about)
         rows, W, P, push, _ = equations
-        right = -part.curve[:, rows, None] - W @ np.linalg.solve(part.M, push[..., None])
-        x: Any = np.linalg.solve(W @ np.linalg.solve(part.M, P.swapaxes(1, 2)), right)[..., 0]
+        M, weight = weighted_mass(part, counts)
+        right = -part.curve[:, rows, None] - W @ np.linalg.solve(M, push[..., None])
+        x: Any = np.linalg.solve(W @ np.linalg.solve(M, P.swapaxes(1, 2)), right)[..., 0]
+        m = counts.constraints
+        x[:, :m] -= weight[:, None] * part.curve[:, :m]
         parts = *equations.forces(x, *about), x[:, : sizes[2]]
         for column, values in zip(columns, parts, strict=True):
             column[some] = values

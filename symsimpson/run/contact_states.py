@@ -17,7 +17,7 @@ from symsimpson.stepping.driving import interpolate_inputs
 from symsimpson.stepping.run_events import RunEvents
 from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Floats, Reals, State
-from symsimpson.support.contact_values import Mode
+from symsimpson.support.contact_values import Mode, weighted_mass
 from symsimpson.text.interface import ZERO
 
 if TYPE_CHECKING:
@@ -133,7 +133,10 @@ class ContactStates:
                 values[names.index(varied[place])] += small
             q, p = state[0] + small * column[:n], state[1] + small * column[n:]
             at = self._at(t + small * later, q, 0 * q, step, frozenset(), values)
-            v = np.linalg.solve(at.at.M, p - at.at.momenta)
+            M, weight = weighted_mass(at.at, at.counts)
+            slopes = at.at.W[: at.counts.constraints]
+            held = weight * slopes.T @ at.at.rates[: at.counts.constraints]
+            v = np.linalg.solve(M, p - at.at.momenta - held)
             for moves in (True, False):  # first the positions
                 at = self._at(t + small * later, q, v, step, frozenset(), values)
                 dq, dv = at.nearest(mode)

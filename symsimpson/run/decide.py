@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.support.array_types import Floats
-from symsimpson.support.contact_values import Counts, IndexOne, Mode, ModeEquations, rows_of_mode
+from symsimpson.support.contact_values import (
+    Counts,
+    IndexOne,
+    Mode,
+    ModeEquations,
+    rows_of_mode,
+    weighted_mass,
+)
 
 Truths = NDArray[np.bool_]
 #: Relative round-off of conditions at a state.
@@ -54,7 +61,7 @@ class StateOfContacts:
 
     def __post_init__(self) -> None:
         at, h = self.at, abs(self.h)
-        self._inverse = np.linalg.inv(at.M)
+        self._inverse = np.linalg.inv(weighted_mass(at, self.counts)[0])
         spread = np.abs(self._inverse)
         W = np.abs(at.W)
         self._push = push = np.abs(at.push) if self.terms is None else self.terms
@@ -263,12 +270,19 @@ class StateOfContacts:
         if not rows:
             return 0 * self.q, 0 * self.v
         held = at.W[rows]
-        back = self._inverse @ held.T @ np.linalg.inv(held @ self._inverse @ held.T)
+        back = self._inverse @ held.T @ _inverted(held @ self._inverse @ held.T)
         resting = [r for r in rows if r in self.counts.contact_rows]
         dq = 0 * self.q
         if resting:
             of_gaps = at.W[resting]
             miss = at.gaps[[r - self.counts.contact_rows.start for r in resting]]
-            turned = np.linalg.inv(of_gaps @ self._inverse @ of_gaps.T) @ miss
+            turned = _inverted(of_gaps @ self._inverse @ of_gaps.T) @ miss
             dq = -self._inverse @ of_gaps.T @ turned
         return dq, -back @ at.rates[rows]
+
+
+def _inverted(matrix: Floats) -> Floats:
+    """Return the inverse of a symmetric matrix, without the directions of dependent rows."""
+    if np.iscomplexobj(matrix):  # for derivatives; then the rows are independent
+        return np.asarray(np.linalg.inv(matrix))
+    return np.asarray(np.linalg.pinv(matrix, rcond=DEPENDENT, hermitian=True))

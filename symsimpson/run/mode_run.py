@@ -217,7 +217,9 @@ class ModeRun(Run):
             elif kind == SLIP:
                 mode = mode.with_element(number, sign)
                 left.add((False, number))
-            elif kind not in (GAP, USER):
+            elif kind == GAP:  # it rests, if it touches and does not move
+                mode = mode.with_contact(number, True)
+            elif kind != USER:
                 mode = mode.with_element(number, 0)
         acting = [
             cause.number + (len(self._modes.contacts) if cause.kind == USER else 0)

@@ -77,6 +77,22 @@ class IndexOne(NamedTuple):
     momenta: Floats  #: The part of the momenta that does not depend on velocities.
 
 
+def weighted_mass(at: IndexOne, counts: Counts) -> tuple[Floats, Floats]:
+    """Return M + w Phi^T Phi, which is regular, and w, for constraints of positions.
+
+    M itself is singular for a quaternion. The sum gives the same accelerations. It adds w times
+    ``curve`` to the multipliers of the constraints.
+    """
+    slopes = at.W[..., : counts.constraints, :]
+    if not counts.constraints:
+        return at.M, np.zeros(at.push.shape[:-1])
+    square = np.swapaxes(slopes, -1, -2) @ slopes
+    traces = (np.trace(x, axis1=-2, axis2=-1) for x in (at.M, square))
+    mass, size = traces
+    weight = mass / size
+    return at.M + weight[..., None, None] * square, weight
+
+
 class Counts(NamedTuple):
     """Numbers of constraints of positions, gaps, velocity constraints and friction elements."""
 

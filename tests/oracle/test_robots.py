@@ -123,3 +123,26 @@ def test_public_robots(pinocchio, name):
         expected = [*a.get("base", ()), *(a[x] for x in names[7 * floating :])]
         bound = max(1e-11, np.linalg.cond(M) * 2.0**-53)  # some links of iCub are nearly massless
         np.testing.assert_allclose(found_a, expected, rtol=0, atol=bound * np.abs(expected).max())
+
+
+@pytest.mark.slow
+def test_a_body_with_a_quaternion_lands_on_its_feet():
+    body = ss.from_urdf(
+        """<robot name="box"><link name="world"/><link name="box"><inertial><mass value="8"/>
+        <inertia ixx="0.07" iyy="0.22" izz="0.27" ixy="0" ixz="0" iyz="0"/></inertial></link>
+        <joint name="base" type="floating"><parent link="world"/><child link="box"/></joint>
+        </robot>"""
+    )
+    place, turn = body.frame("box")
+    corners = [(x, y) for x in (-0.25, 0.2) for y in (-0.12, 0.1)]
+    feet = {f"{x} {y}": (place + turn * sp.Matrix([x, y, -0.3]))[2] for x, y in corners}
+    robot = body.with_contacts({k: ss.Contact(x, restitution=0.2) for k, x in feet.items()})
+    tilt = [np.cos(0.1), 0.6 * np.sin(0.1), 0.8 * np.sin(0.1), 0.0]
+    q0, v0 = robot.state({"base": [0, 0, 0.4, *tilt]}, {"base": [0.3, 0, 0, 0, 0.5, 0]})
+    run = ss.compile(robot, "gauss4").integrate(q0, v0=v0, h=0.005, t_end=1.2)
+    forces = sum(run[f"normal_{name}"] for name in feet)
+    assert abs(forces[-1] / (8 * 9.81) - 1) < 1e-9
+    assert np.abs(run.constraint_error).max() < 1e-14
+    height = sp.lambdify([robot.coordinates], list(feet.values()))
+    assert np.min(height(run.q.T)) > -1e-9
+    assert np.abs(np.array(height(run.q[-1]))).max() < 1e-9

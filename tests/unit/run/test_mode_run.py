@@ -283,3 +283,29 @@ def test_a_loop_with_inputs_finds_the_same_events():
         loop.step(3.0)
     assert loop.events("floor").kind == run.events("floor").kind
     assert loop.events("floor").t == pytest.approx(run.events("floor").t, abs=1e-9)
+
+
+def test_a_table_rests_on_three_of_its_four_feet():
+    height, roll, pitch = ss.coordinates("height roll pitch")
+    feet = {
+        f"{i}{j}": ss.Contact(height + i * sp.sin(roll) + j * sp.sin(pitch), restitution=0.2)
+        for i in (-1, 1)
+        for j in (-1, 1)
+    }
+    table = ss.compile(
+        ss.MechanicalSystem(
+            "table",
+            coordinates=(height, roll, pitch),
+            kinetic=(height.diff() ** 2 + roll.diff() ** 2 / 3 + pitch.diff() ** 2 / 3) / 2,
+            potential=10 * height,
+            contacts=feet,
+        ),
+        "simpson",
+    )
+    stands = table.integrate([0.0, 0.0, 0.0], v0=[0, 0, 0], h=0.01, t_end=0.1)
+    forces = sum(stands[f"normal_{name}"] for name in feet)
+    assert forces == pytest.approx(10.0 * np.ones(11))
+    assert np.abs(stands.q).max() < 1e-14
+    drop = table.integrate([0.02, 0.01, 0.0], v0=[0, 0, 0], h=0.005, t_end=0.3)
+    assert drop.modes.states[-1].count("rest") in (2, 3)
+    assert np.abs(drop.q[-1]).max() < 1e-9
