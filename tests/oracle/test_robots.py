@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sympy as sp
 from support.robot_cases import Dynamics, turned
 
 import symsimpson as ss
@@ -125,7 +126,6 @@ def test_public_robots(pinocchio, name):
         np.testing.assert_allclose(found_a, expected, rtol=0, atol=bound * np.abs(expected).max())
 
 
-@pytest.mark.slow
 def test_a_body_with_a_quaternion_lands_on_its_feet():
     body = ss.from_urdf(
         """<robot name="box"><link name="world"/><link name="box"><inertial><mass value="8"/>
