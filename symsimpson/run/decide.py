@@ -29,7 +29,7 @@ DEPENDENT = 1e-10
 MOST_TRIED = 4**6
 
 
-class Motion(NamedTuple):
+class ModeMotion(NamedTuple):
     """Accelerations and multipliers of a mode at a state."""
 
     acceleration: Floats
@@ -131,7 +131,7 @@ class StateOfContacts:
         """Return the rows that hold in a mode."""
         return rows_of_mode(self.counts, mode)
 
-    def motion(self, mode: Mode) -> Motion | None:
+    def motion(self, mode: Mode) -> ModeMotion | None:
         """Return the accelerations and multipliers of a mode; None if its rows are dependent."""
         at, counts, inverse = self.at, self.counts, self._inverse
         about = at, counts, mode, self.contact_of
@@ -158,9 +158,9 @@ class StateOfContacts:
             push, sizes = push + P.T @ x, sizes + np.abs(P).T @ bound
         normal, friction = equations.forces(x, *about)
         bounds = equations.forces(bound, *about)
-        return Motion(inverse @ push, normal, friction, spread @ sizes, bounds, margin)
+        return ModeMotion(inverse @ push, normal, friction, spread @ sizes, bounds, margin)
 
-    def allows(self, mode: Mode, motion: Motion | None) -> bool:
+    def allows(self, mode: Mode, motion: ModeMotion | None) -> bool:
         """Return whether a mode satisfies all inequalities."""
         if motion is None or not motion.margin > TOLERANCE:
             return False

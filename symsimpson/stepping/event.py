@@ -26,7 +26,7 @@ class Impact:
 
     The momentum jumps along n = dg/dq. After the impact, the rate of the gap is -e times the rate
     before it. The tangential motion does not change. For e = 1 and a wall at rest, the impact
-    conserves energy. Bodies that may come to rest need a :class:`Contact` of the system.
+    conserves energy. Bodies that may rest need a :class:`Contact` of the system.
 
     Parameters
     ----------

@@ -111,20 +111,20 @@ def first_calls(cache_folder):
 LINES = {
     "api": 1884,
     "cli": 800,
-    "declare": 9513,
+    "declare": 9520,
     "discrete": 1902,
     "graph": 2204,
     "lower": 6126,
     "plotting": 1102,
     "program": 3043,
     "reference": 1010,
-    "results": 4207,
+    "results": 4210,
     "root": 614,
-    "run": 8483,
+    "run": 8512,
     "schemes": 790,
     "stepping": 2492,
     "study": 12967,
-    "support": 1350,
+    "support": 1366,
     "systems": 1915,
     "targets": 4606,
     "text": 7937,
@@ -133,11 +133,11 @@ LINES = {
 #: What a first compile and a first integrate execute, with nothing on disk. Python 3.11 counts
 #: comprehensions as functions.
 FIRST_CALLS = {
-    "functions that a first compile executes": 1119,
-    "files that a first compile executes": 123,
-    "functions that a first integrate executes": 660,
+    "functions that a first compile executes": 1124,
+    "files that a first compile executes": 125,
+    "functions that a first integrate executes": 662,
     "files that a first integrate executes": 83,
-    "modules loaded after ten steps": 194,
+    "modules loaded after ten steps": 198,
 }
 
 #: Figures as they are. One that has fallen is written here, so that it cannot rise again.
@@ -152,11 +152,11 @@ FIGURES = {
     "values called found, made, own or one": (0, lambda: sum(map(is_vague, every_node()))),
     "names that several files have": (1, repeated_names),
     "modules at the root": (3, lambda: len(list(PACKAGE.glob("*.py")))),
-    "lines of the package": (72945, lambda: sum(lines_of_rooms().values())),
+    "lines of the package": (73000, lambda: sum(lines_of_rooms().values())),
     "files": (316, lambda: len(FILES)),
     "floors": (10, floors),
     "class names that occur twice": (6, repeated_classes),
-    "docstrings with private words": (33, private_words),
+    "docstrings with private words": (32, private_words),
     "docstrings that cannot be read alone": (
         0,
         lambda: sum(

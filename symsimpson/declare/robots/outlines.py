@@ -1,4 +1,4 @@
-"""What is drawn of a robot: origins of joints, and outlines of shapes as closed polygons."""
+"""Positions to draw a robot: origins of joints, and outlines of shapes as closed polygons."""
 
 from __future__ import annotations
 

@@ -284,7 +284,7 @@ def from_urdf(
     -----
     ModelWarning
         If the file has moments of inertia that no body has, or dry friction of a joint that is
-        floating or mimics another one. This friction is left out.
+        floating or mimics another one. This friction is omitted.
 
     Notes
     -----
@@ -342,7 +342,7 @@ def from_mjcf(
     Raises
     ------
     ModelError
-        If MuJoCo rejects the model, or it has what ``ignore`` could leave out.
+        If MuJoCo rejects the model, or it has features that ``ignore`` could omit.
     StorageError
         If the file cannot be read.
     InputError
