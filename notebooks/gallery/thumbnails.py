@@ -38,6 +38,8 @@ PANELS = {
     "penning_trap": (0, 0, 0.385, 1),
     "puma_arm": (0, 0, 0.43, 1),
     "restricted_three_bodies": (0.55, 0, 1, 1),
+    "rimless_wheel": (0.34, 0, 0.69, 1),
+    "rocking_block": (0, 0, 0.36, 1),
     "swinging_atwood": (0, 0, 0.325, 1),
     "toda_lattice": (0, 0, 0.5, 1),
     "water_molecule": (0, 0, 0.485, 1),

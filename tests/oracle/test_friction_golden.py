@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import sympy as sp
 from support.cases import sweep
 from support.friction import CASES, brake, events_of, number, read_case, run_case
 
@@ -155,3 +156,30 @@ def test_derivatives_through_changes(name, t_end, parameters):
         ]
         right = np.concatenate([ends[0].q[-1] - ends[1].q[-1], ends[0].p[-1] - ends[1].p[-1]])
         assert np.abs(run.sensitivity[key][-1] - right / 2e-6).max() < 1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slope", [0.08, 0.15])
+def test_steady_steps_of_a_rimless_wheel(slope):
+    """Its speed after an impact is 2 cot(2 alpha) sqrt(g/l sin(alpha) sin(gamma)) (McGeer 1990)."""
+    x, y = ss.coordinates("x y")
+    alpha, g = np.pi / 8, 9.81
+    places = 2 * np.sin(alpha) * np.arange(12)
+    wheel = ss.MechanicalSystem(
+        "wheel",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=g * (y * np.cos(slope) - x * np.sin(slope)),
+        contacts=[ss.Contact(sp.sqrt((x - place) ** 2 + y**2) - 1) for place in places],
+    )
+    given = {"h": 0.01, "steps": 2000, "events": [ss.Event(x - places[-1], terminal=True)]}
+    run = ss.compile(wheel, "gauss6").integrate([0.0, 1.0], v0=[1.2, 0.0], **given)
+    hits = [one for one in run.records if one.kind == "impact"]
+    before, after = (
+        np.linalg.norm([getattr(x, p) for x in hits], axis=1) for p in ("p", "p_after")
+    )
+    assert np.abs(after / before - np.cos(2 * alpha)).max() < 1e-12
+    steady = 2 / np.tan(2 * alpha) * np.sqrt(g * np.sin(alpha) * np.sin(slope))
+    distance = after - steady
+    assert abs(distance[-1]) < 0.02 * abs(distance[0])
+    assert len(hits) == 11
