@@ -256,13 +256,15 @@ class StateOfContacts:
                     implied.add(c)
         return frozenset(implied)
 
-    def paradox(self) -> bool:
-        """Return whether friction at a sliding contact leaves the normal force without a value."""
-        counts = self.counts
-        if all(c is None for c in self.contact_of) or self.number_of_choices() > MOST_TRIED:
-            return False
-        motions = (self.motion(mode) for mode in self.choices())
-        return any(x is not None and not x.margin > TOLERANCE for x in motions) and counts.gaps > 0
+    def paradox(self, mode: Mode) -> bool:
+        """Return whether an open contact could also rest and slide, without a normal force."""
+        still = self.still(self.counts.contact_rows)
+        for c in self.sliding_contacts(range(self.counts.gaps)):
+            if self.touching[c] and still[c] and not mode.contacts[c]:
+                motion = self.motion(self.with_directions(mode.with_contact(c, True)))
+                if motion is not None and not motion.margin > TOLERANCE:
+                    return True
+        return False
 
     def nearest(self, mode: Mode) -> tuple[Floats, Floats]:
         """Return the least corrections of q and v, in M, after which the rows of a mode hold."""

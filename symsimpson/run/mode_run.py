@@ -293,7 +293,7 @@ class ModeRun(Run):
                 )
                 return self._fail(Status.BAD_INPUT, t, why)
             chosen, more = at.decide(at.with_directions(mode))
-            if chosen is None or at.paradox():
+            if chosen is None or at.paradox(chosen):
                 return self._fail_undecided(t, at)
             self._choices += more
             resting = self._contacts.accumulated(at, chosen)
