@@ -187,9 +187,13 @@ def read_reductions(
 
 
 def kernels_before(observed: Sequence[ObservedExpression]) -> list[str]:
-    """Return the kernels that must run, in this order, before the expressions are evaluated."""
-    kernels = ["energy"] if any(quantity.energetic for quantity in observed) else []
-    return kernels + (["multipliers"] if any(quantity.held for quantity in observed) else [])
+    """Return the kernels that must run, in this order, before the expressions are evaluated.
+
+    The kernel of multipliers computes velocities, too.
+    """
+    last = ["multipliers"] if any(quantity.held for quantity in observed) else []
+    energies = [x for x in observed if x.energetic and not (last and "energy" not in x.text)]
+    return (["energy"] if energies else []) + last
 
 
 def observing_kernel(header: Header, observed: Sequence[ObservedExpression]) -> str:
