@@ -244,7 +244,7 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
     if isinstance(node, ROUGH):
         reject_here(
             f"{contains}: the function {name} cannot be differentiated twice.",
-            "Use a smooth form, such as sqrt(x**2 + eps**2) for |x|. A step "
+            "Use a smooth form: sqrt(x**2 + eps**2) for |x|. A step "
             f"must then resolve eps. Or use one of {smooth}.",
         )
     reject_here(
