@@ -81,6 +81,7 @@ PRINTED = [
     "notebooks/guide/constraints.md",
     "notebooks/guide/digits.md",
     "notebooks/guide/events.md",
+    "notebooks/guide/friction.md",
     "notebooks/guide/impacts.md",
     "notebooks/guide/legs.md",
     "notebooks/guide/rolling.md",
