@@ -313,6 +313,7 @@ class ModeRun(Run):
             sign = {"slip+": 1, "slip-": -1}.get(kind, 0)
             change = *given, *state
             self.records.append(EventRecord(number, when, step, *change, sign, 0.0, False, kind))
+            given = state  # the energy of a projection counts once
         self._mode = chosen
         self._begin(t, state, step, at.implied(chosen))
 

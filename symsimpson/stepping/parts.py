@@ -20,6 +20,8 @@ from symsimpson.support.array_types import Floats, Ints, Reals
 
 #: Changes of the length of a partial step, as fractions of a step, tried one after another.
 NUDGES = [sign * 2.0**k for k in range(-50, -16, 4) for sign in (-1, 1)]
+#: Over a smaller part of a step, forces do no work: velocities of its path are only round-off.
+NO_WORK = 1e-10
 #: The smallest of these changes: with them, a whole step ends at its grid time up to round-off.
 SMALLEST_NUDGES = NUDGES[:8]
 
@@ -93,7 +95,7 @@ class PartialSteps:
     def work(self, state: Any, t: float, size: float, step: int, share: float) -> Floats:
         """Return the work of forces and the integral of dL/dt over a partial step, if enabled."""
         program, recorder = self._program, work(self._program.header) if self.works else None
-        if recorder is None or size == 0.0:
+        if recorder is None or abs(size) <= NO_WORK * abs(self._h):
             return np.zeros(self.works * program.header.powers)
         inputs = self.inputs(size, step, share)
         run = Run(program, self.parameters, size, t, inputs=inputs, recorders=[recorder])
