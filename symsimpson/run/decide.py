@@ -67,7 +67,12 @@ class StateOfContacts:
         self._push = push = np.abs(at.push) if self.terms is None else self.terms
         of_elements = zip(self.counts.element_rows, self.contact_of, at.limits, strict=False)
         for r, contact, limit in of_elements:  # friction counts where no other force acts
-            push = push + abs(limit) * W[r] if contact is None else push
+            load = 1.0
+            if contact is not None:
+                c = self.counts.contact_rows[contact]
+                mobility = abs(at.W[c] @ self._inverse @ at.W[c])
+                load = float(W[c] @ spread @ self._push) / float(mobility or 1.0)
+            push = push + abs(limit) * load * W[r]
         speeds = np.abs(self.v) + spread @ push * h
         side = np.abs(at.W @ self.v - at.rates)
         #: Bounds of the terms of rates and gaps.
