@@ -83,6 +83,7 @@ class Piece:
     state: State
     step: int  #: The step in which it begins.
     mode: Mode
+    states: tuple[str | int | None, ...]  #: The mode as users see it.
     program: Program | None = field(repr=False)  #: None in a run from a file.
     values: Reals = field(repr=False)  #: Parameters, with the directions of sliding.
     causes: Any = field(repr=False)  #: What the events of the piece stand for.
@@ -136,7 +137,7 @@ class ModeHistory:
         Contacts are "open" or "rest". Friction sticks (0), slides in the direction of its sign
         (1, -1), or belongs to an open contact (None).
         """
-        return [piece.mode.states for piece in self.pieces]
+        return [piece.states for piece in self.pieces]
 
     def at(self, t: float) -> dict[str, str | int | None]:
         """Return the state of each name at a time.
@@ -156,7 +157,7 @@ class ModeHistory:
             If the time lies before the run.
         """
         place = int(self.places(np.array([float(t)]))[0])
-        return dict(zip(self.names, self.pieces[place].mode.states, strict=True))
+        return dict(zip(self.names, self.pieces[place].states, strict=True))
 
     def places(self, t: Reals) -> NDArray[np.int64]:
         """Return the number of the piece at each time."""
@@ -177,7 +178,9 @@ class ModeHistory:
 
     def as_json(self) -> dict[str, Any]:
         """Return the modes as JSON values, without their programs."""
-        pieces = [[x.t, *(y.tolist() for y in x.state), x.step, *x.mode] for x in self.pieces]
+        pieces = [
+            [x.t, *(y.tolist() for y in x.state), x.step, *x.mode, x.states] for x in self.pieces
+        ]
         about = {"names": self.names, "contacts": self.contacts, "works": self.works}
         return about | {"choices": self.choices, "pieces": pieces}
 
@@ -185,9 +188,9 @@ class ModeHistory:
     def read(cls, given: Mapping[str, Any]) -> ModeHistory:
         """Return the modes from the values that ``as_json`` returns."""
         pieces = []
-        for t, q, p, step, contacts, elements in given["pieces"]:
+        for t, q, p, step, contacts, elements, states in given["pieces"]:
             mode, state = Mode(tuple(contacts), tuple(elements)), (np.array(q), np.array(p))
-            pieces.append(Piece(t, state, step, mode, None, np.zeros(0), ()))
+            pieces.append(Piece(t, state, step, mode, tuple(states), None, np.zeros(0), ()))
         about = given["choices"], given["contacts"], given["works"]
         return cls(tuple(given["names"]), tuple(pieces), *about)
 

@@ -183,6 +183,9 @@ class StateOfContacts:
         still = self.still(counts.element_rows)
         for k, (r, state) in enumerate(zip(counts.element_rows, mode.elements, strict=True)):
             contact = self.contact_of[k]
+            presses = contact is None or mode.contacts[contact]
+            if state is None and presses and not self._follows(r, mode):
+                return False
             load = 1.0 if contact is None else motion.normal[contact]
             most = static[k] * load * (1 + TOLERANCE) + TOLERANCE * motion.forces[1][k]
             if state == 0 and abs(motion.friction[k]) > most:
@@ -206,10 +209,10 @@ class StateOfContacts:
         contacts = [
             (False,) if (True, c) in self.left else given for c, given in enumerate(contacts)
         ]
-        elements: list[tuple[int, ...]] = []
+        elements: list[tuple[int | None, ...]] = []
         for k in range(counts.elements):
-            given = (0, 1, -1) if element_still[k] else (int(np.sign(sliding[k])),)
-            elements.append(given[1:] if (False, k) in self.left and len(given) > 1 else given)
+            given = (0, None, 1, -1) if element_still[k] else (int(np.sign(sliding[k])),)
+            elements.append(given[2:] if (False, k) in self.left and len(given) > 1 else given)
         for resting in product(*contacts):
             open_ = [c is not None and not resting[c] for c in self.contact_of]
             some: list[tuple[int | None, ...]] = [
@@ -222,7 +225,7 @@ class StateOfContacts:
         """Return an upper bound of the number of modes."""
         undecided = self.touching & self.still(self.counts.contact_rows)
         sticking = self.still(self.counts.element_rows)
-        return int(2 ** int(undecided.sum()) * 3 ** int(sticking.sum()))
+        return int(2 ** int(undecided.sum()) * 4 ** int(sticking.sum()))
 
     def decide(self, first: Mode) -> tuple[Mode | None, bool]:
         """Return the next mode, or None, and whether others need as few changes.
@@ -250,16 +253,22 @@ class StateOfContacts:
 
     def implied(self, mode: Mode) -> frozenset[int]:
         """Return the open contacts whose gaps stay zero, because other contacts rest."""
-        rows, implied = self.rows_of(mode), set[int]()
         still = self.still(self.counts.contact_rows)
-        for c, r in enumerate(self.counts.contact_rows):
-            if rows and not mode.contacts[c] and self.touching[c] and still[c]:
-                held = self.at.W[[*rows, r]]
-                whole = held @ self._inverse @ held.T
-                scale = np.sqrt(np.diag(whole))
-                if not np.linalg.eigvalsh(whole / np.outer(scale, scale))[0] > DEPENDENT:
-                    implied.add(c)
-        return frozenset(implied)
+        return frozenset(
+            c
+            for c, r in enumerate(self.counts.contact_rows)
+            if not mode.contacts[c] and self.touching[c] and still[c] and self._follows(r, mode)
+        )
+
+    def _follows(self, row: int, mode: Mode) -> bool:
+        """Return whether a row follows from the rows that hold in a mode."""
+        rows = self.rows_of(mode)
+        if not rows:
+            return False
+        held = self.at.W[[*rows, row]]
+        whole = held @ self._inverse @ held.T
+        scale = np.sqrt(np.diag(whole))
+        return not np.linalg.eigvalsh(whole / np.outer(scale, scale))[0] > DEPENDENT
 
     def paradox(self, mode: Mode) -> bool:
         """Return whether an open contact could also rest and slide, without a normal force."""

@@ -337,16 +337,10 @@ class ModeRun(Run):
         """Return the numbers of contacts and elements that change, and what they begin."""
         if not self._history:
             return []
-        kinds = [
-            (c, "rest" if rests else "lift")
-            for c, (was, rests) in enumerate(zip(self._mode.contacts, new.contacts, strict=True))
-            if was != rests
-        ]
-        first, names = len(new.contacts), {0: "stick", 1: "slip+", -1: "slip-"}
-        for k, (was, state) in enumerate(zip(self._mode.elements, new.elements, strict=True)):
-            if was != state and state is not None:
-                kinds.append((first + k, names[state]))
-        return kinds
+        names = {"rest": "rest", "open": "lift", 0: "stick", 1: "slip+", -1: "slip-"}
+        pairs = zip(self._shown(), new.states(self._modes.contact_of), strict=True)
+        changed = enumerate(pairs)
+        return [(k, names[x]) for k, (was, x) in changed if was != x and x is not None]
 
     def _begin(self, t: float, state: State, step: int, implied: frozenset[int]) -> None:
         """Begin a piece in the present mode."""
@@ -362,13 +356,17 @@ class ModeRun(Run):
         done = t - float(self._grid_time_of(step))
         if abs(done) <= TOGETHER * max(abs(t), abs(float(self.h))):
             done = 0.0
-        about = self._mode, use.program, use.values(self._spec.parameters), use.causes
+        values = use.values(self._spec.parameters)
+        about = self._mode, self._shown(), use.program, values, use.causes
         self._history.append(Piece(t, state, step, *about))
         self._piece = piece
         if self._varied:
             piece.carry(self._variations, self._moved)
         piece.begin_piece(state, self.first, step, done)
         self.rows("POSITION", 2 * self.header.n)[:] = np.concatenate(state)
+
+    def _shown(self) -> tuple[str | int | None, ...]:
+        return self._mode.states(self._modes.contact_of)
 
     def _counts(self) -> list[int]:
         """Return how often each terminal event of the user has acted."""
@@ -427,7 +425,7 @@ class ModeRun(Run):
             self._mode, state = Mode(tuple(contacts), tuple(elements)), (np.array(q), np.array(p))
             use = self._programs(self._mode, self._counts())
             values = use.values(self._spec.parameters)
-            about = self._mode, use.program, values, use.causes
+            about = self._mode, self._shown(), use.program, values, use.causes
             self._history.append(Piece(t, state, step, *about))
         self._piece = piece = self._make_piece(state, use)
         where, column, begin_at = inside

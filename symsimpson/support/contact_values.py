@@ -21,8 +21,8 @@ OF_CONTACT = ".slip"
 class Mode(NamedTuple):
     """Which contacts rest, and what each friction element does.
 
-    An element sticks (0), slides in the direction of its sign (1 or -1), or belongs to an open
-    contact (None).
+    An element sticks (0), slides in the direction of its sign (1 or -1), or carries no force
+    (None). The last one belongs to an open contact, or sticks because others stick.
     """
 
     contacts: tuple[bool, ...]
@@ -33,10 +33,13 @@ class Mode(NamedTuple):
         """The mode without directions. Modes with equal keys have the same module."""
         return Mode(self.contacts, tuple(x and 1 for x in self.elements))
 
-    @property
-    def states(self) -> tuple[str | int | None, ...]:
-        """The state of each contact and element, as users see it."""
-        return (*(REST if rests else OPEN for rests in self.contacts), *self.elements)
+    def states(self, contact_of: Sequence[int | None]) -> tuple[str | int | None, ...]:
+        """Return the state of each contact and element, as users see it."""
+        pairs = zip(self.elements, contact_of, strict=True)
+        shown = (
+            0 if state is None and (c is None or self.contacts[c]) else state for state, c in pairs
+        )
+        return (*(REST if rests else OPEN for rests in self.contacts), *shown)
 
     def with_contact(self, contact: int, rests: bool) -> Mode:
         """Return the mode in which one contact rests, or is open."""
