@@ -5,6 +5,7 @@ from .api.compiling import compile as compile
 from .api.compiling import generate as generate
 from .api.compiling import load as load
 from .api.compiling import resume as resume
+from .api.functions import RunFunction as RunFunction
 from .api.stepper import Stepper as Stepper
 from .declare.arms import Link as Link
 from .declare.arms import serial_arm as serial_arm

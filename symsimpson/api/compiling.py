@@ -61,6 +61,7 @@ TOOLS = Tools(
     points_of=points_of,
     prescribed=prescribed_values,
     find_orbits=partial(_call, "orbits.stepper_searches"),
+    second_derivatives=partial(_call, "second_derivatives", "second_derivatives"),
 )
 
 
@@ -174,6 +175,7 @@ def _compile_program(
         reference_state=getattr(system, "reference_state", None),
         default_inputs=getattr(system, "default_inputs", None),
         declared=system,
+        method=scheme,
         derivation=derivation,
         tools=tools,
         differentiate=partial(_compile_program, system, scheme, exploit, numbers, progress),

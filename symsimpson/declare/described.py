@@ -16,6 +16,7 @@ from symsimpson.declare.consistent import consistent
 from symsimpson.declare.constraints import accelerations
 from symsimpson.declare.coordinates import time
 from symsimpson.declare.declared import Declared, read_values, read_vector
+from symsimpson.declare.energies import Energies
 from symsimpson.declare.plain import Plain, Symbols
 from symsimpson.errors import ModelError, reject
 from symsimpson.graph.derive import gradient
@@ -185,6 +186,11 @@ class Described(Declared):
     def velocity_degrees_of_freedom(self) -> int:
         """Number of free velocities: coordinates minus all constraints."""
         return self.degrees_of_freedom - len(self.velocity_constraints)
+
+    @property
+    def energies(self) -> Energies:
+        """The energies as functions for other libraries: ``system.energies.to_jax()``."""
+        return Energies(self)
 
     @cached_property
     def equations(self) -> tuple[sp.Eq, ...]:

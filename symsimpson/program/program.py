@@ -143,6 +143,8 @@ class Tools:
     prescribed: Callable[..., Any]
     #: Takes the name of a search for orbits, a stepper and arguments. Returns the orbit.
     find_orbits: Callable[..., Any]
+    #: Takes the steps of a run, and returns second derivatives of its states.
+    second_derivatives: Callable[..., Any]
 
 
 @dataclass
@@ -194,6 +196,7 @@ class Program:
     #: Default values of the inputs, by name.
     default_inputs: Mapping[str, float] | None = None
     declared: Any = None  #: The system from which the module was generated.
+    method: Any = None  #: The scheme from which the module was generated.
     derivation: Derivation | None = None  #: The record of the generation.
     tools: Tools | None = None
     reference_state: Mapping[str, Any] | None = None  #: An initial state: q0, and v0 or p0.
@@ -253,6 +256,7 @@ class Program:
         given = {
             "defaults": defaults and dict(defaults),
             "declared": self.declared,
+            "method": self.method,
             "reference_state": state and dict(state),
             "numbers": self.numbers,
             "tools": self.tools,

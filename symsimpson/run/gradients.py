@@ -20,7 +20,7 @@ from symsimpson.results.motion_derivatives import Gradient
 from symsimpson.run.ended import make_trajectory, raise_failure
 from symsimpson.run.integrate import integrate, start_run
 from symsimpson.run.resolution import real_energies
-from symsimpson.run.state_costs import SampleCost, StateCost, pull_velocities, read_samples
+from symsimpson.run.state_costs import CostOfSamples, StateCost, pull_velocities, read_samples
 from symsimpson.stepping.driving import Samples, collect_inputs, count_steps_per_period
 from symsimpson.stepping.inputs import program_with_derivatives, read_variables, reject_retimed
 from symsimpson.stepping.request import Request
@@ -38,7 +38,8 @@ class Objective:
     """Objective of a run: a cost of the final state, and squared deviations from samples."""
 
     end: StateCost | None  #: Cost of the final state.
-    samples: tuple[SampleCost, ...]  #: Measurements; the cost is the sum of squared deviations.
+    #: Costs of samples of the states. The cost of measurements is the sum of squared deviations.
+    samples: tuple[CostOfSamples, ...]
     every: int  #: Number of steps between samples.
 
 
@@ -254,7 +255,7 @@ def gradient_of(
     reject_retimed(program, "gradients of costs")
     several = isinstance(wanted.wrt, (tuple, list, set, frozenset))
     variables: Sequence[Any] = list(wanted.wrt) if several else [wanted.wrt]
-    pairs = [(spelled(x), _is_state(program, x)) for x in variables]
+    pairs = [(spelled(x), is_state(program, x)) for x in variables]
     names = [name for name, state in pairs if not state]
     _check_gradient_arguments(wanted, pairs, velocities=request.v0 is not None)
     running = wanted.running
@@ -313,7 +314,7 @@ def _contains_time(running: Any) -> bool:
     return Symbol("t") in moved.free_symbols
 
 
-def _is_state(program: Program, variable: Any) -> bool:
+def is_state(program: Program, variable: Any) -> bool:
     """Return whether a variable is part of the initial state, and not a parameter or input."""
     names, key = program.names, spelled(variable)
     known = names.parameters.place(key) is not None or names.inputs.place(key) is not None

@@ -69,7 +69,7 @@ def start_run(
             "store them on disk: checkpoint='run.ckpt'.",
         )
     _set_initial_state(program, run, spec)
-    if spec.steps:
+    if spec.steps and not spec.checked:
         _warn_of_step(program, run, spec)
     return run
 

@@ -7,9 +7,11 @@ is not simple, or if anything fails, :func:`integrate` runs it from the start an
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import copyto, empty
 
 from symsimpson.program.input_values import MOST_STEPS, read_vector
 from symsimpson.program.numbers import FLOAT64, NO_INPUTS, workspace
@@ -28,6 +30,7 @@ from symsimpson.run.resolution import (
 from symsimpson.stepping.inputs import read_steps, read_times
 from symsimpson.stepping.parts import STRIDE, append_end, time_resolution
 from symsimpson.stepping.request import Request
+from symsimpson.stepping.spec import RunSpec
 from symsimpson.support.array_types import Floats, Ints
 from symsimpson.support.interpreter import compiles_late
 from symsimpson.support.names import NameTable
@@ -101,6 +104,80 @@ class BriefRunner:
             NO_INPUTS,
         )
         return count
+
+
+class ShortCall:
+    """A run of few steps whose arguments are written into prepared arrays.
+
+    Runs with the same ``spec`` differ only in their ``arguments``, which have a kind, a place and
+    a shape (:class:`Argument`). One thread at a time may use an object.
+    """
+
+    def __init__(self, program: Program, spec: RunSpec, arguments: Sequence[Any]) -> None:
+        self.values, q, other = (x.copy() for x in (spec.parameters, spec.q0, spec.other0))
+        self._n, steps, every = program.n, spec.steps, spec.every
+        stride = finer_stride(every, steps) if every else sampling_stride(program, steps)
+        self._stored, self._last = every // (stride or 1), steps // stride if stride else 0
+        few = count_samples(self._last) if program.header.conservative else 0
+        inputs = np.zeros((1, steps, *spec.inputs.shape[2:]))
+        if inputs.size:
+            inputs[...] = spec.inputs
+        places = {"parameter": self.values, "q": q, "v": other, "p": other}
+        self._targets = []
+        for x in arguments:
+            target = places.get(x.kind, inputs)
+            if x.kind == "parameter":
+                target = target[x.place : x.place + 1].reshape(())
+            elif x.kind == "input":
+                target = (
+                    inputs[0, :, :, x.place].T if len(x.shape) == 1 else inputs[0, :, :, x.place]
+                )
+            self._targets.append((target, x.shape, x.sign))
+        runner = BriefRunner(program)
+        self._function, self._sampled = runner.function, runner.sampled
+        self._start = (
+            runner.kernels,
+            (runner.legendre if spec.velocities else 0, *runner.addresses),
+            (spec.h, spec.t0, runner.W, runner.driver_layout),
+            (self.values, q, other),
+            (steps, stride, few, LIMIT),
+        )
+        self._inputs = inputs
+
+    @staticmethod
+    def longest(program: Program) -> int:
+        """Return the largest number of steps: a longer run may wait for Ctrl-C."""
+        return MOST_ROWS // program.header.rows
+
+    def run(self, arguments: Sequence[Any]) -> tuple[Floats, Floats] | None:
+        """Return q and p of the stored states, or None if :func:`integrate` must run instead.
+
+        A value of another type or shape, and one that is not finite, lead to None.
+        """
+        if len(arguments) != len(self._targets):
+            return None
+        try:
+            for (target, shape, sign), value in zip(self._targets, arguments):  # noqa: B905
+                if shape:
+                    if value.shape != shape:
+                        return None
+                elif (
+                    not (type(value) in PLAIN_TYPES or value.shape == ())
+                    or value - value != 0
+                    or (sign and sign * value <= 0)
+                ):
+                    return None
+                copyto(target, value)  # complex numbers raise TypeError
+        except (AttributeError, TypeError, ValueError):
+            return None
+        end = empty((4, self._n))
+        if not self._stored:
+            found = self._function(*self._start, (*self._sampled, end), self._inputs)
+            return None if found < 0 else (end[0], end[1])
+        states, counts = allocate_states(self._last, self._n)
+        if self._function(*self._start, (states, counts, end), self._inputs) < 0:
+            return None
+        return states[0, :: self._stored, :, 0], states[1, :: self._stored, :, 0]
 
 
 def compile_all(program: Program) -> None:

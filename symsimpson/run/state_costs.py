@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -152,6 +152,15 @@ def pull_velocities(
     rows = header.layout["ADJOINT"], header.layout["COST_SLOPE"]
     numbers.driver("pull_velocities")(addresses, setting, (q, p), rows, out, slopes)
     return out, slopes[:, : varied * nodes : nodes]
+
+
+class CostOfSamples(Protocol):
+    """A cost of equally spaced states, with its derivatives by them."""
+
+    def slopes(
+        self, place: slice, steps: Reals, t: Reals, q: Reals, p: Reals, values: Reals
+    ) -> CostDerivatives:
+        """Return the cost of the states ``place``, and its derivatives."""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -54,6 +54,7 @@ class RunSpec:
     run_events: RunEvents | None = field(default=None, kw_only=True)  #: Events that act on the run.
     #: Sentence for the message of the result if h differs from the requested step size.
     note: str = field(default="", kw_only=True)
+    checked: bool = field(default=False, kw_only=True)  #: Whether a run has checked the step size.
 
     @property
     def velocities(self) -> bool:
@@ -77,6 +78,15 @@ class RunSpec:
 
 def read_run(program: Program, request: Request) -> RunSpec:
     """Check the arguments of a single run; raise InputError if one is invalid."""
+    with program.numbers.working():
+        spec = read_settings(program, request)
+        start = spec.q0[None], spec.other0[None], spec.given, spec.parameters[None], spec.t0
+        q, second = (x[0] for x in project_start(program, *start, h=spec.h))
+        return replace(spec, q0=q, other0=second)
+
+
+def read_settings(program: Program, request: Request) -> RunSpec:
+    """Check the arguments of a run without a projection of q0 onto the constraints."""
     numbers, names = program.numbers, program.names.coordinates
     with numbers.working():
         values = program.values(request.parameters, (request.events, request.reduce))
@@ -86,10 +96,6 @@ def read_run(program: Program, request: Request) -> RunSpec:
         given, other = choose_v0_or_p0("a run", how, request)
         q = read_vector("q0", request.q0, names, numbers)
         second = read_vector(given, other, names, numbers)
-        q, second = (
-            x[0]
-            for x in project_start(program, q[None], second[None], given, values[None], t0, h=h)
-        )
         inputs, carried = read_input_values(program, request.inputs, h, steps, t0), request.carried
         tangents = None if carried is None else read_tangents(program, carried)
         run_events = read_run_events(program, request)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import islice
 from typing import Any, cast
 
@@ -66,19 +66,32 @@ def run_ensemble(
     if differing:
         h, t0, request = read_own_steps(program, request)
     task = read_ensemble_spec(program, request, threads, progress, on_disk=store is not None)
-
-    def run(task: EnsembleSpec) -> Ensemble:
-        check_steps(program, task)
-        alone = client is not None or program.modes is not None
-        task = task if alone else choose_lanes(program, task)
-        ensemble, stopped = _run_task(program, task, store, client)
-        if not stopped and not task.event_names:  # events change the energy
-            check_results(program, task, ensemble)
-        elif stopped and on_failure == "raise":
-            raise Interrupted(ensemble.message, trajectory=ensemble)
-        return ensemble
-
+    run = partial(run_spec, program, store=store, client=client, on_failure=on_failure)
     return run_groups(program, task, (h, t0), run) if differing else run(task)
+
+
+def run_spec(
+    program: Program,
+    task: EnsembleSpec,
+    *,
+    store: Any = None,
+    client: Any = None,
+    on_failure: str = "raise",
+) -> Ensemble:
+    """Run a task; warn if steps are too large or do not resolve a motion.
+
+    Raises Interrupted after Ctrl-C unless ``on_failure`` is "return".
+    """
+    if not task.checked:
+        check_steps(program, task)
+    alone = client is not None or program.modes is not None
+    task = task if alone else choose_lanes(program, task)
+    ensemble, stopped = _run_task(program, task, store, client)
+    if not stopped and not task.event_names:  # events change the energy
+        check_results(program, task, ensemble)
+    elif stopped and on_failure == "raise":
+        raise Interrupted(ensemble.message, trajectory=ensemble)
+    return ensemble
 
 
 def _program_for_ensemble(program: Program, request: Request) -> Program:

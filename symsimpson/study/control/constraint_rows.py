@@ -17,9 +17,10 @@ import numpy as np
 from symsimpson.errors import reject
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import UNIT, Value, exact, scale
+from symsimpson.graph.point_functions import PointFunctions
 from symsimpson.graph.rebuild import rebuild
 from symsimpson.study.control.symbolic_problem import Limits, SymbolicProblem
-from symsimpson.study.control.transcription import PointFunctions, lagrange
+from symsimpson.study.control.transcription import lagrange
 from symsimpson.support.array_types import Floats
 
 #: Prescribed ends may violate a constraint by this fraction of its change over the motion.

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from symsimpson.graph.nodes import Value, scale
+from symsimpson.graph.point_functions import PointFunctions
 from symsimpson.graph.rebuild import rebuild
 from symsimpson.study.control.constraint_rows import (
     DependentRows,
@@ -20,7 +21,7 @@ from symsimpson.study.control.constraint_rows import (
 )
 from symsimpson.study.control.problem_parts import Grid, finite_values_at, read_function
 from symsimpson.study.control.symbolic_problem import Limits
-from symsimpson.study.control.transcription import FunctionBlock, NonlinearProgram, PointFunctions
+from symsimpson.study.control.transcription import FunctionBlock, NonlinearProgram
 from symsimpson.support.array_types import Floats, Ints
 
 if TYPE_CHECKING:

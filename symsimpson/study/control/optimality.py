@@ -15,11 +15,12 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from symsimpson.graph.nodes import ZERO
+from symsimpson.graph.point_functions import PointFunctions
 from symsimpson.study.control.constraint_rows import follows_constraints, write_velocity_constraints
 from symsimpson.study.control.layout import Layout
 from symsimpson.study.control.result import FOUND, ControlResult, ControlStatus
 from symsimpson.study.control.solver import ScaledProgram, SolverOutcome, compute_violations
-from symsimpson.study.control.transcription import PointFunctions, lagrange, lagrange_slopes
+from symsimpson.study.control.transcription import lagrange, lagrange_slopes
 from symsimpson.support.array_types import Floats
 
 #: The status by the name that Ipopt returns.

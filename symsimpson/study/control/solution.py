@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from symsimpson.errors import ResolutionWarning, reject
+from symsimpson.graph.point_functions import PointFunctions
 from symsimpson.program.input_values import MOST_STEPS, read_reals
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.schemes.scheme import Scheme
@@ -40,7 +41,6 @@ from symsimpson.study.control.solver import (
     scale_program,
 )
 from symsimpson.study.control.symbolic_problem import SymbolicProblem, read_galerkin_scheme
-from symsimpson.study.control.transcription import PointFunctions
 from symsimpson.support.array_files import read_arrays
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import warn

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from symsimpson.errors import reject
+from symsimpson.graph.point_functions import PointFunctions
 from symsimpson.plotting.axes import choose_colours, escape_label, get_axes, name_axis
 from symsimpson.program.input_values import read_reals
-from symsimpson.study.control.transcription import PointFunctions
 from symsimpson.support.array_types import Floats, Ints
 from symsimpson.support.names import shortened
 

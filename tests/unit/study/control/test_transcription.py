@@ -10,8 +10,8 @@ pytest.importorskip("scipy")
 
 from symsimpson.declare.expression_checks import read_expression
 from symsimpson.declare.plain import Symbols
+from symsimpson.graph.point_functions import PointFunctions
 from symsimpson.graph.read import FUNCTIONS
-from symsimpson.study.control.transcription import PointFunctions
 
 (q,) = ss.coordinates("q")
 a = sp.Symbol("a", positive=True)
