@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
-from symsimpson.api.host_functions import HostFunctions
+from symsimpson.api.frameworks import Convertible
 from symsimpson.errors import reject
 from symsimpson.program.status import Status
-from symsimpson.run.function_derivatives import FunctionDerivatives
-from symsimpson.run.run_function import FunctionOfRun
 from symsimpson.support.calling import explain_methods
 
 
 @explain_methods()
-class RunFunction:
+class RunFunction(Convertible):
     """A run as a function of arrays; :meth:`Stepper.function` returns it.
 
     ``f(*arguments)`` returns the outputs ``of`` the run. The arguments are those of ``wrt``, in its
@@ -48,18 +44,12 @@ class RunFunction:
     >>> stepper = ss.compile(ss.systems.pendulum())
     >>> f = stepper.function(h=0.01, steps=100, of="q", wrt=("q0", "p0", "l"))
     >>> f(np.array([1.0]), np.array([0.0]), 1.0).round(4)
-    array([-0.9995])
+    array([-0.9801])
     >>> f(np.linspace(0.1, 1.0, 5)[:, None], np.zeros(1), 1.0).shape
     (5, 1)
     >>> f.jacobian([1.0], [0.0], 1.0)[2].shape
     (1,)
     """
-
-    def __init__(self, function: FunctionOfRun) -> None:
-        self._function = function
-        self._call, self._several = function.call, function.several_outputs
-        self.arguments = tuple(argument.name for argument in function.arguments)
-        self.outputs = tuple(output.name for output in function.outputs)
 
     def __call__(self, *arguments: Any, full: bool = False) -> Any:
         """Run, and return the outputs.
@@ -97,17 +87,9 @@ class RunFunction:
             return self._pack(found), Status.SUCCESS
         return found if self._several else found[0]
 
-    def _pack(self, outputs: Any) -> Any:
-        """Return a tuple if the function has several outputs."""
-        return tuple(outputs) if self._several else outputs[0]
-
     def _pack_arguments(self, values: Any) -> Any:
         """Return a tuple if ``wrt`` lists several arguments."""
         return tuple(values) if self._function.several_arguments else values[0]
-
-    @cached_property
-    def _derivatives(self) -> FunctionDerivatives:
-        return FunctionDerivatives(self._function)
 
     def jacobian(self, *arguments: Any) -> Any:
         """Return the derivatives of all outputs by all arguments.
@@ -174,7 +156,7 @@ class RunFunction:
         """
         given = self._as_tuple(arguments)
         values, _ = self._function.evaluate(given, raising=True)
-        changes = self._derivatives.push_forward(given, tangents)
+        changes = self._derivatives.push_forward(given, self._as_tuple(tangents))
         return self._pack(values), self._pack(changes)
 
     def vjp(self, arguments: Any, cotangents: Any) -> tuple[Any, Any]:
@@ -208,7 +190,7 @@ class RunFunction:
         """
         given = self._as_tuple(arguments)
         values, _ = self._function.evaluate(given, raising=True)
-        slopes = self._derivatives.pull_back(given, cotangents)
+        slopes = self._derivatives.pull_back(given, self._as_weights(cotangents))
         return self._pack(values), self._pack_arguments(slopes)
 
     def hvp(self, arguments: Any, cotangents: Any, tangents: Any) -> tuple[Any, Any]:
@@ -245,10 +227,11 @@ class RunFunction:
         ...                                                v0=[0.0])
         >>> slope, curvature = f.hvp([1.0], [1.0], [1.0])
         >>> slope.round(3), curvature.round(3)
-        (array([-0.847]), array([0.553]))
+        (array([-0.906]), array([0.349]))
         """
         given = self._as_tuple(arguments)
-        slopes, products = self._derivatives.curve(given, cotangents, tangents)
+        directions = self._as_weights(cotangents), self._as_tuple(tangents)
+        slopes, products = self._derivatives.curve(given, *directions)
         return self._pack_arguments(slopes), self._pack_arguments(products)
 
     def _as_tuple(self, arguments: Any) -> tuple[Any, ...]:
@@ -262,60 +245,9 @@ class RunFunction:
             )
         return tuple(arguments)
 
-    def to_jax(self, mode: Literal["reverse", "forward"] = "reverse") -> Callable[..., Any]:
-        """Return the function for JAX. It works under ``jit``, ``vmap`` and ``grad``.
-
-        Parameters
-        ----------
-        mode : {"reverse", "forward"}, default "reverse"
-            "reverse" supports ``grad``, ``vjp`` and ``jacrev``, by the discrete adjoint.
-            "forward" computes the Jacobian and supports ``jvp``, ``jacfwd`` and ``grad``. Use it
-            if there are few arguments, and for runs without an adjoint.
-
-        Returns
-        -------
-        callable
-            A function with the same arguments. A ``vmap`` of it runs one ensemble.
-
-        Raises
-        ------
-        InputError
-            If JAX is not installed, or does not use 64 bits.
-
-        Examples
-        --------
-        >>> import symsimpson as ss  # doctest: +SKIP
-        >>> f = ss.compile(ss.systems.pendulum()).function(h=0.01, steps=100, of="q")
-        >>> jax.grad(lambda q, p: f.to_jax()(q, p).sum())(jnp.ones(1), jnp.zeros(1))
-        """
-        from symsimpson.api.jax_functions import to_jax
-
-        return to_jax(HostFunctions(self._function, self._derivatives), self._pack, mode)
-
-    def to_torch(self) -> Callable[..., Any]:
-        """Return the function for PyTorch, with first and second derivatives.
-
-        Returns
-        -------
-        callable
-            A function of tensors on the CPU. Its results are tensors of float64. Derivatives of
-            derivatives exist where :meth:`hvp` does.
-
-        Raises
-        ------
-        InputError
-            If PyTorch is not installed. A call raises it for a tensor on another device.
-
-        Examples
-        --------
-        >>> import symsimpson as ss  # doctest: +SKIP
-        >>> f = ss.compile(ss.systems.pendulum()).function(h=0.01, steps=100, of="q").to_torch()
-        >>> q = torch.ones(1, dtype=torch.float64, requires_grad=True)
-        >>> f(q, torch.zeros(1)).sum().backward()
-        """
-        from symsimpson.api.torch_functions import to_torch
-
-        return to_torch(HostFunctions(self._function, self._derivatives), self._pack)
+    def _as_weights(self, cotangents: Any) -> Any:
+        """Return the weights of the outputs as a tuple."""
+        return cotangents if self._several else (cotangents,)
 
     def __repr__(self) -> str:
         program, spec = self._function.program, self._function.spec

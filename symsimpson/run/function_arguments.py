@@ -72,7 +72,7 @@ class Argument:
                 where=program.system,
                 remedy="Check how you compute this value.",
             )
-        if self.sign and not (self.sign * array > 0).all():
+        if self.sign and not np.all(self.sign * array > 0):
             reject(
                 f"{name} is declared {'positive' if self.sign > 0 else 'negative'}, but its value "
                 "is not.",

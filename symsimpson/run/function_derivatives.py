@@ -210,16 +210,13 @@ class FunctionDerivatives:
         self, name: str, given: Any, shapes: Sequence[tuple[int, ...]], members: int | None
     ) -> list[Reals]:
         """Read an array for each shape; each result has a first axis for the members."""
-        several = self.function.several_outputs
-        several = several if name == "cotangents" else self.function.several_arguments
-        arrays = list(given) if several and isinstance(given, (tuple, list)) else [given]
-        if len(arrays) != len(shapes):
+        if not isinstance(given, (tuple, list)) or len(given) != len(shapes):
             reject(
-                f"{name} has {len(arrays)} arrays, but must have {len(shapes)}.",
-                remedy=f"Pass a tuple of arrays with the shapes {', '.join(map(str, shapes))}.",
+                f"{name} is not a tuple of {len(shapes)} arrays.",
+                remedy=f"Pass arrays with the shapes {', '.join(map(str, shapes))}.",
             )
         read = []
-        for value, shape in zip(arrays, shapes, strict=True):
+        for value, shape in zip(given, shapes, strict=True):
             array = read_array(name, value, self.function.program.numbers)
             whole = (members or 1, *shape)
             if array.shape not in (shape, whole if members else shape):
@@ -259,7 +256,7 @@ class FunctionDerivatives:
         program, function, n = self._program, self.function, self.function.program.n
         count = 2 * n if any(x.of_state for x in self._arguments) else 0
         varied, run = replace(spec, tangents=np.eye(2 * n)[:, :count]), None
-        if program.header.retimed:
+        if function.program.header.retimed:
             program = function.program
 
             def run(one: RunSpec, on_failure: str) -> Any:

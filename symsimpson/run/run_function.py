@@ -231,8 +231,10 @@ class FunctionOfRun:
             status = np.array([int(x.status) for x in each])
             return FunctionStates(t, q, p, status, np.stack(varied) if varied else None)
         ensemble = self._run_ensemble(program, spec, members)
-        status, varied_states = np.asarray(ensemble.status), ensemble.variations
-        return FunctionStates(ensemble.t, ensemble.q, ensemble.p, status, varied_states)
+        status = np.asarray(ensemble.status)
+        if not self.by_state:
+            ensemble.q[status != 0] = ensemble.p[status != 0] = np.nan
+        return FunctionStates(ensemble.t, ensemble.q, ensemble.p, status, ensemble.variations)
 
     def _states_of_run(self, run: Any) -> FunctionStates:
         """Return the stored states of a single run; those after a failure are NaN."""
