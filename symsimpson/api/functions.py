@@ -155,7 +155,7 @@ class RunFunction(Convertible):
         ((1,), (1,))
         """
         given = self._as_tuple(arguments)
-        values, _ = self._function.evaluate(given, raising=True)
+        values = self._function.values(given)
         changes = self._derivatives.push_forward(given, self._as_tuple(tangents))
         return self._pack(values), self._pack(changes)
 
@@ -189,8 +189,7 @@ class RunFunction(Convertible):
         ((1,), (1,))
         """
         given = self._as_tuple(arguments)
-        values, _ = self._function.evaluate(given, raising=True)
-        slopes = self._derivatives.pull_back(given, self._as_weights(cotangents))
+        values, slopes = self._derivatives.pull_back(given, self._as_weights(cotangents))
         return self._pack(values), self._pack_arguments(slopes)
 
     def hvp(self, arguments: Any, cotangents: Any, tangents: Any) -> tuple[Any, Any]:

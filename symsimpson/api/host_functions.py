@@ -31,14 +31,7 @@ class HostFunctions:
 
     def values(self, *given: Any) -> list[Reals]:
         """Return the outputs."""
-
-        def evaluate(arguments: tuple[Any, ...]) -> Sequence[Reals]:
-            return (
-                self._function.call(arguments)
-                or self._function.evaluate(arguments, raising=True)[0]
-            )
-
-        return self._by_members(evaluate, given, self.arguments, self.outputs)
+        return self._by_members(self._function.values, given, self.arguments, self.outputs)
 
     def jacobian(self, *given: Any) -> list[Reals]:
         """Return the derivatives of each output by each argument, in one list."""
@@ -52,7 +45,7 @@ class HostFunctions:
         """Return the derivatives by the arguments, from arguments and weights of the outputs."""
         m, shapes = len(self.arguments), (*self.arguments, *self.outputs)
         return self._by_members(
-            lambda x: self._derivatives.pull_back(x[:m], x[m:]), given, shapes, self.arguments
+            lambda x: self._derivatives.pull_back(x[:m], x[m:])[1], given, shapes, self.arguments
         )
 
     def pull_and_push(self, *given: Any) -> list[Reals]:

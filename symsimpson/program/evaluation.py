@@ -93,6 +93,10 @@ class StateEvaluator:
         #: Returns the inputs at times, shape (1, N, 1, m); None without inputs.
         self.inputs_at: Callable[[Reals], Reals] | None = None
 
+    def change_parameters(self, values: Reals) -> None:
+        """Use other values of the parameters, shape (m,); the array is not copied."""
+        self._values, self._prepared = values[None], False
+
     def __call__(self, t: Reals, q: Reals, p: Reals) -> Reals:
         """Return the values at states, shape (len(q), number of expressions)."""
         out = self._zeros((len(q), self._count))

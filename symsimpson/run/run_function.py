@@ -11,8 +11,8 @@ import numpy as np
 
 from symsimpson.errors import ResolutionWarning, reject
 from symsimpson.program.configuration import available_threads, lanes_for
-from symsimpson.program.evaluation import make_evaluator
-from symsimpson.program.observed import ObservedExpression, observing_kernel
+from symsimpson.program.evaluation import StateEvaluator, make_evaluator
+from symsimpson.program.observed import observing_kernel
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.run.ensemble.dispatch import run_spec
@@ -76,9 +76,12 @@ class FunctionOfRun:
         plain = plain and program.numbers.compiled and program.header.real_everywhere
         self._short = plain and not program.header.constraints and not program.header.retimed
         self._short = self._short and 0 < spec.steps <= ShortCall.longest(program)
+        self._observed = [x for output in self.outputs for x in output.expressions]
+        count = np.arange(spec.stored) * spec.every if spec.every else np.asarray(spec.steps)
+        self._times: Reals = spec.t0 + spec.h * program.numbers.read(count)
         #: For each output 0 for q or 1 for p; None if an output is an expression.
         self._places: tuple[int, ...] | None = None
-        if not any(output.expressions for output in self.outputs):
+        if not self._observed:
             self._places = tuple("qp".index(output.name) for output in self.outputs)
 
     # one member, in a prepared workspace
@@ -98,7 +101,7 @@ class FunctionOfRun:
         found: Any = short.run(arguments)
         if found is not None and self._places is None:
             q, p = found
-            found = self._outputs_of(self.times(), q, p, short.values)
+            found = self._short_outputs(short, q, p)
         self._pool.append(short)
         if found is None or self._places is None or self._places == (0, 1):
             return found
@@ -114,6 +117,11 @@ class FunctionOfRun:
         """Return q0 and p0 of one member."""
         begun = integrate(self.program, replace(spec, steps=0, every=1, t_end=None), False)
         return begun.q[0], begun.p[0]
+
+    def values(self, arguments: tuple[Any, ...]) -> Sequence[Reals]:
+        """Evaluate for one or many members; a failed run raises ConvergenceError."""
+        found = self.call(arguments)
+        return self.evaluate(arguments, raising=True)[0] if found is None else found
 
     # one or many members, as stepper.integrate and stepper.ensemble run them
 
@@ -134,15 +142,8 @@ class FunctionOfRun:
                 "failed, and their values are NaN.\nPass full=True for their statuses.",
                 ResolutionWarning,
             )
-        outputs = self._outputs_of(states.t, states.q, states.p, spec.parameters)
+        outputs = self.outputs_of(states.t, states.q, states.p, spec.parameters)
         return outputs, states.status
-
-    def times(self) -> Reals:
-        """Return the times of the stored states, shape (M,) or ()."""
-        spec = self.spec
-        count = np.arange(spec.stored) * spec.every if spec.every else np.asarray(spec.steps)
-        times: Reals = spec.t0 + spec.h * self.program.numbers.read(count)
-        return times
 
     def read(self, given: tuple[Any, ...]) -> tuple[RunSpec, int | None, list[Reals]]:
         """Read the arguments of a call into the specification of a run.
@@ -278,16 +279,33 @@ class FunctionOfRun:
 
     # outputs
 
-    def _outputs_of(self, t: Reals, q: Reals, p: Reals, parameters: Reals) -> tuple[Reals, ...]:
+    def outputs_of(self, t: Reals, q: Reals, p: Reals, parameters: Reals) -> tuple[Reals, ...]:
         """Return all outputs at states of shape (..., n); parameters have a row per member."""
-        observed = [x for output in self.outputs for x in output.expressions]
-        values = np.zeros((*q.shape[:-1], 0))
-        if observed:
-            n, rows = q.shape[-1], np.atleast_2d(parameters)
-            times = np.broadcast_to(t, q.shape[:-1]).ravel()
-            evaluate = make_evaluator(self.program, observed, rows, self._kernel(observed))
+        evaluate = None
+        if self._observed:
+            kernel, rows = self._kernel(), np.atleast_2d(parameters)
+            evaluate = make_evaluator(self.program, self._observed, rows, kernel)
+        return self._split_outputs(evaluate, t, q, p)
+
+    def _short_outputs(self, short: ShortCall, q: Reals, p: Reals) -> tuple[Reals, ...]:
+        """Return all outputs of a short call, which keeps its evaluator."""
+        if short.evaluate is None:
+            values = self._kernel()
+            short.evaluate = make_evaluator(self.program, self._observed, short.values, values)
+        short.evaluate.change_parameters(short.values)
+        return self._split_outputs(short.evaluate, self._times, q, p)
+
+    def _split_outputs(
+        self, evaluate: StateEvaluator | None, t: Reals, q: Reals, p: Reals
+    ) -> tuple[Reals, ...]:
+        """Return the outputs from the state and from the values of all expressions."""
+        n, shape = q.shape[-1], q.shape[:-1]
+        if evaluate is None:
+            values = q[..., :0]
+        else:
+            times = np.broadcast_to(t, shape).reshape(-1)
             found = evaluate(times, q.reshape(-1, n), p.reshape(-1, n))
-            values = found.reshape(*q.shape[:-1], len(observed))
+            values = found.reshape((*shape, found.shape[1]))
         outputs, first = [], 0
         for output in self.outputs:
             if not output.expressions:
@@ -298,9 +316,9 @@ class FunctionOfRun:
             first = last
         return tuple(outputs)
 
-    def _kernel(self, observed: Sequence[ObservedExpression]) -> Any:
+    def _kernel(self) -> Any:
         """Return the kernel of all expressions, which is compiled once."""
-        known = self.program.findings.events
+        known, observed = self.program.findings.events, self._observed
         key = "outputs", tuple(x.text for x in observed)
         if key not in known:
             text = observing_kernel(self.program.header, observed)

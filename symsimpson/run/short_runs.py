@@ -143,6 +143,8 @@ class ShortCall:
             (steps, stride, few, LIMIT),
         )
         self._inputs = inputs
+        #: Evaluates expressions of the outputs; the caller sets it.
+        self.evaluate: Any = None
 
     @staticmethod
     def longest(program: Program) -> int:

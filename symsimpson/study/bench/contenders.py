@@ -199,15 +199,18 @@ def make_scheme_contender(
         count = int(steps)
         h = problem.t_end / count
         length = {"steps": count} if retimed is None else {"t_end": problem.t_end}
+        function = stepper.function(h=h, **length)
 
-        def run() -> Any:
+        def integrate() -> Any:
             start: dict[str, Any] = {"q0": problem.q0, "p0": problem.p0, "h": h, **length}
             return raise_if_interrupted(stepper.integrate(**start, every=None, on_failure="return"))
 
-        def read(trajectory: Any) -> FinalState:
-            failed = np.full(stepper.n, np.nan)
-            q, p = (trajectory.q[0], trajectory.p[0]) if trajectory.success else (failed, failed)
-            return FinalState(q, p, int(trajectory.newton_iterations.sum()))
+        def run() -> Any:
+            return function(problem.q0, problem.p0, full=True)
+
+        def read(result: Any) -> FinalState:
+            (q, p), _ = result  # NaN if the run failed
+            return FinalState(q, p, int(integrate().newton_iterations.sum()))
 
         return run, read
 
