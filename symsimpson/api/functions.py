@@ -6,7 +6,10 @@ from typing import Any
 
 from symsimpson.api.frameworks import Convertible
 from symsimpson.errors import reject
+from symsimpson.program.program import Program
 from symsimpson.program.status import Status
+from symsimpson.run.run_function import FunctionOfRun
+from symsimpson.stepping.request import Request
 from symsimpson.support.calling import explain_methods
 
 
@@ -14,7 +17,7 @@ from symsimpson.support.calling import explain_methods
 class RunFunction(Convertible):
     """A run as a function of arrays; :meth:`Stepper.function` returns it.
 
-    ``f(*arguments)`` returns the outputs ``of`` the run. The arguments are those of ``wrt``, in its
+    ``f(*arguments)`` returns the outputs ``of`` the run. ``wrt`` lists the arguments in their
     order. The function keeps no results, so several threads may call it at the same time.
 
     Each argument has the shape of its value: (n,) for a part of the initial state, () for a
@@ -78,14 +81,14 @@ class RunFunction(Convertible):
         ResolutionWarning
             If members fail, unless ``full`` is True. Their outputs are NaN.
         """
-        found = self._call(arguments)
-        if found is None:
-            found, status = self._function.evaluate(arguments, raising=not full)
+        values = self._call(arguments)
+        if values is None:
+            values, status = self._function.evaluate(arguments, raising=not full)
             if full:
-                return self._pack(found), status
+                return self._pack(values), status
         elif full:
-            return self._pack(found), Status.SUCCESS
-        return found if self._several else found[0]
+            return self._pack(values), Status.SUCCESS
+        return values if self._several else values[0]
 
     def _pack_arguments(self, values: Any) -> Any:
         """Return a tuple if ``wrt`` lists several arguments."""
@@ -102,8 +105,8 @@ class RunFunction(Convertible):
         Returns
         -------
         ndarray, or tuples of them
-            ``J[i][j]`` has the derivatives of output i by argument j. Its shape is that of the
-            output followed by that of the argument, after the axis of members. If ``of`` or
+            ``J[i][j]`` has the derivatives of output i by argument j. After the axis of members,
+            its shape is the shape of the output followed by the shape of the argument. If ``of`` or
             ``wrt`` is a single name, this level is absent.
 
         Raises
@@ -195,7 +198,7 @@ class RunFunction(Convertible):
     def hvp(self, arguments: Any, cotangents: Any, tangents: Any) -> tuple[Any, Any]:
         """Return the derivatives of a weighted sum of the outputs, and their change.
 
-        The second derivatives are those of the discrete steps, and exact up to round-off.
+        The second derivatives belong to the discrete steps, and are exact up to round-off.
 
         Parameters
         ----------
@@ -255,3 +258,10 @@ class RunFunction(Convertible):
             f"RunFunction({program.system}, {program.scheme}: ({', '.join(self.arguments)}) -> "
             f"({', '.join(self.outputs)}), {length} of h={float(spec.h):g})"
         )
+
+
+def make_function(
+    program: Program, request: Request, of: Any, wrt: Any, threads: int | None
+) -> RunFunction:
+    """Return the function of a request; :meth:`Stepper.function` documents the arguments."""
+    return RunFunction(FunctionOfRun(program, request, of, wrt, threads))

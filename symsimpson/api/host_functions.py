@@ -70,15 +70,15 @@ class HostFunctions:
             self._function.read(tuple(given))  # raises the error
         axes = []
         for argument, value in zip(self._function.arguments, given, strict=True):
-            shape, own = tuple(value.shape), len(argument.shape)
-            if shape[len(shape) - own :] != argument.shape or len(shape) < own:
+            shape, axes_of_value = tuple(value.shape), len(argument.shape)
+            if shape[len(shape) - axes_of_value :] != argument.shape or len(shape) < axes_of_value:
                 reject(
                     f"argument {argument.name} has shape {shape}, but its last axes must be "
                     f"{argument.shape}.",
                     where=self._function.program.system,
                     remedy="Put the axes of members first.",
                 )
-            axes.append(shape[: len(shape) - own])
+            axes.append(shape[: len(shape) - axes_of_value])
         return np.broadcast_shapes(*axes)
 
     @staticmethod
@@ -94,7 +94,8 @@ class HostFunctions:
         if first:
             pairs = zip(arrays, shapes, strict=True)
             arrays = [x.reshape((prod(first), *shape)) for x, shape in pairs]
-        found = function(tuple(arrays))
+        computed = function(tuple(arrays))
         return [
-            np.asarray(x).reshape((*first, *shape)) for x, shape in zip(found, results, strict=True)
+            np.asarray(x).reshape((*first, *shape))
+            for x, shape in zip(computed, results, strict=True)
         ]

@@ -33,8 +33,10 @@ def to_jax(host: HostFunctions, pack: Callable[[Any], Any], mode: str) -> Callab
         """Call a function of the host; ``vmap`` adds first axes to all arrays."""
         first = given[0].shape[: given[0].ndim - len(host.arguments[0])]
         shapes = [jax.ShapeDtypeStruct((*first, *x), jnp.float64) for x in results]
-        found: list[Any] = jax.pure_callback(function, shapes, *given, vmap_method="broadcast_all")
-        return found
+        computed: list[Any] = jax.pure_callback(
+            function, shapes, *given, vmap_method="broadcast_all"
+        )
+        return computed
 
     def values(*given: Any) -> list[Any]:
         return call(host.values, host.outputs, *given)

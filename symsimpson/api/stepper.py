@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack, overload
 from numpy.typing import ArrayLike
 
 from symsimpson.api.evaluator import Parameters
-from symsimpson.api.functions import RunFunction
 from symsimpson.api.orbits import OrbitFinder
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.requested import run
-from symsimpson.run.run_function import FunctionOfRun
 from symsimpson.stepping.request import Request
 from symsimpson.support.calling import explain_methods
 
 if TYPE_CHECKING:
+    from symsimpson.api.functions import RunFunction
     from symsimpson.results.sampled import Sampled, Saved
     from symsimpson.run.ensemble.ensemble import Ensemble
     from symsimpson.stepping.event import Event
@@ -300,12 +299,14 @@ class Stepper(OrbitFinder):
         >>> f.jacobian([0.5] * 50).shape
         (50,)
         """
+        from symsimpson.api.functions import make_function
+
         request = Request(
             *(q0, v0, p0, h, t_end, steps, t0, parameters, inputs, every),
             events=events,
             exact_h=exact_h,
         )
-        return RunFunction(FunctionOfRun(self.program, request, of, wrt, threads))
+        return make_function(self.program, request, of, wrt, threads)
 
     def ensemble(
         self,

@@ -16,8 +16,8 @@ def to_torch(host: HostFunctions, pack: Callable[[Any], Any]) -> Callable[..., A
 
     def call(function: Callable[..., Any], *given: Any) -> tuple[Any, ...]:
         """Call a function of the host with the numbers of tensors."""
-        found = function(*(x.detach().numpy() for x in given))
-        return tuple(torch.from_numpy(x.copy()) for x in found)
+        computed = function(*(x.detach().numpy() for x in given))
+        return tuple(torch.from_numpy(x.copy()) for x in computed)
 
     def make(evaluate: Callable[..., Any], pull: Callable[..., Any]) -> Any:
         """Return a function with a derivative: ``pull`` takes its arguments and weights."""
@@ -41,8 +41,8 @@ def to_torch(host: HostFunctions, pack: Callable[[Any], Any]) -> Callable[..., A
                     x.expand((info.batch_size, *x.shape)) if dim is None else x.movedim(dim, 0)
                     for x, dim in zip(given, in_dims, strict=True)
                 ]
-                found = OfRun.apply(*rows)
-                return found, (0,) * len(found)
+                computed = OfRun.apply(*rows)
+                return computed, (0,) * len(computed)
 
         return OfRun.apply
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import sympy as sp
@@ -16,7 +16,6 @@ from symsimpson.declare.consistent import consistent
 from symsimpson.declare.constraints import accelerations
 from symsimpson.declare.coordinates import time
 from symsimpson.declare.declared import Declared, read_values, read_vector
-from symsimpson.declare.energies import Energies
 from symsimpson.declare.plain import Plain, Symbols
 from symsimpson.errors import ModelError, reject
 from symsimpson.graph.derive import gradient
@@ -25,6 +24,9 @@ from symsimpson.graph.nodes import Value, scale
 from symsimpson.support.array_types import Floats
 from symsimpson.support.calling import explain_methods
 from symsimpson.support.markup import aligned, in_text
+
+if TYPE_CHECKING:
+    from symsimpson.declare.energy_functions import EnergyFunctions
 
 #: Largest relative distance of an accepted state from one that satisfies the constraints.
 NEAR = 1e-6
@@ -188,9 +190,11 @@ class Described(Declared):
         return self.degrees_of_freedom - len(self.velocity_constraints)
 
     @property
-    def energies(self) -> Energies:
+    def energies(self) -> EnergyFunctions:
         """The energies as functions for other libraries: ``system.energies.to_jax()``."""
-        return Energies(self)
+        from symsimpson.declare.energy_functions import EnergyFunctions  # few programs need it
+
+        return EnergyFunctions(self)
 
     @cached_property
     def equations(self) -> tuple[sp.Eq, ...]:

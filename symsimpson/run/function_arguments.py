@@ -54,17 +54,15 @@ class Argument:
         """
         numbers, name = program.numbers, f"argument {self.name}"
         array = read_array(name, value, numbers)
-        own = len(self.shape)
-        if array.ndim not in (own, own + 1) or array.shape[array.ndim - own :] != self.shape:
-            many = f"(K, {', '.join(map(str, self.shape))}{',' * (own == 0)})".replace(
-                "(K, ,)", "(K,)"
-            )
+        axes = len(self.shape)
+        if array.ndim not in (axes, axes + 1) or array.shape[array.ndim - axes :] != self.shape:
+            many = str((0, *self.shape)).replace("(0", "(K")
             reject(
                 f"{name} has shape {array.shape}, but must have shape {self.shape} or {many}.",
                 where=program.system,
                 remedy="Pass the value for one member, or one row for each of K members.",
             )
-        if array.ndim > own and not len(array):
+        if array.ndim > axes and not len(array):
             reject(f"{name} has no members.", remedy="Pass at least one row.")
         if not numbers.all_finite(array):
             reject(
@@ -92,10 +90,10 @@ class Argument:
         if self.steps is None:
             return slopes if len(self.shape) == 2 else slopes.sum(axis=(-2, -1))
         starts = np.flatnonzero(np.diff(self.steps, prepend=-1))
-        found = np.zeros((*slopes.shape[:-2], *self.shape), dtype=slopes.dtype)
+        by_value = np.zeros((*slopes.shape[:-2], *self.shape), dtype=slopes.dtype)
         if starts.size:
-            found[..., : starts.size] = np.add.reduceat(slopes.sum(axis=-1), starts, axis=-1)
-        return found
+            by_value[..., : starts.size] = np.add.reduceat(slopes.sum(axis=-1), starts, axis=-1)
+        return by_value
 
 
 @dataclass(frozen=True)
@@ -141,8 +139,8 @@ def read_template(
     if driven:
         given = {} if request.inputs is None else collect_inputs(program, request.inputs)
         count = read_times(request, program.numbers, retimed=program.header.retimed)[1]
-        own = {program.inputs[k]: np.zeros(count) for k in driven}
-        request = request._replace(inputs=collect_inputs(program, own) | given)
+        placeholders = {program.inputs[k]: np.zeros(count) for k in driven}
+        request = request._replace(inputs=collect_inputs(program, placeholders) | given)
     return request, read_settings(program, request)
 
 
@@ -164,8 +162,8 @@ def read_arguments(
             sign = {"positive": 1, "negative": -1}.get(header.signs[parameter], 0)
             argument = Argument(key, "parameter", parameter, (), sign)
         elif driven is not None:
-            own = program.inputs[driven]
-            argument = _input_argument(program, key, driven, inputs[own], spec)
+            values = inputs[program.inputs[driven]]
+            argument = _input_argument(program, key, driven, values, spec)
         else:
             known = ", ".join(("q0", "v0", "p0", *program.parameters, *program.inputs))
             reject(
@@ -181,7 +179,7 @@ def read_arguments(
 
 
 def _input_argument(program: Program, key: str, place: int, given: Any, spec: RunSpec) -> Argument:
-    """Return the argument of an input; its shape is that of the values in ``inputs=``."""
+    """Return the argument of an input; it has the shape of the values in ``inputs=``."""
     if isinstance(given, Samples):
         period = count_steps_per_period(key, given.period, spec.h, program.numbers)
         steps = np.arange(spec.steps) // period

@@ -145,12 +145,12 @@ class FunctionDerivatives:
                 np.sum([w @ x for w, x in zip(flat, column, strict=True)], axis=0)
                 for column in blocks
             ]
-        found = []
+        results = []
         for argument, value, slope in zip(self._arguments, values, slopes, strict=True):
             of_members = members is not None and value.ndim > len(argument.shape)
             whole = slope.reshape((-1, *argument.shape))
-            found.append(whole if of_members else whole.sum(axis=0))
-        return outputs, found
+            results.append(whole if of_members else whole.sum(axis=0))
+        return outputs, results
 
     def push_forward(self, given: tuple[Any, ...], tangents: Sequence[Any]) -> list[Reals]:
         """Return the derivatives of all outputs along ``tangents`` of the arguments."""
@@ -180,16 +180,16 @@ class FunctionDerivatives:
         along = self._read_values("tangents", tangents, shapes, members)
         each = []
         for k in range(members or 1):
-            one = member_of(spec, k, members)
-            run = integrate(program, replace(one, every=1), False)
-            jumps = np.zeros((2, one.steps + 1, program.n))
-            places = slice(None, None, one.every) if one.every else slice(one.steps, None)
+            member = member_of(spec, k, members)
+            run = integrate(program, replace(member, every=1), False)
+            jumps = np.zeros((2, member.steps + 1, program.n))
+            places = slice(None, None, member.every) if member.every else slice(member.steps, None)
             for output, weight in zip(self._outputs, weights, strict=True):
                 jumps["qp".index(output.name), places] += weight[k]
             assert program.tools is not None
             each.append(
                 program.tools.second_derivatives(
-                    program, one, run, self._arguments, [x[k] for x in along], jumps
+                    program, member, run, self._arguments, [x[k] for x in along], jumps
                 )
             )
         slopes, products = (
@@ -197,9 +197,9 @@ class FunctionDerivatives:
                 np.stack(rows)
                 if members is not None and value.ndim > len(argument.shape)
                 else np.sum(rows, axis=0)
-                for argument, value, *rows in zip(self._arguments, values, *found, strict=True)
+                for argument, value, *rows in zip(self._arguments, values, *results, strict=True)
             ]
-            for found in zip(*each, strict=True)
+            for results in zip(*each, strict=True)
         )
         return slopes, products
 
@@ -273,8 +273,8 @@ class FunctionDerivatives:
         if function.program.header.retimed:
             program = function.program
 
-            def run(one: RunSpec, on_failure: str) -> Any:
-                return run_at_fixed_times(program, one, self._names, False, on_failure)
+            def run(member: RunSpec, on_failure: str) -> Any:
+                return run_at_fixed_times(program, member, self._names, False, on_failure)
 
         states = function.states(program, varied, members, run=run)
         assert states.variations is not None
@@ -308,15 +308,15 @@ class FunctionDerivatives:
     def _output_changes(
         self, states: FunctionStates, spec: RunSpec, members: int | None, changes: Reals, count: int
     ) -> list[Reals]:
-        """Apply the chain rule: changes of outputs, shape (K, M, ..., k), from those of states."""
-        n, found = self.function.program.n, []
+        """Convert changes of states to changes of outputs, shape (K, M, ..., k)."""
+        n, results = self.function.program.n, []
         shape = len(changes), self.function.stored
         t = np.broadcast_to(np.reshape(states.t, (-1, shape[1])), shape)
         q, p = (x.reshape(*shape, n) for x in (states.q, states.p))
         steps = np.arange(shape[1]) * float(spec.every) if spec.every else np.array([spec.steps])
         for output in self._outputs:
             if not output.expressions:
-                found.append(changes[:, :, :n] if output.name == "q" else changes[:, :, n:])
+                results.append(changes[:, :, :n] if output.name == "q" else changes[:, :, n:])
                 continue
             rows = np.zeros((*shape, len(output.expressions), changes.shape[-1]))
             for k in range(len(changes)):
@@ -325,8 +325,8 @@ class FunctionDerivatives:
                     slopes = cost.slopes(1.0 * steps, t[k], q[k], p[k], values)
                     rows[k, :, c] = (slopes.state[:, None] @ changes[k])[:, 0]
                     rows[k, :, c, count:] += slopes.parameters
-            found.append(rows if output.shape else rows[:, :, 0])
-        return found
+            results.append(rows if output.shape else rows[:, :, 0])
+        return results
 
     def _pull_back_member(self, spec: RunSpec, weights: Sequence[Reals]) -> list[Reals]:
         """Return the derivatives of the weighted sum of the outputs of one member."""
@@ -340,17 +340,17 @@ class FunctionDerivatives:
         _, by_state, by_parameter, by_step = differentiate_back(
             program, spec, Objective(None, (sample,), every), inputs, False
         )
-        found = []
+        results = []
         for argument in self._arguments:
             if argument.of_state:
-                found.append(by_state[:n] if argument.kind == "q" else by_state[n:])
+                results.append(by_state[:n] if argument.kind == "q" else by_state[n:])
                 continue
             place = self._parameters.index(argument)
             if argument.kind == "input":
-                found.append(argument.gather(by_step[:, inputs.index(place)]))
+                results.append(argument.gather(by_step[:, inputs.index(place)]))
             else:
-                found.append(by_parameter[place])
-        return found
+                results.append(by_parameter[place])
+        return results
 
     @cached_property
     def _parameters(self) -> list[Argument]:

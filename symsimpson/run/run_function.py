@@ -98,14 +98,14 @@ class FunctionOfRun:
             short = self._pool.pop()
         except IndexError:
             short = ShortCall(self.program, self.spec, self.arguments)
-        found: Any = short.run(arguments)
-        if found is not None and self._places is None:
-            q, p = found
-            found = self._short_outputs(short, q, p)
+        results: Any = short.run(arguments)
+        if results is not None and self._places is None:
+            q, p = results
+            results = self._short_outputs(short, q, p)
         self._pool.append(short)
-        if found is None or self._places is None or self._places == (0, 1):
-            return found
-        return tuple([found[place] for place in self._places])
+        if results is None or self._places is None or self._places == (0, 1):
+            return results
+        return tuple([results[place] for place in self._places])
 
     @property
     def output_shapes(self) -> list[tuple[int, ...]]:
@@ -120,8 +120,8 @@ class FunctionOfRun:
 
     def values(self, arguments: tuple[Any, ...]) -> Sequence[Reals]:
         """Evaluate for one or many members; a failed run raises ConvergenceError."""
-        found = self.call(arguments)
-        return self.evaluate(arguments, raising=True)[0] if found is None else found
+        results = self.call(arguments)
+        return self.evaluate(arguments, raising=True)[0] if results is None else results
 
     # one or many members, as stepper.integrate and stepper.ensemble run them
 
@@ -304,8 +304,8 @@ class FunctionOfRun:
             values = q[..., :0]
         else:
             times = np.broadcast_to(t, shape).reshape(-1)
-            found = evaluate(times, q.reshape(-1, n), p.reshape(-1, n))
-            values = found.reshape((*shape, found.shape[1]))
+            results = evaluate(times, q.reshape(-1, n), p.reshape(-1, n))
+            values = results.reshape((*shape, results.shape[1]))
         outputs, first = [], 0
         for output in self.outputs:
             if not output.expressions:

@@ -174,8 +174,8 @@ class ShortCall:
             return None
         end = empty((4, self._n))
         if not self._stored:
-            found = self._function(*self._start, (*self._sampled, end), self._inputs)
-            return None if found < 0 else (end[0], end[1])
+            count = self._function(*self._start, (*self._sampled, end), self._inputs)
+            return None if count < 0 else (end[0], end[1])
         states, counts = allocate_states(self._last, self._n)
         if self._function(*self._start, (states, counts, end), self._inputs) < 0:
             return None

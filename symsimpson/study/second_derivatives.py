@@ -61,7 +61,7 @@ def second_derivatives(
     at_start = iter((by_state.ravel(), changed.ravel()))
     if start is not None:
         at_start = iter(start.pull(by_state, changed))
-    found = []
+    results = []
     for row, by_node in zip(at_start, (by_theta, changed_theta), strict=True):
         more = row[2 * n :] if start is not None else constant * 0
         parts = []
@@ -73,8 +73,8 @@ def second_derivatives(
             slopes = by_node[..., j]
             driven = argument.kind == "input"
             parts.append(argument.gather(slopes) if driven else slopes.sum() + more[j])
-        found.append(parts)
-    return found[0], found[1]
+        results.append(parts)
+    return results[0], results[1]
 
 
 class _Steps:
@@ -214,22 +214,22 @@ class _Steps:
         moved = [np.einsum("ij,Njn->Nin", table, dX) for table in (self.A, self.V)]
         along = np.concatenate([*moved, theta], axis=2).reshape(N * len(self.nodes), -1).T
         at_rows = np.concatenate(of_rows, axis=2).reshape(-1, 2 * n).T
-        found = curve(self.functions, self._at, at_rows, along)
-        found = found.T.reshape(N, len(self.nodes), -1)
-        by_points = np.einsum("ij,Nin->Njn", self.A, found[..., :n])
-        by_points += np.einsum("ij,Nin->Njn", self.V, found[..., n : 2 * n])
-        return by_points, found[..., 2 * n :]
+        results = curve(self.functions, self._at, at_rows, along)
+        results = results.T.reshape(N, len(self.nodes), -1)
+        by_points = np.einsum("ij,Nin->Njn", self.A, results[..., :n])
+        by_points += np.einsum("ij,Nin->Njn", self.V, results[..., n : 2 * n])
+        return by_points, results[..., 2 * n :]
 
 
 def curve(functions: PointFunctions, at: Any, weights: Floats, along: Floats) -> Floats:
     """Return the second derivatives of the weighted sum times a direction, at all points."""
     entries = functions.curvatures_at(at, weights, along.shape[1])
-    found = np.zeros_like(along)
+    results = np.zeros_like(along)
     for (i, j), entry in zip(functions.curved, entries, strict=True):
-        found[i] += entry * along[j]
+        results[i] += entry * along[j]
         if i != j:
-            found[j] += entry * along[i]
-    return found
+            results[j] += entry * along[i]
+    return results
 
 
 class _Start:

@@ -13,7 +13,7 @@ MODULES = sorted(".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts
 #: Examples that need what the quick tests do without.
 NEEDED = dict.fromkeys(
     ("symsimpson.study.control.problem", "symsimpson.study.control.result"), "casadi"
-) | {"symsimpson.api.frameworks": "torch", "symsimpson.declare.energies": "jax"}
+) | {"symsimpson.api.frameworks": "torch", "symsimpson.declare.energy_functions": "jax"}
 
 
 @pytest.mark.parametrize("name", MODULES)

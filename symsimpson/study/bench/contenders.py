@@ -197,20 +197,18 @@ def make_scheme_contender(
 
     def make(steps: float) -> Runnable:
         count = int(steps)
-        h = problem.t_end / count
-        length = {"steps": count} if retimed is None else {"t_end": problem.t_end}
+        h, end = problem.t_end / count, problem.t_end
+        length: Any = {"steps": count} if retimed is None else {"t_end": end}
         function = stepper.function(h=h, **length)
-
-        def integrate() -> Any:
-            start: dict[str, Any] = {"q0": problem.q0, "p0": problem.p0, "h": h, **length}
-            return raise_if_interrupted(stepper.integrate(**start, every=None, on_failure="return"))
 
         def run() -> Any:
             return function(problem.q0, problem.p0, full=True)
 
         def read(result: Any) -> FinalState:
             (q, p), _ = result  # NaN if the run failed
-            return FinalState(q, p, int(integrate().newton_iterations.sum()))
+            start = {"q0": problem.q0, "p0": problem.p0, "h": h, **length}
+            run = raise_if_interrupted(stepper.integrate(**start, every=None, on_failure="return"))
+            return FinalState(q, p, int(run.newton_iterations.sum()))
 
         return run, read
 
@@ -221,8 +219,7 @@ def make_scheme_contender(
     return Contender(name, "steps", choices, make)
 
 
-#: A run of heyoka takes no more steps than this.
-MOST_STEPS = 200_000
+MOST_STEPS = 200_000  #: A run of heyoka takes no more steps than this.
 
 
 def _compile_rates(problem: BenchmarkProblem) -> tuple[Any, Floats, Floats]:

@@ -13,14 +13,14 @@ from symsimpson.support.extras import import_library
 from symsimpson.support.names import NameTable, read_mapping, spelled
 
 
-class Energies:
+class EnergyFunctions:
     """The energies of a system as functions for other libraries; ``system.energies`` has them.
 
     Examples
     --------
     >>> import symsimpson as ss
     >>> ss.systems.pendulum().energies
-    Energies(pendulum: T and V)
+    EnergyFunctions(pendulum: T and V)
     """
 
     def __init__(self, system: Declared) -> None:
@@ -88,4 +88,4 @@ class Energies:
         return lambda q, parameters=None, t=0.0: energy_of(q, parameters=parameters, t=t)
 
     def __repr__(self) -> str:
-        return f"Energies({self._system.name}: {'H' if self._momenta else 'T and V'})"
+        return f"EnergyFunctions({self._system.name}: {'H' if self._momenta else 'T and V'})"
