@@ -37,6 +37,8 @@ def evaluate(
     driver, shape = numbers.driver("evaluate"), states[1].shape[:-1]
     with numbers.working():
         rows_of_values = np.atleast_2d(numbers.read(values))
+        if len(rows_of_values) > 1 and (rows_of_values == rows_of_values[0]).all():
+            rows_of_values = rows_of_values[:1]  # the kernel "prepare" then runs once
         W, unit = workspace(header, numbers, rows_of_values[0]), numbers.read(1.0).item()
         t, q, p = map(numbers.read, states)
         t = t if t.shape == shape else np.broadcast_to(t, shape).copy()

@@ -20,7 +20,7 @@ from symsimpson.run.ensemble.ensemble import Ensemble
 from symsimpson.run.ensemble.members import EnsembleSpec
 from symsimpson.run.function_arguments import as_list, read_arguments, read_output, read_template
 from symsimpson.run.integrate import integrate
-from symsimpson.run.short_runs import ShortCall
+from symsimpson.run.short_runs import BriefRequest, ShortCall, run_prepared
 from symsimpson.stepping.constrained_start import project_start
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.run_events import read_run_events
@@ -220,6 +220,8 @@ class FunctionOfRun:
             spec = replace(spec, run_events=read_run_events(program, self.request))
         spec = replace(spec, checked=bool(self._checked))
         if members is None:
+            if run is None and program is self.program and (end := self._run_to_end(spec)):
+                return self._states_of_run(end)
             run = run or partial(_integrate, program)
             return self._states_of_run(run(spec, "raise" if raising else "return"))
         if run is not None or not program.numbers.compiled:
@@ -236,6 +238,16 @@ class FunctionOfRun:
         if not self.by_state:
             ensemble.q[status != 0] = ensemble.p[status != 0] = np.nan
         return FunctionStates(ensemble.t, ensemble.q, ensemble.p, status, ensemble.variations)
+
+    def _run_to_end(self, spec: RunSpec) -> Any:
+        """Run one member to ``t_end`` with a time transformation; None if it needs a full run."""
+        simple = spec.t_end is not None and spec.checked and spec.run_events is None
+        if not simple or self.program.findings.prepared is None:
+            return None
+        state = spec.q0, spec.other0, spec.velocities, spec.every
+        return run_prepared(
+            self.program, BriefRequest(spec.parameters.copy(), *state), self.request
+        )
 
     def _states_of_run(self, run: Any) -> FunctionStates:
         """Return the stored states of a single run; those after a failure are NaN."""

@@ -20,6 +20,7 @@ from symsimpson.program.recorders import driver_layout, with_clock
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.resolution import (
+    FEWEST,
     LIMIT,
     SAMPLES,
     count_samples,
@@ -118,7 +119,7 @@ class ShortCall:
         self._n, steps, every = program.n, spec.steps, spec.every
         stride = finer_stride(every, steps) if every else sampling_stride(program, steps)
         self._stored, self._last = every // (stride or 1), steps // stride if stride else 0
-        few = count_samples(self._last) if program.header.conservative else 0
+        few = min(count_samples(self._last), FEWEST - 1) if program.header.conservative else 0
         inputs = np.zeros((1, steps, *spec.inputs.shape[2:]))
         if inputs.size:
             inputs[...] = spec.inputs
@@ -242,16 +243,25 @@ def read_plain_steps(request: Request) -> tuple[float, float, int]:
 
 def try_short_run(program: Program, request: Request) -> Trajectory | None:
     """Run a short request; return None if the request is not simple, or if the run fails."""
-    brief, retimed = read_brief_request(program, request), program.header.retimed
-    if brief is None or (retimed and request.t_end is None):
+    brief = read_brief_request(program, request)
+    if brief is None or (program.header.retimed and request.t_end is None):
         return None
+    return run_prepared(program, brief, request)
+
+
+def run_prepared(program: Program, brief: BriefRequest, request: Request) -> Trajectory | None:
+    """Run a simple request whose values were checked; return None if the run fails.
+
+    Only times and numbers of steps are read from ``request``.
+    """
     prepared = program.findings.prepared
     assert prepared is not None
     try:  # other threads may take the runner first
         runner = prepared.pop()
     except IndexError:
         runner = BriefRunner(program)
-    trajectory = (_run_to_end if retimed else _run_steps)(program, runner, brief, request)
+    run = _run_to_end if program.header.retimed else _run_steps
+    trajectory = run(program, runner, brief, request)
     prepared.append(runner)
     return trajectory
 

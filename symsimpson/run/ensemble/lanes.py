@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from symsimpson.errors import reject
+from symsimpson.program.evaluation import evaluate
 from symsimpson.program.observed import KINDS
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder, driver_layout, growth, with_clock
@@ -22,7 +23,7 @@ from symsimpson.run.ensemble.singles import PAIR, RENEWAL, run_singly
 from symsimpson.run.lyapunov import initial_variations, spec_of_first_part
 from symsimpson.stepping.parts import compute_states_at, update_reductions
 from symsimpson.stepping.spec import make_recorders
-from symsimpson.support.array_types import Floats
+from symsimpson.support.array_types import Floats, Ints
 from symsimpson.support.interpreter import catch_interrupts
 from symsimpson.text.interface import ARRIVED
 
@@ -93,11 +94,40 @@ def run_blocks(
     if program.modes is not None:  # members change their modes at different times
         stopped = run_singly(program, task, results)
         return make_ensemble(program, task, **results.columns()), stopped
-    queue = _run_all_blocks(program, task, results, count)
+    order = order_by_energy(program, task)
+    if order is None:
+        queue = _run_all_blocks(program, task, results, count)
+    else:
+        ordered = task.part(order)
+        by_energy = MemberResults(ordered, program.header)
+        queue = _run_all_blocks(program, ordered, by_energy, count)
+        results.take(by_energy, order)
     if task.t_end is not None:
         take_last_parts(program, task, results)
     stopped = bool(queue.heard) or run_singly(program, task, results)
     return make_ensemble(program, task, **results.columns()), stopped
+
+
+#: Smallest number of blocks for which members are ordered.
+FEWEST_ORDERED_BLOCKS = 4
+
+
+def order_by_energy(program: Program, task: EnsembleSpec) -> Ints | None:
+    """Return the order of members by their energy at the start; None if the order does not matter.
+
+    A block iterates until its slowest member has converged. Members of similar energies need
+    similar numbers of iterations. Tasks that store states on the way keep their order, because a
+    second copy of the states would need memory.
+    """
+    few = task.members < FEWEST_ORDERED_BLOCKS * task.lanes or task.lanes == 1
+    if few or task.every or task.retimed or not program.kernels_for(task.lanes).by_stages:
+        return None
+    n, p, t = program.n, task.other0, np.array([task.t0])
+    if task.velocities:
+        start = t, task.q0, p
+        p = evaluate(program, "legendre", "MOMENTUM", n, start, task.parameters)
+    energy = evaluate(program, "energy", "ENERGY", 1, (t, task.q0, p), task.parameters)
+    return np.argsort(energy[:, 0], kind="stable")
 
 
 def _run_all_blocks(

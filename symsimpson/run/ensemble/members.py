@@ -124,6 +124,11 @@ class MemberResults:
         self.records = dict[int, tuple[EventRecord, ...]]()
         self._task = task
 
+    def take(self, other: MemberResults, order: Ints) -> None:
+        """Take the results of members from a task that has them in another order."""
+        for name in ("q", "p", "codes", "recorded", "part", "ended_at", "seen"):
+            getattr(self, name)[order] = getattr(other, name)
+
     def columns(self) -> dict[str, Any]:
         """Return the arrays as fields of :class:`Ensemble`."""
         task = self._task

@@ -167,14 +167,14 @@ class Values:
     def multiply_add(self, a: Any, b: Any, c: Any) -> Any:
         """Return a b + c, rounded once if the machine has such an instruction.
 
-        The result is a product and a sum if two numbers are known, one is a known 0, 1 or -1, or
-        there are no fast-math flags.
+        The result is a product and a sum if both factors are known, one of them is a known 0, 1 or
+        -1, the summand is a known 0, or there are no fast-math flags.
         """
         values = (a, b, c)
         plain = not self._flags or any(isinstance(x, (LaneNumber, PrivateRow)) for x in values)
-        if plain or sum(map(is_known, values)) > 1 or not any(map(self._is_real, values)):
-            return self.add(self.multiply(a, b), c)
-        if any(is_known(x) and x in (0, 1, -1) for x in values):
+        plain = plain or (is_known(a) and is_known(b)) or (is_known(c) and c == 0)
+        trivial = any(is_known(x) and x in (0, 1, -1) for x in (a, b))
+        if plain or trivial or not any(map(self._is_real, values)):
             return self.add(self.multiply(a, b), c)
         a, b, c = self.unify_types(*map(self.real, values))
         return self._intrinsic("fmuladd", a, b, c)
