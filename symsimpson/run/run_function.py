@@ -133,7 +133,9 @@ class FunctionOfRun:
         With ``raising``, a failed run raises ConvergenceError. Failed members are NaN, and a
         warning tells their number.
         """
-        spec, members, _ = self.read(arguments)
+        spec, members, values = self.read(arguments)
+        if members is None and (converted := self.call(tuple(values))) is not None:
+            return converted, Status.SUCCESS
         states = self.states(self.program, spec, members, raising=raising)
         self._checked.append(True)
         if members is not None and raising and (failed := int((states.status != 0).sum())):
