@@ -18,7 +18,7 @@ from symsimpson.stepping.inputs import read_times
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec, read_settings
 from symsimpson.support.array_types import Ints, Reals
-from symsimpson.support.names import spelled
+from symsimpson.support.names import did_you_mean, spelled
 from symsimpson.text.quantity import VECTORS
 
 #: Outputs that are whole vectors of a state.
@@ -119,6 +119,7 @@ def read_template(
 
     Raises InputError if a part of the initial state is neither an argument nor given.
     """
+    _check_names(program, names)
     parts = {STATE[spelled(x)] for x in names if is_state(program, x)}
     zeros: Any = np.zeros(program.n)
     for part, where in (("q", "q0"), ("v", "v0"), ("p", "p0")):
@@ -135,6 +136,12 @@ def read_template(
             where=program.system,
             remedy="Put 'q0' into wrt, or pass fixed positions as q0=.",
         )
+    if request.v0 is None and request.p0 is None:
+        reject(
+            "the function has neither initial velocities nor momenta.",
+            where=program.system,
+            remedy="Put 'v0' or 'p0' into wrt, or pass fixed values as v0= or p0=.",
+        )
     driven = {x for x in map(program.names.inputs.place, names) if x is not None}
     if driven:
         given = {} if request.inputs is None else collect_inputs(program, request.inputs)
@@ -142,6 +149,19 @@ def read_template(
         placeholders = {program.inputs[k]: np.zeros(count) for k in driven}
         request = request._replace(inputs=collect_inputs(program, placeholders) | given)
     return request, read_settings(program, request)
+
+
+def _check_names(program: Program, names: Sequence[Any]) -> None:
+    """Raise InputError for a name in ``wrt`` that the system does not have."""
+    tables = program.names.parameters, program.names.inputs
+    for name in names:
+        if not is_state(program, name) and all(table.place(name) is None for table in tables):
+            key, known = spelled(name), ("q0", "v0", "p0", *program.parameters, *program.inputs)
+            reject(
+                f"wrt contains {key!r}, which {program.system} does not have."
+                f"{did_you_mean(key, known)}",
+                remedy=f"Pass a tuple of names from {', '.join(known)}.",
+            )
 
 
 def read_arguments(
@@ -161,15 +181,10 @@ def read_arguments(
             program.check_given({name: 0.0})
             sign = {"positive": 1, "negative": -1}.get(header.signs[parameter], 0)
             argument = Argument(key, "parameter", parameter, (), sign)
-        elif driven is not None:
+        else:
+            assert driven is not None
             values = inputs[program.inputs[driven]]
             argument = _input_argument(program, key, driven, values, spec)
-        else:
-            known = ", ".join(("q0", "v0", "p0", *program.parameters, *program.inputs))
-            reject(
-                f"wrt contains {key!r}, which {program.system} does not have.",
-                remedy=f"Choose from {known}.",
-            )
         if any((x.kind, x.place) == (argument.kind, argument.place) for x in arguments):
             reject(f"wrt contains {key!r} twice.", remedy="Pass each name once.")
         arguments.append(argument)

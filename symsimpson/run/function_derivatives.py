@@ -209,7 +209,7 @@ class FunctionDerivatives:
         if not self.has_adjoint or program.header.constraints:
             why = "Runs with constraints, events, contacts or retiming have first derivatives only."
         elif any(output.name not in ("q", "p") for output in self._outputs):
-            why = "Only the outputs 'q' and 'p' have second derivatives."
+            why = "Only the outputs 'q' and 'p' have them: pass of=('q', 'p')."
         elif program.header.canonical or "equations" not in program.header.functions:
             why = "Only Lagrangian systems with schemes of the Galerkin family have them."
         elif program.method is None or program.tools is None:
@@ -222,10 +222,11 @@ class FunctionDerivatives:
         self, name: str, given: Any, shapes: Sequence[tuple[int, ...]], members: int | None
     ) -> list[Reals]:
         """Read an array for each shape; each result has a first axis for the members."""
+        what = "output" if name == "cotangents" else "argument"
         if not isinstance(given, (tuple, list)) or len(given) != len(shapes):
             reject(
                 f"{name} is not a tuple of {len(shapes)} arrays.",
-                remedy=f"Pass arrays with the shapes {', '.join(map(str, shapes))}.",
+                remedy=f"Pass one array for each {what}: shapes {', '.join(map(str, shapes))}.",
             )
         read = []
         for value, shape in zip(given, shapes, strict=True):
@@ -235,7 +236,7 @@ class FunctionDerivatives:
                 reject(
                     f"{name} has an array of shape {array.shape}, but must have shape "
                     f"{whole if members else shape}.",
-                    remedy="Pass arrays with the shapes of the values.",
+                    remedy=f"Pass one array for each {what}, with its shape.",
                 )
             read.append(np.broadcast_to(array, whole))
         return read

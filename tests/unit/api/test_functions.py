@@ -66,9 +66,11 @@ def test_arguments_are_converted_or_rejected(stepper):
     ("wrong", "text"),
     [
         ({"wrt": "p0"}, "no initial positions"),
-        ({"wrt": "q0"}, "exactly one of v0 and p0"),
+        ({"wrt": "q0"}, "neither initial velocities nor momenta"),
+        ({"wrt": ("q0", "vo")}, "wrt contains 'vo'"),
         ({"wrt": ("q0", "v0", "p0")}, "exactly one of v0 and p0"),
         ({"wrt": ("q0", "p0", "l3")}, "wrt contains 'l3'"),
+        ({"wrt": "q0, v0"}, "Pass a tuple of names"),
         ({"wrt": ("q0", "p0", "l1", "l1")}, "'l1' twice"),
         ({"wrt": (), "q0": Q, "p0": P}, "wrt is empty"),
         ({"of": ()}, "of is empty"),
