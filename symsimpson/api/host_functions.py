@@ -25,6 +25,11 @@ class HostFunctions:
 
     def __init__(self, function: FunctionOfRun, derivatives: FunctionDerivatives) -> None:
         self._function, self._derivatives = function, derivatives
+        if not function.program.numbers.compiled:
+            reject(
+                "JAX and PyTorch need double precision, but this stepper has another precision.",
+                remedy="Compile a stepper without precision=.",
+            )
         self.arguments: Shapes = [argument.shape for argument in function.arguments]
         self.outputs: Shapes = function.output_shapes
         self.blocks: Shapes = [(*x, *y) for x in self.outputs for y in self.arguments]
@@ -79,7 +84,13 @@ class HostFunctions:
                     remedy="Put the axes of members first.",
                 )
             axes.append(shape[: len(shape) - axes_of_value])
-        return np.broadcast_shapes(*axes)
+        try:
+            return np.broadcast_shapes(*axes)
+        except ValueError:
+            reject(
+                f"the arguments have different first axes: {', '.join(map(str, axes))}.",
+                remedy="Pass the same number of members in each argument.",
+            )
 
     @staticmethod
     def _by_members(

@@ -73,6 +73,8 @@ def to_jax(host: HostFunctions, pack: Callable[[Any], Any], mode: str) -> Callab
 
     def function(*arguments: Any) -> Any:
         import_jax("this function")
+        if any(jnp.iscomplexobj(x) for x in arguments):
+            reject("an argument is complex.", remedy="Pass real numbers.")
         given = [jnp.asarray(x, jnp.float64) for x in arguments]
         first = host.first_axes(given)
         given = [

@@ -55,7 +55,10 @@ def to_torch(host: HostFunctions, pack: Callable[[Any], Any]) -> Callable[..., A
     run = make(host.values, make(host.pull, second))
 
     def function(*arguments: Any) -> Any:
-        given = [torch.as_tensor(x) for x in arguments]
+        given = [
+            x if isinstance(x, torch.Tensor) else torch.as_tensor(x, dtype=torch.float64)
+            for x in arguments
+        ]
         for x in given:
             if x.device.type != "cpu":
                 reject(

@@ -9,6 +9,7 @@ import sympy as sp
 
 from symsimpson.declare.coordinates import time
 from symsimpson.declare.declared import Declared
+from symsimpson.errors import reject
 from symsimpson.support.extras import import_library
 from symsimpson.support.names import NameTable, read_mapping, spelled
 
@@ -79,9 +80,17 @@ class EnergyFunctions:
             given = read_mapping("parameters", parameters, "m")
             for place, value in table.values_by_place(given).items():
                 values[place] = value
+            for x in arrays:
+                if x.shape[-1:] != (system.n,):
+                    reject(
+                        f"an array has shape {x.shape}, but its last axis must have {system.n} "
+                        "entries.",
+                        where=system.name,
+                        remedy="Pass one number for each coordinate along the last axis.",
+                    )
             columns = [x[..., k] for x in reversed(arrays) for k in range(system.n)]
             shape = jnp.broadcast_shapes(*(x.shape[:-1] for x in arrays))
-            return jnp.broadcast_to(evaluate(*columns, *values, t), shape)
+            return jnp.broadcast_to(1.0 * jnp.asarray(evaluate(*columns, *values, t)), shape)
 
         if others:
             return lambda q, v, parameters=None, t=0.0: energy_of(q, v, parameters=parameters, t=t)

@@ -47,6 +47,11 @@ class Argument:
         """True for an input whose value may differ between steps."""
         return self.kind == "input" and self.shape != ()
 
+    @property
+    def is_plain(self) -> bool:
+        """True unless a value of an input lasts several steps."""
+        return self.steps is None or bool((self.steps == np.arange(self.steps.size)).all())
+
     def read(self, value: Any, program: Program) -> Reals:
         """Read a value for one member, or for K members with a first axis of length K.
 
@@ -148,7 +153,10 @@ def read_template(
         count = read_times(request, program.numbers, retimed=program.header.retimed)[1]
         placeholders = {program.inputs[k]: np.zeros(count) for k in driven}
         request = request._replace(inputs=collect_inputs(program, placeholders) | given)
-    return request, read_settings(program, request)
+    spec = read_settings(program, request)
+    if not spec.steps:
+        reject("a function needs at least one step.", remedy="Pass steps=1 or more.")
+    return request, spec
 
 
 def _check_names(program: Program, names: Sequence[Any]) -> None:
@@ -195,12 +203,22 @@ def read_arguments(
 
 def _input_argument(program: Program, key: str, place: int, given: Any, spec: RunSpec) -> Argument:
     """Return the argument of an input; it has the shape of the values in ``inputs=``."""
+    shape = np.shape(given.values if isinstance(given, Samples) else given)
+    nodes = spec.steps, len(program.header.input_places)
+    allowed: list[Any] = [(), (spec.steps,), nodes]
+    if shape not in allowed if not isinstance(given, Samples) else len(shape) != 1:
+        reject(
+            f"the values of the input {key} have shape {shape}.",
+            where=program.system,
+            why="They are the template of an argument in wrt.",
+            remedy=f"Pass a number, shape {nodes[:1]}, shape {nodes}, or samples of shape (L,).",
+        )
     if isinstance(given, Samples):
         period = count_steps_per_period(key, given.period, spec.h, program.numbers)
         steps = np.arange(spec.steps) // period
-        return Argument(key, "input", place, np.shape(given.values), steps=steps)
+        return Argument(key, "input", place, shape, steps=steps)
     each = np.arange(spec.steps)
-    shape = (spec.steps, len(program.header.input_places)) if callable(given) else np.shape(given)
+    shape = nodes if callable(given) else shape
     return Argument(key, "input", place, shape, steps=each if len(shape) == 1 else None)
 
 

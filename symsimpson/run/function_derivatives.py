@@ -7,6 +7,7 @@ derivatives back from the end of a run to its start.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -81,6 +82,8 @@ class FunctionDerivatives:
         started = function.spec.velocities and any(x.of_state for x in self._arguments)
         if program.header.retimed and started:
             self._no_derivatives = "derivatives by an initial state with v0 of a retimed system"
+        if program.modes is not None and any(x.kind == "input" for x in self._arguments):
+            self._no_derivatives = "derivatives by inputs with contacts or dry friction"
 
     @cached_property
     def _program(self) -> Program:
@@ -89,12 +92,25 @@ class FunctionDerivatives:
             reject(
                 f"{self._no_derivatives} are not available.",
                 where=self.function.program.system,
-                remedy="Use inputs that are constant during the run, and p0 instead of v0.",
+                remedy="Declare a constant input as a parameter. Start with p0 instead of v0.",
             )
         return program_with_derivatives(self.function.program, self._names)
 
     @cached_property
     def _costs(self) -> dict[str, list[StateCost]]:
+        """The components of outputs that are expressions; raises InputError without derivatives."""
+        header, events = self.function.program.header, self.function.spec.run_events
+        for text in (x.text for output in self._outputs for x in output.expressions):
+            moving = header.canonical and re.search(r"\bv_\d", text)
+            timed = events is not None and re.search(r"\bt\b", text)
+            if header.retimed or moving or timed:
+                reject(
+                    "derivatives of this output are not available.",
+                    where=self.function.program.system,
+                    why="They are missing for expressions of retimed systems, for velocities of a "
+                    "Hamiltonian, and for the time with events.",
+                    remedy="Use the outputs 'q' and 'p'.",
+                )
         return {
             output.name: [
                 StateCost(self._program, f"output {output.name}", x) for x in output.expressions
@@ -208,7 +224,9 @@ class FunctionDerivatives:
         program = self._program
         if not self.has_adjoint or program.header.constraints:
             why = "Runs with constraints, events, contacts or retiming have first derivatives only."
-        elif any(output.name not in ("q", "p") for output in self._outputs):
+        elif not program.numbers.compiled:
+            why = "Runs with many digits have first derivatives only."
+        elif any(output.expressions for output in self._outputs):
             why = "Only the outputs 'q' and 'p' have them: pass of=('q', 'p')."
         elif program.header.canonical or "equations" not in program.header.functions:
             why = "Only Lagrangian systems with schemes of the Galerkin family have them."
@@ -269,13 +287,17 @@ class FunctionDerivatives:
     ) -> tuple[Sequence[Reals], list[list[Reals]]]:
         """Return the outputs, and the blocks from variations that the runs carry forward."""
         program, function, n = self._program, self.function, self.function.program.n
+        if any(output.expressions for output in self._outputs):
+            assert self._costs  # raises if derivatives are missing
         count = 2 * n if any(x.of_state for x in self._arguments) else 0
         varied, run = replace(spec, tangents=np.eye(2 * n)[:, :count]), None
         if function.program.header.retimed:
             program = function.program
 
             def run(member: RunSpec, on_failure: str) -> Any:
-                return run_at_fixed_times(program, member, self._names, False, on_failure)
+                of_tau = member.t_end is None
+                given = program, member, self._names, False, on_failure
+                return run_at_fixed_times(*given, fixed_steps=of_tau)
 
         states = function.states(program, varied, members, run=run)
         assert states.variations is not None

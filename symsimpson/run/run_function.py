@@ -75,7 +75,8 @@ class FunctionOfRun:
         plain = program.modes is None and spec.run_events is None and spec.t_end is None
         plain = plain and program.numbers.compiled and program.header.real_everywhere
         self._short = plain and not program.header.constraints and not program.header.retimed
-        self._short = self._short and 0 < spec.steps <= ShortCall.longest(program)
+        self._short = self._short and all(x.is_plain for x in self.arguments)
+        self._short = self._short and spec.steps <= ShortCall.longest(program)
         self._observed = [x for output in self.outputs for x in output.expressions]
         count = np.arange(spec.stored) * spec.every if spec.every else np.asarray(spec.steps)
         self._times: Reals = spec.t0 + spec.h * program.numbers.read(count)
@@ -83,6 +84,10 @@ class FunctionOfRun:
         self._places: tuple[int, ...] | None = None
         if not self._observed:
             self._places = tuple("qp".index(output.name) for output in self.outputs)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state without workspaces, whose arrays share memory."""
+        return self.__dict__ | {"_pool": [], "_checked": []}
 
     # one member, in a prepared workspace
 
@@ -137,7 +142,7 @@ class FunctionOfRun:
         if members is None and (converted := self.call(tuple(values))) is not None:
             return converted, Status.SUCCESS
         states = self.states(self.program, spec, members, raising=raising)
-        self._checked.append(True)
+        self._checked[:] = [True]
         if members is not None and raising and (failed := int((states.status != 0).sum())):
             warn(
                 f"{self.program.system}, {self.program.scheme}: {failed} of {members} members "
@@ -239,6 +244,8 @@ class FunctionOfRun:
         status = np.asarray(ensemble.status)
         if not self.by_state:
             ensemble.q[status != 0] = ensemble.p[status != 0] = np.nan
+        if ensemble.variations is not None:  # those of failed members are of their last states
+            ensemble.variations[np.isnan(ensemble.q).any(axis=-1)] = np.nan
         return FunctionStates(ensemble.t, ensemble.q, ensemble.p, status, ensemble.variations)
 
     def _run_to_end(self, spec: RunSpec) -> Any:
@@ -259,6 +266,9 @@ class FunctionOfRun:
             columns = [x[-1] if run.status is Status.SUCCESS else x[-1] * np.nan for x in columns]
         elif len(run.t) != self.stored:  # it failed, or an event added its end
             some = min(len(run.t), self.stored)
+            on_grid = self.program.header.retimed or run.t[some - 1] == self._times[some - 1]
+            if run.ended_by is not None and not on_grid:
+                some -= 1  # the state at a terminal event is no state after whole steps
             whole = [np.full((self.stored, *x.shape[1:]), np.nan) for x in columns]
             for rows, x in zip(whole, columns, strict=True):
                 rows[:some] = x[:some]

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy import copyto, empty
+from numpy import copyto, empty, ndarray
 
 from symsimpson.program.input_values import MOST_STEPS, read_vector
 from symsimpson.program.numbers import FLOAT64, NO_INPUTS, workspace
@@ -162,7 +162,11 @@ class ShortCall:
         try:
             for (target, shape, sign), value in zip(self._targets, arguments):  # noqa: B905
                 if shape:
-                    if value.shape != shape:
+                    if (
+                        type(value) is not ndarray
+                        or value.shape != shape
+                        or value.dtype.kind == "b"
+                    ):
                         return None
                 elif (
                     not (type(value) in PLAIN_TYPES or value.shape == ())
@@ -171,7 +175,7 @@ class ShortCall:
                 ):
                     return None
                 copyto(target, value)  # complex numbers raise TypeError
-        except (AttributeError, TypeError, ValueError):
+        except (AttributeError, TypeError, ValueError, OverflowError):
             return None
         end = empty((4, self._n))
         if not self._stored:

@@ -109,9 +109,9 @@ def first_calls(cache_folder):
 
 #: Lines of text in each room.
 LINES = {
-    "api": 2588,
+    "api": 2604,
     "cli": 800,
-    "declare": 9621,
+    "declare": 9630,
     "discrete": 1902,
     "graph": 2343,
     "lower": 6126,
@@ -120,7 +120,7 @@ LINES = {
     "reference": 1010,
     "results": 4213,
     "root": 623,
-    "run": 9608,
+    "run": 9662,
     "schemes": 790,
     "stepping": 2500,
     "study": 13100,
@@ -152,7 +152,7 @@ FIGURES = {
     "values called found, made, own or one": (0, lambda: sum(map(is_vague, every_node()))),
     "names that several files have": (1, repeated_names),
     "modules at the root": (3, lambda: len(list(PACKAGE.glob("*.py")))),
-    "lines of the package": (75210, lambda: sum(lines_of_rooms().values())),
+    "lines of the package": (75289, lambda: sum(lines_of_rooms().values())),
     "files": (327, lambda: len(FILES)),
     "floors": (10, floors),
     "class names that occur twice": (6, repeated_classes),

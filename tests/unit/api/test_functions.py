@@ -1,5 +1,7 @@
 """Functions of runs: values as those of runs, exact derivatives, and arguments that are checked."""
 
+import copy
+import pickle
 from concurrent.futures import ThreadPoolExecutor
 
 import mpmath as mp
@@ -280,3 +282,68 @@ def test_gradients_against_fifty_digits(case):
                     column = block[:, k] if np.ndim(value) else block
                     scale = max(1.0, abs(truth).max())
                     assert abs(column - truth).max() < 1e-12 * scale
+
+
+@pytest.mark.slow
+def test_derivatives_of_failed_members_are_nan(stepper):
+    f = stepper.function(h=0.1, steps=50, of="q", wrt=("q0", "p0", "g"))
+    given = np.array([[0.1, 0.1], [1.0, 2.0]]), np.array([[0.0, 0.0], [1e6, -1e6]]), 9.81
+    _, status = f(*given, full=True)
+    assert (status != 0).tolist() == [False, True]
+    blocks = f.jacobian(*given)
+    assert all(np.isfinite(x[0]).all() and np.isnan(x[1]).all() for x in blocks)
+    _, (by_q, _, by_g) = f.vjp(given, np.ones((2, 2)))
+    assert np.isfinite(by_q[0]).all()
+    assert np.isnan(by_g)
+
+
+@pytest.mark.slow
+def test_retimed_steps_are_differentiated_at_fixed_tau():
+    system = ss.systems.kepler_plane().retimed("encounters")
+    stepper, name = ss.compile(system, "gauss8"), "mu"
+    given = {"h": 0.3, "q0": [1.6, 0.0], "p0": [0.0, 0.5], "wrt": name, "of": "q"}
+    for length in ({"steps": 12}, {"t_end": 4.0}):
+        f = stepper.function(**given, **length)
+        difference = (f(1 + 1e-5) - f(1 - 1e-5)) / 2e-5
+        assert f.jacobian(1.0) == pytest.approx(difference, rel=1e-7)
+    with pytest.raises(ss.InputError, match="derivatives of this output"):
+        stepper.function(**given | {"of": "x*y"}, steps=12).jacobian(1.0)
+
+
+@pytest.mark.slow
+def test_samples_that_are_as_many_as_the_steps():
+    u, stepper = np.arange(6.0), ss.compile(pendulum_in_wind(), "simpson")
+    template = {"u": ss.samples(np.zeros(6), period=0.2)}
+    f = stepper.function(h=0.1, steps=6, wrt="u", q0=[0.3], v0=[0.2], inputs=template)
+    values = [f(u)[0] for _ in range(3)]
+    inputs = {"u": ss.samples(u, period=0.2)}
+    run = stepper.integrate([0.3], [0.2], h=0.1, steps=6, inputs=inputs)
+    assert all((x == run.q[-1]).all() for x in values)
+
+
+@pytest.mark.slow
+def test_copies(stepper):
+    f = stepper.function(h=0.02, steps=20, of="q", wrt="l1", q0=Q, v0=P)
+    truth = [f(x) for x in (1.0, 1.0, 1.2)]
+    for g in (copy.deepcopy(f), pickle.loads(pickle.dumps(f))):
+        assert all((g(x) == y).all() for x, y in zip((1.0, 1.0, 1.2), truth, strict=True))
+
+
+@pytest.mark.slow
+def test_a_coordinate_with_the_name_of_a_vector():
+    q, r = ss.coordinates("q r")
+    kinetic = (q.diff() ** 2 + r.diff() ** 2 * (1 + q**2)) / 2
+    system = ss.MechanicalSystem(
+        "named_q", coordinates=(q, r), kinetic=kinetic, potential=sp.cos(q) * r + r**2 / 2
+    )
+    f = ss.compile(system).function(h=0.1, steps=5, of="q", wrt=("q0", "v0"))
+    assert f([0.3, 0.2], [0.1, 0.1]).shape == ()
+    with pytest.raises(ss.InputError, match="second derivatives"):
+        f.hvp(([0.3, 0.2], [0.1, 0.1]), 1.0, ([1.0, 0.0], [0.0, 0.0]))
+
+
+@pytest.mark.parametrize("shape", [(6, 1), (1, 6), (1, 6, 3), (5,)])
+def test_templates_of_other_shapes_are_rejected(shape):
+    stepper = ss.compile(pendulum_in_wind(), "simpson")
+    with pytest.raises(ss.InputError, match="input u ha"):
+        stepper.function(h=0.1, steps=6, wrt=("q0", "v0", "u"), inputs={"u": np.zeros(shape)})
