@@ -193,6 +193,7 @@ class RunFunction(Convertible):
         """
         given = self._as_tuple(arguments)
         values, slopes = self._derivatives.pull_back(given, self._as_weights(cotangents))
+        values = self._function.values(given) if values is None else values
         return self._pack(values), self._pack_arguments(slopes)
 
     def hvp(self, arguments: Any, cotangents: Any, tangents: Any) -> tuple[Any, Any]:

@@ -169,7 +169,8 @@ class RunCache:
     many_digits: dict[str, KernelSets] = field(default_factory=dict)
     #: Programs of the modes of contacts and friction, by the key of the mode.
     modes: dict[Any, Program] = field(default_factory=dict)
-    events: dict[Any, Any] = field(default_factory=dict)  #: Events of runs, after their checks.
+    #: Events of runs, after their checks, and kernels of the outputs of functions.
+    events: dict[Any, Any] = field(default_factory=dict)
     #: The faster number of lanes for members of an ensemble, by the number of lanes of a block.
     lanes: dict[int, int] = field(default_factory=dict)
 

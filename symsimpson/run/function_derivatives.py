@@ -82,8 +82,6 @@ class FunctionDerivatives:
         started = function.spec.velocities and any(x.of_state for x in self._arguments)
         if program.header.retimed and started:
             self._no_derivatives = "derivatives by an initial state with v0 of a retimed system"
-        if program.modes is not None and any(x.kind == "input" for x in self._arguments):
-            self._no_derivatives = "derivatives by inputs with contacts or dry friction"
 
     @cached_property
     def _program(self) -> Program:
@@ -137,17 +135,18 @@ class FunctionDerivatives:
 
     def pull_back(
         self, given: tuple[Any, ...], cotangents: Sequence[Any]
-    ) -> tuple[Sequence[Reals], list[Reals]]:
+    ) -> tuple[Sequence[Reals] | None, list[Reals]]:
         """Return the outputs, and the derivatives of their sum times ``cotangents``, by argument.
 
-        With few arguments, variations that the run carries forward are faster than the adjoint.
+        The outputs are None if their values were not needed. With few arguments, variations that
+        the run carries forward are faster than the adjoint.
         """
         spec, members, values = self.function.read(given)
         weights = self._read_values("cotangents", cotangents, self.function.output_shapes, members)
         columns = 2 * self.function.program.n * any(x.of_state for x in self._arguments)
         few = columns + len(self._parameters) <= FEW_COLUMNS or members is not None
         if self.has_adjoint and (self._by_step or not few):
-            outputs = self.function.values(given)
+            outputs: Sequence[Reals] | None = None
             each = [
                 self._pull_back_member(member_of(spec, k, members), [x[k] for x in weights])
                 for k in range(members or 1)
@@ -161,12 +160,18 @@ class FunctionDerivatives:
                 np.sum([w @ x for w, x in zip(flat, column, strict=True)], axis=0)
                 for column in blocks
             ]
+        return outputs, self._sum_shared(values, slopes, members)
+
+    def _sum_shared(
+        self, values: Sequence[Reals], slopes: Sequence[Reals], members: int | None
+    ) -> list[Reals]:
+        """Return slopes of members by argument; sum those by arguments that members share."""
         results = []
         for argument, value, slope in zip(self._arguments, values, slopes, strict=True):
             of_members = members is not None and value.ndim > len(argument.shape)
             whole = slope.reshape((-1, *argument.shape))
             results.append(whole if of_members else whole.sum(axis=0))
-        return outputs, results
+        return results
 
     def push_forward(self, given: tuple[Any, ...], tangents: Sequence[Any]) -> list[Reals]:
         """Return the derivatives of all outputs along ``tangents`` of the arguments."""
@@ -175,13 +180,12 @@ class FunctionDerivatives:
         along = self._read_values("tangents", tangents, shapes, members)
         columns = [x.reshape(len(x), -1, 1) for x in along]
         rows = () if members is None else (members,)
+        every_block = self._blocks(spec, members)
         return [
             np.sum([x @ v for x, v in zip(blocks, columns, strict=True)], axis=0).reshape(
                 (*rows, *shape)
             )
-            for shape, blocks in zip(
-                self.function.output_shapes, self._blocks(spec, members), strict=True
-            )
+            for shape, blocks in zip(self.function.output_shapes, every_block, strict=True)
         ]
 
     def curve(
@@ -209,13 +213,8 @@ class FunctionDerivatives:
                 )
             )
         slopes, products = (
-            [
-                np.stack(rows)
-                if members is not None and value.ndim > len(argument.shape)
-                else np.sum(rows, axis=0)
-                for argument, value, *rows in zip(self._arguments, values, *results, strict=True)
-            ]
-            for results in zip(*each, strict=True)
+            self._sum_shared(values, [np.stack(rows) for rows in zip(*parts, strict=True)], members)
+            for parts in zip(*each, strict=True)
         )
         return slopes, products
 
@@ -287,8 +286,7 @@ class FunctionDerivatives:
     ) -> tuple[Sequence[Reals], list[list[Reals]]]:
         """Return the outputs, and the blocks from variations that the runs carry forward."""
         program, function, n = self._program, self.function, self.function.program.n
-        if any(output.expressions for output in self._outputs):
-            assert self._costs  # raises if derivatives are missing
+        costs = self._costs  # raises before the run if derivatives are missing
         count = 2 * n if any(x.of_state for x in self._arguments) else 0
         varied, run = replace(spec, tangents=np.eye(2 * n)[:, :count]), None
         if function.program.header.retimed:
@@ -314,7 +312,7 @@ class FunctionDerivatives:
                 columns.append(slice(first, first + 1))
                 first += 1
         outputs = function.outputs_of(states.t, states.q, states.p, spec.parameters)
-        by_output = self._output_changes(states, spec, members, changes, count)
+        by_output = self._output_changes(costs, states, spec, members, changes, count)
         return outputs, [
             [x[..., column].reshape(len(x), -1, x[0, ..., column].shape[-1]) for column in columns]
             for x in by_output
@@ -329,7 +327,13 @@ class FunctionDerivatives:
         return pull_velocities(program, times, q, p, np.eye(2 * n), spec.parameters)[0]
 
     def _output_changes(
-        self, states: FunctionStates, spec: RunSpec, members: int | None, changes: Reals, count: int
+        self,
+        costs: dict[str, list[StateCost]],
+        states: FunctionStates,
+        spec: RunSpec,
+        members: int | None,
+        changes: Reals,
+        count: int,
     ) -> list[Reals]:
         """Convert changes of states to changes of outputs, shape (K, M, ..., k)."""
         n, results = self.function.program.n, []
@@ -344,7 +348,7 @@ class FunctionDerivatives:
             rows = np.zeros((*shape, len(output.expressions), changes.shape[-1]))
             for k in range(len(changes)):
                 values = member_of(spec, k, members).parameters
-                for c, cost in enumerate(self._costs[output.name]):
+                for c, cost in enumerate(costs[output.name]):
                     slopes = cost.slopes(1.0 * steps, t[k], q[k], p[k], values)
                     rows[k, :, c] = (slopes.state[:, None] @ changes[k])[:, 0]
                     rows[k, :, c, count:] += slopes.parameters

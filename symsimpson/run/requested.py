@@ -302,12 +302,4 @@ def program_for_request(program: Program, request: Request) -> Program:
 
 def _names_to_vary(program: Program, request: Request) -> tuple[str, ...]:
     """Read the names to differentiate by; raise InputError for an unknown name."""
-    names = read_variables(program, () if request.sensitivities is None else request.sensitivities)
-    if program.modes is not None and (driven := [x for x in names if x in program.header.inputs]):
-        reject(
-            f"a derivative by the input {driven[0]} is not available with contacts or friction.",
-            where=program.system,
-            why="The times at which modes change depend on the input.",
-            remedy="Declare a constant input as a parameter.",
-        )
-    return names
+    return read_variables(program, () if request.sensitivities is None else request.sensitivities)

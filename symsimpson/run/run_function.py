@@ -279,25 +279,14 @@ class FunctionOfRun:
     def _run_ensemble(self, program: Program, spec: RunSpec, members: int) -> Ensemble:
         """Run an ensemble whose members are the rows of a specification."""
         tangents, varied = spec.tangents, len(program.header.varied_by or ())
+        changed = None if tangents is None else np.pad(tangents, ((0, 0), (0, varied)))
         task = EnsembleSpec(
-            q0=np.ascontiguousarray(spec.q0),
-            other0=np.ascontiguousarray(spec.other0),
-            given=spec.given,
-            parameters=np.ascontiguousarray(spec.parameters),
-            h=spec.h,
-            t0=spec.t0,
-            steps=spec.steps,
-            every=spec.every,
-            inputs=spec.inputs,
+            **vars(spec) | {"tangents": changed},
             threads=self.threads or available_threads(),
             progress=False,
             lanes=lanes_for(program.header.rows, members),
             retimed=program.header.retimed,
-            tangents=None if tangents is None else np.pad(tangents, ((0, 0), (0, varied))),
-            t_end=spec.t_end,
-            run_events=spec.run_events,
             event_names=event_names(program, spec.run_events),
-            checked=spec.checked,
         )
         return run_spec(program, task)
 

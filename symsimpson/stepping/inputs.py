@@ -248,6 +248,13 @@ def read_variables(program: Program, names: Any, *, adjoint: bool = False) -> tu
                     remedy="Differentiate by the state (tangents=) or by other parameters.",
                 )
         elif driven is not None:
+            if program.modes is not None:
+                reject(
+                    f"a derivative by the input {key} is not available with contacts or friction.",
+                    where=program.system,
+                    why="The times at which modes change depend on the input.",
+                    remedy="Declare a constant input as a parameter.",
+                )
             varied.append(header.inputs[driven])
         elif key in STEP and not header.retimed:
             if key == "h" and adjoint and not header.autonomous:
